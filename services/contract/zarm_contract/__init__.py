@@ -1,0 +1,1 @@
+"""What crosses the wire between zarm's processes, and nothing else."""

@@ -1,0 +1,145 @@
+"""What goes wrong, as one model on the wire and one exception tree in the code.
+
+ZarmError                       carries a Problem; every error that a user meets is one of these
+├── InvalidRequest              the request cannot be read or breaks a rule; nothing was done
+├── PlanningFailed              unreachable, start_in_collision, goal_in_collision, no_path
+├── DeadlineExceeded            timeout
+├── ExecutionRefused            stale_plan, start_state_mismatch, no_joint_state, limit_violated
+├── ExecutionFailed             tolerance_violated, driver_stalled
+├── Cancelled                   cancelled
+├── Busy                        busy
+├── Unavailable                 unavailable: no answer, no router, no such service
+└── InternalError               internal: a fault of zarm; the trace is in the service's log
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, get_args
+
+from zarm_contract._model import Message
+
+Code = Literal[
+    "invalid_request",
+    "unreachable",
+    "start_in_collision",
+    "goal_in_collision",
+    "no_path",
+    "timeout",
+    "stale_plan",
+    "start_state_mismatch",
+    "no_joint_state",
+    "limit_violated",
+    "busy",
+    "unavailable",
+    "tolerance_violated",
+    "driver_stalled",
+    "cancelled",
+    "internal",
+]
+
+
+class Problem(Message):
+    """Why a request was refused or a goal ended badly.
+
+    `message` is a sentence a person can act on; `field` is the dotted path of the offending field of the
+    request (`goal.position.2`), `joint` the offending joint.
+    """
+
+    code: Code
+    message: str
+    field: str | None = None
+    joint: str | None = None
+
+
+class ZarmError(Exception):
+    """Any error that ends as a Problem. Raise a subclass; `from_problem` makes the one a Problem stands for."""
+
+    codes: ClassVar[tuple[Code, ...]] = ()
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: Code | None = None,
+        field: str | None = None,
+        joint: str | None = None,
+    ) -> None:
+        code = code or self.codes[0]
+        if code not in self.codes:
+            raise TypeError(f"{type(self).__name__} cannot carry the code {code}")
+        self.problem = Problem(code=code, message=message, field=field, joint=joint)
+        super().__init__(message)
+
+    @property
+    def code(self) -> Code:
+        """The Problem's code."""
+        return self.problem.code
+
+    def __str__(self) -> str:
+        place = self.problem.field or self.problem.joint
+        return f"{self.problem.message} ({place})" if place else self.problem.message
+
+
+class InvalidRequest(ZarmError):
+    """The request cannot be read or breaks a rule; nothing was done."""
+
+    codes = ("invalid_request",)
+
+
+class PlanningFailed(ZarmError):
+    """There is no plan for this request in this scene."""
+
+    codes = ("no_path", "unreachable", "start_in_collision", "goal_in_collision")
+
+
+class DeadlineExceeded(ZarmError):
+    """The request's own deadline passed."""
+
+    codes = ("timeout",)
+
+
+class ExecutionRefused(ZarmError):
+    """A check before motion failed; the robot did not move."""
+
+    codes = ("limit_violated", "stale_plan", "start_state_mismatch", "no_joint_state")
+
+
+class ExecutionFailed(ZarmError):
+    """A check during motion failed; the robot was stopped."""
+
+    codes = ("tolerance_violated", "driver_stalled")
+
+
+class Cancelled(ZarmError):
+    """Ended because a client asked for it."""
+
+    codes = ("cancelled",)
+
+
+class Busy(ZarmError):
+    """The service has no room for this request now."""
+
+    codes = ("busy",)
+
+
+class Unavailable(ZarmError):
+    """Nobody answered, or the service cannot serve this now."""
+
+    codes = ("unavailable",)
+
+
+class InternalError(ZarmError):
+    """A fault of zarm itself."""
+
+    codes = ("internal",)
+
+
+_BY_CODE: dict[str, type[ZarmError]] = {code: cls for cls in ZarmError.__subclasses__() for code in cls.codes}
+if set(_BY_CODE) != set(get_args(Code)):
+    raise TypeError("every problem code needs exactly one exception class")
+
+
+def from_problem(problem: Problem) -> ZarmError:
+    """The exception that stands for a Problem received from another process."""
+    cls = _BY_CODE[problem.code]
+    return cls(problem.message, code=problem.code, field=problem.field, joint=problem.joint)

@@ -1,0 +1,27 @@
+"""Logs: one line per event on standard error, `service | level=... event key=value`, coloured on request."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+
+_COLOURS = {"planner": 36, "executor": 33, "ros_bridge": 35}
+
+
+class _Formatter(logging.Formatter):
+    def __init__(self, service: str, colour: bool) -> None:
+        super().__init__("%(asctime)s level=%(levelname)s %(message)s", datefmt="%H:%M:%S")
+        self._prefix = f"{service:<10}| "
+        if colour:
+            self._prefix = f"\x1b[{_COLOURS.get(service, 32)}m{self._prefix}\x1b[0m"
+
+    def format(self, record: logging.LogRecord) -> str:
+        return "\n".join(self._prefix + line for line in super().format(record).splitlines())
+
+
+def setup_logging(service: str) -> None:
+    """Log to standard error with the service's name before each line. `ZARM_LOG` is the level, `ZARM_COLOUR=1` colours."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Formatter(service, os.environ.get("ZARM_COLOUR") == "1"))
+    logging.basicConfig(level=os.environ.get("ZARM_LOG", "INFO").upper(), handlers=[handler], force=True)

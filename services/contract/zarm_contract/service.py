@@ -1,0 +1,140 @@
+"""What every service process does the same way: arguments, one owner per robot, health, signals, a clean end."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import logging
+import os
+import secrets
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Unavailable, ZarmError
+from zarm_contract.keys import Keys
+from zarm_contract.logs import setup_logging
+from zarm_contract.messages import Health, Nothing
+from zarm_contract.robot import Robot, load_robot
+from zarm_contract.session import DEFAULT_ENDPOINT
+
+log = logging.getLogger(__name__)
+
+CONTRACT = "v1"
+"""Version of the messages and keys; services of one bus must agree on it."""
+
+
+def version() -> str:
+    """The installed version of zarm."""
+    return importlib.metadata.version("zarm")
+
+
+@dataclass
+class Service:
+    """A running service: its robot, its keys, its bus; `options` are its command line (`connect`, `state`, its own)."""
+
+    name: str
+    robot: Robot
+    keys: Keys
+    bus: Bus
+    options: argparse.Namespace
+    instance: str = field(default_factory=lambda: secrets.token_hex(4))
+    _activity: str = "starting"
+    _ready: bool = False
+    _started: float = field(default_factory=time.monotonic)
+
+    def starting(self, activity: str) -> None:
+        """Say in `health` what the service is busy with before it is ready."""
+        self._activity = activity
+        log.info("starting activity=%s", activity.replace(" ", "_"))
+
+    def ready(self) -> None:
+        """Say in `health` that requests are served at full speed from now on."""
+        self._activity, self._ready = "serving", True
+        log.info(
+            "ready robot=%s instance=%s seconds=%.2f", self.keys.robot, self.instance, time.monotonic() - self._started
+        )
+
+    def health(self, _: Nothing = Nothing()) -> Health:
+        """How this service is."""
+        return Health(
+            service=self.name,
+            robot=self.keys.robot,
+            instance=self.instance,
+            ready=self._ready,
+            activity=self._activity,
+            version=version(),
+            contract=CONTRACT,
+            robot_hash=self.robot.hash,
+            uptime=time.monotonic() - self._started,
+            pid=os.getpid(),
+        )
+
+    def claim(self) -> None:
+        """Become the one owner of this service for the robot. Raises Unavailable while another one is alive."""
+        anyone, mine = self.keys.alive(self.name, "*"), (self.keys.robot, self.name, self.instance)
+        others = self.bus.alive(anyone)
+        if not others:
+            self.bus.declare_alive(self.keys.alive(self.name, self.instance))
+            # Two that start at the same moment both get here; the smaller instance id stays.
+            others = [other for other in self.bus.alive(anyone) if other < mine]
+        if others:
+            raise Unavailable(
+                f"a {self.name} for the robot {self.keys.robot} is already on this bus (instance {others[0][2]}); "
+                "stop it, or start this one under another --name"
+            )
+        self.bus.serve(self.keys.health(self.name), Nothing, self.health)
+
+
+def run_service(
+    name: str, parser: argparse.ArgumentParser, start: Callable[[Service], AbstractContextManager[object]]
+) -> int:
+    """Run a service process until SIGTERM or SIGINT and return its exit code.
+
+    `parser` comes from `service_parser`. `start(service)` returns a context manager that opens and closes the service;
+    it calls `service.ready()`.
+    """
+    setup_logging(name)
+    options = parser.parse_args()
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        robot = load_robot(options.robot)
+        keys = Keys(options.name or robot.descriptor.name)
+        with Bus(options.connect) as bus:
+            service = Service(name, robot, keys, bus, options)
+            service.claim()
+            with start(service):
+                stop.wait()
+                log.info("stopping")
+    except (ZarmError, ValueError) as error:
+        log.error("cannot run reason=%s", error)
+        return 1
+    return 0
+
+
+def default_state() -> Path:
+    """The folder for state: `$ZARM_STATE`, else `$XDG_STATE_HOME/zarm`, else `~/.local/state/zarm`."""
+    if folder := os.environ.get("ZARM_STATE"):
+        return Path(folder)
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "zarm"
+
+
+def service_parser(name: str) -> argparse.ArgumentParser:
+    """The command line that every service has; a service adds its own options."""
+    parser = argparse.ArgumentParser(f"zarm-{name.replace('_', '-')}", description=f"The zarm {name} of one robot.")
+    parser.add_argument(
+        "--robot", default=os.environ.get("ZARM_ROBOT", "doosan_m1013"), help="descriptor: a name or a .yaml"
+    )
+    parser.add_argument("--name", help="the robot's name on the bus (default: the descriptor's)")
+    parser.add_argument(
+        "--connect", default=os.environ.get("ZARM_CONNECT", DEFAULT_ENDPOINT), help="the router's endpoint"
+    )
+    parser.add_argument("--state", type=Path, default=default_state(), help="folder for what outlives the process")
+    return parser
