@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import zenoh
 
 from zarm_contract._model import Message
-from zarm_contract.codec import decode, encode, schema
+from zarm_contract.codec import decode, encode
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import parse_alive
+from zarm_contract.publications import Latched, Latest, Publisher, deliver, encoding_of
 from zarm_contract.session import DEFAULT_ENDPOINT, open_client
+
+__all__ = ["Bus", "Latched", "Latest", "Publisher"]
 
 log = logging.getLogger(__name__)
 
@@ -47,8 +49,7 @@ class Bus:
             self._entities.pop().undeclare()
         while self._pools:
             self._pools.pop().shutdown(wait=True, cancel_futures=True)
-        if not self._session.is_closed():
-            self._session.close()
+        self._session.close()
 
     # -- queries --
 
@@ -60,11 +61,15 @@ class Bus:
         *,
         workers: int = 2,
         backlog: int = 16,
+        readable: bool = False,
     ) -> None:
         """Answer queries on `key` with `handler(request)`, run by up to `workers` threads of this key's own.
 
         A ZarmError raised by the handler is the answer; any other exception is logged with its trace and answered as
         `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`.
+
+        A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
+        robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
         """
         room = threading.BoundedSemaphore(workers + backlog)
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
@@ -77,6 +82,9 @@ class Bus:
                 room.release()
 
         def admit(query: zenoh.Query) -> None:
+            if str(query.key_expr) != key and not (readable and query.payload is None):
+                with query:
+                    return
             if not room.acquire(blocking=False):
                 with query:
                     _reply_problem(query, Busy(f"{key} has {workers + backlog} requests in hand; try again later"))
@@ -94,14 +102,17 @@ class Bus:
     def call(self, key: str, request: Message, reply: type[Reply], *, timeout: float) -> Reply:
         """Send a request and return its answer.
 
-        Raises the ZarmError that the service answers, or Unavailable when nobody answers within `timeout` s.
+        Raises the ZarmError that the service answers, Unavailable when nobody answers within `timeout` s, or
+        InternalError when the answer cannot be read.
         """
-        unavailable = Unavailable(f"no answer on {key} within {timeout:g} s; `zarm status` shows which services run")
+        unavailable = Unavailable(
+            f"nobody answered on {key} (waited up to {timeout:g} s); `zarm status` shows which services run"
+        )
         try:
             replies = self._session.get(
                 key,
                 payload=encode(request),
-                encoding=_encoding(type(request)),
+                encoding=encoding_of(type(request)),
                 timeout=timeout,
                 congestion_control=zenoh.CongestionControl.BLOCK,
             )
@@ -111,7 +122,12 @@ class Bus:
         if first is None:
             raise unavailable
         if first.ok is not None:
-            return decode(reply, first.ok.payload.to_bytes())
+            try:
+                return decode(reply, first.ok.payload.to_bytes())
+            except InvalidRequest as error:
+                raise InternalError(
+                    f"the answer on {key} cannot be read: {error}; run the same version of zarm on both sides"
+                ) from error
         if first.err is None:
             raise unavailable
         try:
@@ -126,7 +142,7 @@ class Bus:
         """Publish messages of one class on `key`. `realtime`: express, highest priority, dropped rather than queued."""
         entity = self._session.declare_publisher(
             key,
-            encoding=_encoding(model),
+            encoding=encoding_of(model),
             congestion_control=zenoh.CongestionControl.DROP if realtime else zenoh.CongestionControl.BLOCK,
             priority=zenoh.Priority.REAL_TIME if realtime else zenoh.Priority.DATA,
             express=realtime,
@@ -137,9 +153,12 @@ class Bus:
     def latched(self, key: str, model: type[M]) -> Latched[M]:
         """A value that is published on every change and answered to whoever asks for it.
 
-        `key` may end in `/*`: then it is a family of values, each under a key of its own.
+        `key` may end in `/*`: then it is a family of values, each under a key of its own; `model` may be a class that they
+        have in common. A key that takes requests
+        as well (settings, strategy) is not latched but served and published: `serve` answers whoever asks, and one key
+        has one queryable.
         """
-        latched = Latched(self._session, key, model)
+        latched: Latched[M] = Latched(self._session, key)
         self._entities.append(latched)
         return latched
 
@@ -151,16 +170,32 @@ class Bus:
 
         def receive(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
-                _deliver(str(sample.key_expr), sample.payload.to_bytes(), model, callback)
+                deliver(str(sample.key_expr), sample.payload.to_bytes(), model, callback)
 
         self._entities.append(self._session.declare_subscriber(key, receive))
 
     def watch(self, key: str, model: type[M], callback: Callable[[str, M], None], *, timeout: float = 1.0) -> None:
-        """Like `subscribe` on a latched key, and the present values first (waiting for them at most `timeout` s)."""
-        self.subscribe(key, model, callback)
+        """Like `subscribe` on a latched key, and the present values first (waiting for them at most `timeout` s).
+
+        The last call for a key is always with its newest value.
+        """
+        turn = threading.Lock()
+        early: set[str] = set()  # what is published while the present values are on their way
+        present = threading.Event()
+
+        def receive(key: str, message: M) -> None:
+            with turn:
+                if not present.is_set():
+                    early.add(key)
+                callback(key, message)
+
+        self.subscribe(key, model, receive)
         for reply in self._session.get(key, timeout=timeout):
             if reply.ok is not None:
-                _deliver(str(reply.ok.key_expr), reply.ok.payload.to_bytes(), model, callback)
+                with turn:
+                    if str(reply.ok.key_expr) not in early:  # else this answer may be the older of the two
+                        deliver(str(reply.ok.key_expr), reply.ok.payload.to_bytes(), model, callback)
+        present.set()
 
     def latest(self, key: str, model: type[M]) -> Latest[M]:
         """The newest message on a key with a high rate; nothing is decoded until it is asked for."""
@@ -180,91 +215,6 @@ class Bus:
         return sorted({parse_alive(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
 
 
-class Publisher(Generic[M]):
-    """Publishes messages of one class on one key."""
-
-    def __init__(self, entity: zenoh.Publisher) -> None:
-        self._entity = entity
-
-    def put(self, message: M) -> None:
-        """Publish."""
-        self._entity.put(encode(message))
-
-
-class Latched(Generic[M]):
-    """See `Bus.latched`."""
-
-    def __init__(self, session: zenoh.Session, key: str, model: type[M]) -> None:
-        self._session = session
-        self._key = key
-        self._encoding = _encoding(model)
-        self._values: dict[str, bytes] = {}
-        self._lock = threading.Lock()
-        self._queryable = session.declare_queryable(key, self._answer, complete=True)
-
-    def set(self, message: M, *, key: str | None = None) -> None:
-        """Change the value and publish it; `key` names the member of a family."""
-        key = key or self._key
-        payload = encode(message)
-        with self._lock:  # publications leave in the order in which the value changed
-            self._values[key] = payload
-            self._session.put(key, payload, encoding=self._encoding)
-
-    def forget(self, key: str) -> None:
-        """Drop one member of a family; it is no longer answered."""
-        with self._lock:
-            self._values.pop(key, None)
-
-    def undeclare(self) -> None:
-        """Answer no more."""
-        self._queryable.undeclare()
-
-    def _answer(self, query: zenoh.Query) -> None:
-        with query:
-            with self._lock:
-                values = [(k, v) for k, v in self._values.items() if query.key_expr.intersects(zenoh.KeyExpr(k))]
-            for key, payload in values:
-                query.reply(key, payload, encoding=self._encoding)
-
-
-class Latest(Generic[M]):
-    """See `Bus.latest`."""
-
-    def __init__(self, session: zenoh.Session, key: str, model: type[M]) -> None:
-        self._model = model
-        self._newest: tuple[bytes, float] | None = None
-        self._changed = threading.Condition()
-        self._subscriber = session.declare_subscriber(key, self._receive)
-
-    def get(self, *, max_age: float | None = None) -> M | None:
-        """The newest message, or None when there is none, or none received within the last `max_age` s."""
-        newest = self._newest
-        if newest is None or (max_age is not None and time.monotonic() - newest[1] > max_age):
-            return None
-        return decode(self._model, newest[0])
-
-    def wait(self, timeout: float) -> M | None:
-        """The next message that arrives, or None after `timeout` s."""
-        with self._changed:
-            before = self._newest
-            self._changed.wait_for(lambda: self._newest is not before, timeout)
-            after = self._newest
-        return decode(self._model, after[0]) if after is not None and after is not before else None
-
-    def undeclare(self) -> None:
-        """Receive no more."""
-        self._subscriber.undeclare()
-
-    def _receive(self, sample: zenoh.Sample) -> None:
-        with self._changed:
-            self._newest = (sample.payload.to_bytes(), time.monotonic())
-            self._changed.notify_all()
-
-
-def _encoding(model: type[Message]) -> zenoh.Encoding:
-    return zenoh.Encoding.APPLICATION_JSON.with_schema(schema(model))
-
-
 def _bytes(payload: zenoh.ZBytes | None) -> bytes:
     return payload.to_bytes() if payload is not None else b""
 
@@ -272,23 +222,15 @@ def _bytes(payload: zenoh.ZBytes | None) -> bytes:
 def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> None:
     try:
         message = work()
+        payload = encode(message)
     except ZarmError as error:
         _reply_problem(query, error)
     except Exception:
         log.exception("handler failed key=%s", key)
         _reply_problem(query, InternalError(f"{key} failed on this request; its log holds the trace"))
     else:
-        query.reply(key, encode(message), encoding=_encoding(type(message)))
+        query.reply(key, payload, encoding=encoding_of(type(message)))
 
 
 def _reply_problem(query: zenoh.Query, error: ZarmError) -> None:
-    query.reply_err(encode(error.problem), encoding=_encoding(Problem))
-
-
-def _deliver(key: str, payload: bytes, model: type[M], callback: Callable[[str, M], None]) -> None:
-    try:
-        callback(key, decode(model, payload))
-    except InvalidRequest as error:
-        log.warning("dropped a message key=%s reason=%s", key, error)
-    except Exception:
-        log.exception("subscriber failed key=%s", key)
+    query.reply_err(encode(error.problem), encoding=encoding_of(Problem))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from typing import TypeVar
 
 from pydantic import ValidationError
 
+from zarm_contract._faults import field_path, sentence
 from zarm_contract._model import Message
 from zarm_contract.errors import InvalidRequest
 
 M = TypeVar("M", bound=Message)
 
 MAX_BYTES = 8 * 1024 * 1024
-"""Largest payload that is read: a minute of trajectory at 1 kHz for 7 joints is under it."""
+"""Largest payload that is read: some 20,000 samples of a trajectory of 7 joints, three minutes at 100 Hz."""
 
 
 def schema(model: type[Message]) -> str:
@@ -31,10 +33,13 @@ def decode(model: type[M], payload: bytes) -> M:
         raise InvalidRequest(
             f"the payload of {len(payload)} bytes is over the limit of {MAX_BYTES}; send less at once", field="payload"
         )
+    payload = payload or b"{}"
     try:
-        return model.model_validate_json(payload or b"{}")
+        return model.model_validate_json(payload)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        field = ".".join(str(part) for part in first["loc"]) or None
+        path = field_path(first["loc"], json.loads(payload)) if first["loc"] else ()
         more = f"; and {error.error_count() - 1} more" if error.error_count() > 1 else ""
-        raise InvalidRequest(f"{model.__name__}: {first['msg']}{more}", field=field) from error
+        raise InvalidRequest(
+            f"{model.__name__}: {sentence(first['msg'])}{more}", field=".".join(map(str, path)) or None
+        ) from error

@@ -1,4 +1,4 @@
-"""Logs: one line per event on standard error, `service | level=... event key=value`, coloured on request."""
+"""Logs: one line per event on standard error, `service | HH:MM:SS level=... event key=value`, coloured on request."""
 
 from __future__ import annotations
 
@@ -21,7 +21,14 @@ class _Formatter(logging.Formatter):
 
 
 def setup_logging(service: str) -> None:
-    """Log to standard error with the service's name before each line. `ZARM_LOG` is the level, `ZARM_COLOUR=1` colours."""
+    """Log to standard error with the service's name before each line.
+
+    `ZARM_LOG` is the level (DEBUG, INFO, WARNING, ERROR; default INFO), `ZARM_COLOUR=1` colours the service's name.
+    """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Formatter(service, os.environ.get("ZARM_COLOUR") == "1"))
-    logging.basicConfig(level=os.environ.get("ZARM_LOG", "INFO").upper(), handlers=[handler], force=True)
+    level = os.environ.get("ZARM_LOG", "INFO").upper()
+    known = level in logging.getLevelNamesMapping()
+    logging.basicConfig(level=level if known else logging.INFO, handlers=[handler], force=True)
+    if not known:
+        logging.warning("unknown log level ZARM_LOG=%s using=INFO known=DEBUG,INFO,WARNING,ERROR", level)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from zarm_contract._document import Document, KeyPath, read_document
+from zarm_contract._faults import field_path, sentence
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, Scale, Vector3
+from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, Vector3
 from zarm_contract.urdf import Urdf, load_urdf
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -20,7 +23,7 @@ ROBOTS = Path(__file__).parent / "robots"
 
 
 class _Section(BaseModel):
-    # A descriptor is written by hand, so 1 may stand for 1.0 and a list for a tuple; nothing else is forgiven.
+    # Not strict: a descriptor is written by hand, and to YAML `1` is no float, `1e-3` a text and `[...]` no tuple.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
@@ -114,23 +117,30 @@ class RobotDescriptor(_Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         count = len(self.joints)
-        if len(set(self.joints)) != count:
-            raise ValueError("joints: a name stands twice")
         vectors: Mapping[str, tuple[float, ...]] = {
             "home": self.home,
             "cspace.velocity": self.cspace.velocity,
             "cspace.acceleration": self.cspace.acceleration,
             "cspace.jerk": self.cspace.jerk,
         }
-        for name, vector in vectors.items():
-            if len(vector) != count:
-                raise ValueError(f"{name}: {len(vector)} values for {count} joints")
-        for link in self.collision:
-            if not self.spheres.get(link):
-                raise ValueError(f"spheres: the link {link} has collision geometry but no sphere that covers it")
-        for link in self.spheres:
-            if not self.collision.get(link):
-                raise ValueError(f"collision: the link {link} has spheres but no exact geometry")
+        faults = ["joints: a name stands twice"] if len(set(self.joints)) != count else []
+        faults += [
+            f"{name}: {len(vector)} values for {count} joints"
+            for name, vector in vectors.items()
+            if len(vector) != count
+        ]
+        faults += [
+            f"spheres: the link {link} has collision geometry but no sphere that covers it"
+            for link in self.collision
+            if not self.spheres.get(link)
+        ]
+        faults += [
+            f"collision: the link {link} has spheres but no exact geometry"
+            for link in self.spheres
+            if not self.collision.get(link)
+        ]
+        if faults:
+            raise ValueError("\n".join(faults))
         return self
 
 
@@ -166,97 +176,98 @@ def find_robot(name_or_path: str) -> Path:
 
 def load_robot(name_or_path: str) -> Robot:
     """Read and check a descriptor and its URDF. Raises InvalidRequest with file, line and remedy; one line per fault."""
-    path = find_robot(name_or_path)
-    text = path.read_text(encoding="utf-8")
+    document = read_document(find_robot(name_or_path))
     try:
-        data = yaml.safe_load(text)
-        lines = _line_of(yaml.compose(text, Loader=yaml.SafeLoader))
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{path}:{mark.line + 1}" if mark else str(path)
-        raise InvalidRequest(f"{place}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
-    if not isinstance(data, dict):
-        raise InvalidRequest(f"{path}:1: a descriptor is a mapping of keys to values; this file is not")
-    try:
-        descriptor = RobotDescriptor.model_validate(data)
+        descriptor = RobotDescriptor.model_validate(document.data)
     except ValidationError as error:
         raise InvalidRequest(
-            "\n".join(_explain(path, lines, fault.get("loc", ()), fault["msg"]) for fault in error.errors())
+            "\n".join(_explain(document, fault["loc"], fault["msg"], fault["type"]) for fault in error.errors())
         ) from error
-    urdf_path = path.parent / descriptor.urdf
+    urdf_path = document.path.parent / descriptor.urdf
+    if not urdf_path.is_file():
+        message = f"cannot read the URDF {urdf_path}: no such file; the path is relative to the descriptor's folder"
+        raise InvalidRequest(document.fault(("urdf",), message))
     urdf = load_urdf(urdf_path)
     faults = _against_urdf(descriptor, urdf)
     if faults:
-        raise InvalidRequest("\n".join(_explain(path, lines, loc, message) for loc, message in faults))
+        raise InvalidRequest("\n".join(document.fault(key, message) for key, message in faults))
     limits = {joint.name: (joint.lower, joint.upper) for joint in urdf.joint_of_child.values()}
-    two_pi = 6.283185307179586
     return Robot(
         descriptor=descriptor,
         urdf=urdf,
         urdf_path=urdf_path,
-        lower=tuple(-two_pi if (low := limits[name][0]) is None else low for name in descriptor.joints),
-        upper=tuple(two_pi if (high := limits[name][1]) is None else high for name in descriptor.joints),
-        hash=hashlib.sha256(text.encode() + urdf_path.read_bytes()).hexdigest()[:16],
+        lower=tuple(-math.tau if (low := limits[name][0]) is None else low for name in descriptor.joints),
+        upper=tuple(math.tau if (high := limits[name][1]) is None else high for name in descriptor.joints),
+        hash=hashlib.sha256(document.text.encode() + urdf_path.read_bytes()).hexdigest()[:16],
     )
 
 
-_Path = tuple[int | str, ...]
-
-
-def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[_Path, str]]:
+def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str]]:
     """Faults of the descriptor that only show beside its URDF, with the path of the key to blame."""
-    faults: list[tuple[_Path, str]] = []
-    for key in ("base_link", "tip_link"):
-        if getattr(robot, key) not in urdf.links:
-            faults.append(((key,), f"the link {getattr(robot, key)} is not in {robot.urdf}"))
-    for section in ("spheres", "collision"):
-        faults += [
-            ((section, link), f"the link {link} is not in {robot.urdf}")
-            for link in getattr(robot, section)
-            if link not in urdf.links
-        ]
-    for index, pair in enumerate(robot.self_collision_ignore):
-        faults += [
-            (("self_collision_ignore", index), f"the link {link} is not in {robot.urdf}")
-            for link in pair
-            if link not in urdf.links
-        ]
+    named: dict[KeyPath, str] = {("base_link",): robot.base_link, ("tip_link",): robot.tip_link}
+    named |= {("spheres", link): link for link in robot.spheres}
+    named |= {("collision", link): link for link in robot.collision}
+    named |= {
+        ("self_collision_ignore", index, side): link
+        for index, pair in enumerate(robot.self_collision_ignore)
+        for side, link in enumerate(pair)
+    }
+    faults: list[tuple[KeyPath, str]] = [
+        (key, f"the link {link} is not in {robot.urdf}; the links there are {', '.join(urdf.links)}")
+        for key, link in named.items()
+        if link not in urdf.links
+    ]
     if faults:
         return faults
-    chain = urdf.chain(robot.base_link, robot.tip_link)
-    moving = tuple(joint.name for joint in chain if joint.type != "fixed")
-    if moving != robot.joints:
-        return [(("joints",), f"the moving joints from base_link to tip_link are {list(moving)}, in this order")]
-    by_name = {joint.name: joint for joint in chain}
-    for index, (name, value) in enumerate(zip(robot.joints, robot.home, strict=True)):
-        joint = by_name[name]
+    try:
+        chain = urdf.chain(robot.base_link, robot.tip_link)
+    except InvalidRequest as error:
+        return [(("tip_link",), error.problem.message)]
+    moving = [joint for joint in chain if joint.type != "fixed"]
+    if tuple(joint.name for joint in moving) != robot.joints:
+        names = [joint.name for joint in moving]
+        return [(("joints",), f"the moving joints from base_link to tip_link are {names}; list them in this order")]
+    for index, (joint, value) in enumerate(zip(moving, robot.home, strict=True)):
         if joint.lower is not None and joint.upper is not None and not joint.lower <= value <= joint.upper:
-            faults.append((("home", index), f"{value} is outside the limits of {name}: {joint.lower} to {joint.upper}"))
-    return faults
+            limits = f"{joint.lower} to {joint.upper}"
+            faults.append((("home", index), f"{value} is outside the limits of {joint.name}: {limits}"))
+    return faults + [(("collision", link), fault) for link in robot.collision for fault in _mount(robot, urdf, link)]
 
 
-def _line_of(node: yaml.Node | None, prefix: _Path = ()) -> dict[_Path, int]:
-    """The line (from 1) of each key path of a YAML document."""
-    lines: dict[_Path, int] = {}
-    if node is None:
-        return lines
-    lines[prefix] = node.start_mark.line + 1
-    if isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            lines |= _line_of(value, (*prefix, key.value))
-            lines[(*prefix, key.value)] = key.start_mark.line + 1
-    elif isinstance(node, yaml.SequenceNode):
-        for index, value in enumerate(node.value):
-            lines |= _line_of(value, (*prefix, index))
-    return lines
+def _mount(robot: RobotDescriptor, urdf: Urdf, link: str) -> Iterator[str]:
+    """What keeps the robot's joints from telling where a link is."""
+    try:
+        chain = urdf.chain(robot.base_link, link)
+    except InvalidRequest as error:
+        yield error.problem.message
+        return
+    for joint in chain:
+        if joint.type != "fixed" and joint.name not in robot.joints:
+            yield f'it hangs on {joint.name}, which is none of the robot\'s joints; give that joint type="fixed" in the URDF'
 
 
-def _explain(path: Path, lines: Mapping[_Path, int], loc: _Path, message: str) -> str:
-    place = loc
-    while place and place not in lines:
-        place = place[:-1]
-    if not loc:  # a rule over the whole file names its key itself: `home: 5 values for 6 joints`
-        key = tuple(message.removeprefix("Value error, ").split(":")[0].split("."))
-        place = key if key in lines else place
-    dotted = ".".join(str(part) for part in loc)
-    return f"{path}:{lines.get(place, 1)}: {dotted + ': ' if dotted else ''}{message.removeprefix('Value error, ')}"
+def _explain(document: Document, loc: KeyPath, message: str, kind: str) -> str:
+    """One line per fault that pydantic found, with what to do where its message does not say so."""
+    if not loc:  # the rules over the whole file name their keys themselves: `cspace.jerk: 5 values for 6 joints`
+        named = [line.split(": ", 1) for line in sentence(message).splitlines()]
+        return "\n".join(document.fault(tuple(key.split(".")), fault) for key, fault in named)
+    key = field_path(loc, document.data)
+    return document.fault(key, sentence(message) + _remedy(kind, str(key[-1])))
+
+
+def _remedy(kind: str, key: str) -> str:
+    match kind:
+        case "missing":
+            return "; robots/README.md explains what to write here"
+        case "extra_forbidden":
+            known = {name for section in _Section.__subclasses__() for name in section.model_fields}
+            close = difflib.get_close_matches(key, known, 1)
+            return f"; did you mean {close[0]}?" if close else "; robots/README.md lists the keys"
+        case "union_tag_not_found":
+            return "; write kind: sphere, capsule, cylinder or cuboid"
+        case "tuple_type":
+            return "; write a list: [0.1, 0.2, 0.3]"
+        case "string_pattern_mismatch":
+            return "; use small letters, digits and _, a letter first"
+        case _:
+            return ""

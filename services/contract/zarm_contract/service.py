@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import Unavailable, ZarmError
+from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.logs import setup_logging
 from zarm_contract.messages import Health, Nothing
@@ -27,6 +27,9 @@ log = logging.getLogger(__name__)
 
 CONTRACT = "v1"
 """Version of the messages and keys; services of one bus must agree on it."""
+
+_WITHDRAWAL = 2.0
+"""Seconds that a starting service gives another one that starts at the same moment to withdraw."""
 
 
 def version() -> str:
@@ -60,7 +63,7 @@ class Service:
             "ready robot=%s instance=%s seconds=%.2f", self.keys.robot, self.instance, time.monotonic() - self._started
         )
 
-    def health(self, _: Nothing = Nothing()) -> Health:
+    def health(self, _: Nothing | None = None) -> Health:
         """How this service is."""
         return Health(
             service=self.name,
@@ -76,19 +79,31 @@ class Service:
         )
 
     def claim(self) -> None:
-        """Become the one owner of this service for the robot. Raises Unavailable while another one is alive."""
-        anyone, mine = self.keys.alive(self.name, "*"), (self.keys.robot, self.name, self.instance)
-        others = self.bus.alive(anyone)
-        if not others:
-            self.bus.declare_alive(self.keys.alive(self.name, self.instance))
-            # Two that start at the same moment both get here; the smaller instance id stays.
-            others = [other for other in self.bus.alive(anyone) if other < mine]
-        if others:
-            raise Unavailable(
-                f"a {self.name} for the robot {self.keys.robot} is already on this bus (instance {others[0][2]}); "
-                "stop it, or start this one under another --name"
-            )
-        self.bus.serve(self.keys.health(self.name), Nothing, self.health)
+        """Become the one owner of this service for the robot. Raises Unavailable while another one is alive.
+
+        Close the bus after a refusal: this instance's token may be on it.
+        """
+        if others := self._others():
+            raise self._taken(others)
+        self.bus.declare_alive(self.keys.alive(self.name, self.instance))
+        # An owner has seen no other token since it declared its own, so there is one at most. Of several that start at
+        # the same moment the smallest id waits for the rest to withdraw; whoever does not is an owner.
+        deadline = time.monotonic() + _WITHDRAWAL
+        while others := self._others():
+            if min(others) < self.instance or time.monotonic() > deadline:
+                raise self._taken(others)
+            time.sleep(0.05)
+        self.bus.serve(self.keys.health(self.name), Nothing, self.health, readable=True)
+
+    def _others(self) -> list[str]:
+        alive = self.bus.alive(self.keys.alive(self.name, "*"))
+        return [instance for _, _, instance in alive if instance != self.instance]
+
+    def _taken(self, others: list[str]) -> Unavailable:
+        return Unavailable(
+            f"a {self.name} for the robot {self.keys.robot} is already on this bus (instance {min(others)}); "
+            "stop it, or start this one under another --name"
+        )
 
 
 def run_service(
@@ -97,7 +112,8 @@ def run_service(
     """Run a service process until SIGTERM or SIGINT and return its exit code.
 
     `parser` comes from `service_parser`. `start(service)` returns a context manager that opens and closes the service;
-    it calls `service.ready()`.
+    it calls `service.ready()`. What it cannot start with, it raises as a ZarmError: that ends as one line in the log
+    and exit code 1.
     """
     setup_logging(name)
     options = parser.parse_args()
@@ -106,17 +122,24 @@ def run_service(
         signal.signal(number, lambda *_: stop.set())
     try:
         robot = load_robot(options.robot)
-        keys = Keys(options.name or robot.descriptor.name)
+        keys = _keys(options.name or robot.descriptor.name)
         with Bus(options.connect) as bus:
             service = Service(name, robot, keys, bus, options)
             service.claim()
             with start(service):
                 stop.wait()
                 log.info("stopping")
-    except (ZarmError, ValueError) as error:
+    except ZarmError as error:
         log.error("cannot run reason=%s", error)
         return 1
     return 0
+
+
+def _keys(robot: str) -> Keys:
+    try:
+        return Keys(robot)
+    except ValueError as error:
+        raise InvalidRequest(str(error), field="--name") from error
 
 
 def default_state() -> Path:

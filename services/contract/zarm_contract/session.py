@@ -12,7 +12,7 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
 
-_ENDPOINT = re.compile(r"(tcp|tls|quic|ws|udp|unixsock-stream)/\S+")
+_ENDPOINT = re.compile(r"(?:(?:tcp|tls|quic|ws|udp)/\S+:\d+|unixsock-stream/\S+?)(?:[?#]\S*)?")
 
 
 def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0) -> zenoh.Session:
@@ -54,6 +54,7 @@ def _config(
         "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "scouting/delay": 0,  # a router would wait half a second for whom it does not look for
         "listen/endpoints": [listen] if listen else [],
         "connect/endpoints": [connect] if connect else [],
     }

@@ -1,0 +1,57 @@
+# Bare Python 3.11 and make are enough: everything is installed into .venv. `make demo` first.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/pip --disable-pip-version-check --quiet
+PINNED := pyproject.toml constraints.txt
+
+.PHONY: demo test lint bench clean
+
+demo: $(VENV)/.kernels
+	@$(BIN)/zarm demo
+
+test: $(VENV)/.dev
+	@$(BIN)/pytest
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/deptry .
+
+bench: $(VENV)/.dev
+	@for file in tests/benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	find services tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# One stamp for what runs zarm, one for what develops it; the second includes the first.
+$(VENV)/.planner: $(PINNED) | $(BIN)/python
+	@echo "installing zarm into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e ".[planner]"
+	@touch $@
+
+$(VENV)/.dev: $(PINNED) | $(BIN)/python
+	@echo "installing zarm and its tools into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e ".[planner,dev]"
+	@touch $@ $(VENV)/.planner
+
+# The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
+$(VENV)/.kernels: $(VENV)/.planner $(wildcard services/planner/zarm_planner/kernels/*.py)
+	@echo "compiling the planner's kernels, once ..."
+	@$(BIN)/python -c "$$WARM_UP"
+	@touch $@
+
+define WARM_UP
+from zarm_contract.robot import load_robot
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.warm_up import warm_up
+warm_up(RobotModel(load_robot("doosan_m1013")), lambda step: print("  " + step, flush=True))
+endef
+export WARM_UP
+
+$(BIN)/python:
+	@$(PYTHON) -m venv $(VENV)

@@ -1,0 +1,96 @@
+"""`zarm demo`: plan around a post and go there, with every service as a process of its own on a private bus."""
+
+from __future__ import annotations
+
+import math
+import socket
+import tempfile
+import time
+from pathlib import Path
+
+from rich.panel import Panel
+from rich.table import Table
+
+from zarm_cli.client import Client
+from zarm_cli.execution import demand_success, run_goal
+from zarm_cli.launcher import launch
+from zarm_cli.output import err, facts, out, pose_text
+from zarm_cli.planning import plan_table
+from zarm_contract.messages import (
+    AddObjects,
+    CheckRequest,
+    CheckResults,
+    Cuboid,
+    Cylinder,
+    ExecuteRequest,
+    GoalState,
+    Plan,
+    PlanRequest,
+    Pose,
+    PoseGoal,
+    SceneEdit,
+    SceneEdited,
+)
+
+ROBOT = "doosan_m1013"
+# The tool starts at (0.56, 0.03, 0.65), swings by a quarter turn, and the post stands half-way.
+TABLE = Cuboid(kind="cuboid", name="table", position=(0.4, 0.45, 0.28), size=(0.6, 0.6, 0.04))
+POST = Cylinder(kind="cylinder", name="post", position=(0.38, 0.42, 0.6), radius=0.04, length=0.6)
+GOAL = PoseGoal(kind="pose", position=(0.0, 0.55, 0.6), orientation=(-0.6, 0.8, 0.0, 0.0))
+_SCALE = 0.4  # of the robot's limits: slow enough to watch
+
+
+def demo() -> None:
+    """Watch an emulated robot plan around a post and go there; nothing to set up, nothing left behind."""
+    began = time.monotonic()
+    with (
+        tempfile.TemporaryDirectory(prefix="zarm-demo-") as state,
+        launch(ROBOT, strategy="emulator", listen=_free_endpoint(), state=Path(state), log_level="WARNING") as stack,
+    ):
+        with err.status("starting") as status:
+            stack.wait_ready(status.update)
+        out.print(f"{ROBOT}: router, planner and executor are ready after {time.monotonic() - began:.1f} s.")
+        _go_around_the_post(stack.client)
+    out.print("Next: `zarm up` in one terminal, `zarm status` and `zarm watch` in another.")
+
+
+def _go_around_the_post(client: Client) -> None:
+    client.ask(client.keys.scene_edit, SceneEdited, SceneEdit(edit=AddObjects(op="add", objects=(TABLE, POST))))
+    out.print("A table and a post are in the scene; the goal lies behind the post.")
+    request = PlanRequest(goal=GOAL, velocity_scale=_SCALE, acceleration_scale=_SCALE)
+    plan = client.bus.call(client.keys.plan, request, Plan, timeout=30.0)
+    table = plan_table(plan)
+    table.add_row("straight on", _straight_on(client, plan))
+    out.print(Panel(table, title="plan", expand=False))
+    last = run_goal(client, ExecuteRequest(plan_id=plan.plan_id))
+    demand_success(last)
+    reached = client.tip(client.measured().position)
+    out.print(Panel(_result(last, reached), title="reached", expand=False))
+
+
+def _straight_on(client: Client, plan: Plan) -> str:
+    """What the straight line in joint space would do, between the same ends."""
+    start, end = plan.trajectory.position[0], plan.trajectory.position[-1]
+    line = tuple(tuple(a + (b - a) * step / 50 for a, b in zip(start, end, strict=True)) for step in range(51))
+    results = client.ask(client.keys.check, CheckResults, CheckRequest(joints=line)).results
+    worst = min(results, key=lambda result: result.clearance)
+    if not worst.in_collision:
+        return "the straight joint motion would be free"
+    return f"{' and '.join(worst.pair or ())} would meet, {-worst.clearance * 1e3:.0f} mm deep"
+
+
+def _result(last: GoalState, reached: Pose) -> Table:
+    off = math.dist(GOAL.position, reached.position)
+    cosine = abs(sum(a * b for a, b in zip(GOAL.orientation, reached.orientation, strict=True)))
+    turned = math.degrees(2 * math.acos(min(1.0, cosine)))
+    return facts(
+        ("motion", f"{last.status} after {last.elapsed:.2f} s"),
+        ("tip", pose_text(reached)),
+        ("off by", f"{off * 1e3:.3f} mm and {turned:.4f} deg"),
+    )
+
+
+def _free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"

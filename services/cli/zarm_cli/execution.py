@@ -1,0 +1,192 @@
+"""`zarm execute` and the commands that stop, hold and free the robot."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+from zarm_cli.client import AsJson, Client, Connect, Name, connected, message
+from zarm_cli.interrupts import uninterrupted
+from zarm_cli.output import err, facts, out, print_json
+from zarm_cli.planning import JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
+from zarm_contract.errors import Unavailable, from_problem
+from zarm_contract.messages import (
+    Accepted,
+    CancelRequest,
+    ExecuteRequest,
+    ExecutorState,
+    GoalState,
+    Strategies,
+    StrategyRequest,
+)
+from zarm_contract.session import DEFAULT_ENDPOINT
+
+_LOOK_SECONDS = 0.5
+_RESTART_SECONDS = 10.0  # within which a restarted executor reports what became of a goal
+_STOP_SECONDS = 30.0
+
+
+def execute(
+    to: To = None,
+    joints_goal: JointsGoal = None,
+    plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
+    plan_id: Annotated[str | None, typer.Option(help="A plan that was published on this bus.")] = None,
+    velocity_scale: VelocityScale = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Move the robot along the last plan, a given one, or one made now (--to, --joints). Ctrl-C stops the robot."""
+    goal = None if to is None and joints_goal is None else typed_goal(to, joints_goal)
+    if [plan, plan_id, goal].count(None) < 2:
+        raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
+    if velocity_scale is not None and goal is None:
+        raise typer.BadParameter("belongs to --to or --joints", param_hint="--velocity-scale")
+    saved = None if plan is None else read_plan(plan)
+    with connected(connect, name) as client:
+        if goal is not None:
+            plan_id = request_plan(client, goal, velocity_scale=velocity_scale).plan_id
+        request = message(ExecuteRequest, plan_id=plan_id)
+        if saved is not None:
+            request = ExecuteRequest(trajectory=saved.trajectory, scene_revision=saved.scene_revision)
+        last = run_goal(client, request)
+    if as_json:
+        print_json(last)
+    demand_success(last)
+    if not as_json:
+        out.print(f"{last.status} after {last.elapsed:.2f} s in motion (goal {last.goal_id})")
+
+
+def demand_success(last: GoalState) -> None:
+    """Raise the problem of a goal that did not succeed."""
+    if last.problem is not None:
+        raise from_problem(last.problem)
+
+
+def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
+    """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
+    instances = _executors(client)
+    with uninterrupted():
+        goal_id = client.ask(client.keys.execute, Accepted, request).goal_id
+        goal = _Goal(client, goal_id, instances)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(None),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[time]}"),
+    )
+    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
+        task = bar.add_task("accepted", total=1.0, time="")
+
+        def show(state: GoalState) -> None:
+            bar.update(
+                task,
+                description=state.status,
+                completed=state.progress,
+                time=f"{state.elapsed:.1f} of {state.duration:.1f} s",
+            )
+
+        try:
+            return goal.follow(show)
+        except KeyboardInterrupt:
+            client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
+            last = goal.follow(show, _STOP_SECONDS)
+            err.print(f"zarm: {last.status}: the robot stands still at {last.progress:.0%} of the motion")
+            raise
+
+
+def _executors(client: Client) -> list[tuple[str, str, str]]:
+    return client.bus.alive(client.keys.alive("executor", "*"))
+
+
+class _Goal:
+    """The states of one goal, and an eye on the executor that runs it."""
+
+    def __init__(self, client: Client, goal_id: str, instances: list[tuple[str, str, str]]) -> None:
+        self._client = client
+        self._id = goal_id
+        self._instances = instances
+        self._states: queue.SimpleQueue[GoalState] = queue.SimpleQueue()
+        client.bus.watch(client.keys.goal(goal_id), GoalState, lambda _, state: self._states.put(state))
+
+    def follow(self, show: Callable[[GoalState], None], timeout: float | None = None) -> GoalState:
+        """The last state. Raises Unavailable when the executor is gone and no other one reports the goal's end."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                state = self._states.get(timeout=_LOOK_SECONDS)
+            except queue.Empty:
+                if deadline is None and _executors(self._client) != self._instances:
+                    deadline = time.monotonic() + _RESTART_SECONDS
+                if deadline is not None and time.monotonic() > deadline:
+                    raise Unavailable(
+                        f"the end of the goal {self._id} is unknown: its executor does not answer; make sure that the "
+                        "robot stands still, then see `zarm status`"
+                    ) from None
+                continue
+            show(state)
+            if state.done:
+                return state
+
+
+def _order(key: Callable[[Client], str], doc: str) -> Callable[[bool, str, str | None], None]:
+    def order(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+        with connected(connect, name) as client:
+            _print_state(client.ask(key(client), ExecutorState), as_json)
+
+    order.__doc__ = doc
+    return order
+
+
+ORDERS = {
+    "stop": _order(lambda client: client.keys.stop, "Stop the robot now; it decelerates to rest."),
+    "pause": _order(lambda client: client.keys.pause, "Hold the motion; `zarm resume` goes on with it."),
+    "resume": _order(lambda client: client.keys.resume, "Go on with a motion that was paused."),
+    "reset": _order(lambda client: client.keys.reset, "Leave the fault state, once its reason is mended."),
+}
+"""The commands that send nothing but themselves, by name."""
+
+
+def cancel(
+    goal_id: Annotated[str | None, typer.Argument(help="Left out: the goal that runs.")] = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Cancel a goal; the robot decelerates to rest."""
+    with connected(connect, name) as client:
+        _print_state(client.ask(client.keys.cancel, ExecutorState, message(CancelRequest, goal_id=goal_id)), as_json)
+
+
+def _print_state(state: ExecutorState, as_json: bool) -> None:
+    if as_json:
+        print_json(state)
+        return
+    goal = f", goal {state.goal_id}" if state.goal_id else ""
+    out.print(f"{state.mode} ({state.strategy}{goal})" + (f": {state.problem.message}" if state.problem else ""))
+
+
+def strategy(
+    to: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Switch to it; left out: show them.")] = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Show the control strategies of the robot, or switch to one."""
+    with connected(connect, name) as client:
+        request = message(StrategyRequest, strategy=to)
+        known = client.bus.call(client.keys.strategy, request, Strategies, timeout=_STOP_SECONDS)
+    if as_json:
+        print_json(known)
+        return
+    rows = [
+        (("* " if one.name == known.active else "  ") + one.name, "" if one.available else one.reason or "unavailable")
+        for one in known.strategies
+    ]
+    out.print(facts(*rows))

@@ -1,0 +1,174 @@
+"""`zarm up`: a router, a planner and an executor for one robot, started together and stopped together."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zarm_cli.client import Client, keys_of
+from zarm_cli.interrupts import uninterrupted
+from zarm_cli.output import facts, numbers, out
+from zarm_cli.supervision import Supervisor
+from zarm_contract.bus import Bus
+from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Health, Nothing, Strategies
+from zarm_contract.robot import Robot, find_robot, load_robot
+from zarm_contract.service import default_state
+from zarm_contract.session import DEFAULT_ENDPOINT, open_router
+
+SERVICES = ("planner", "executor")
+"""In the order in which they start; they stop the other way round, so that the robot comes to rest first."""
+
+
+@dataclass(frozen=True)
+class Stack:
+    """What `launch` started."""
+
+    robot: Robot
+    client: Client
+    supervisor: Supervisor
+
+    def health(self, service: str) -> Health | None:
+        """How a service is, None while it does not answer."""
+        keys = self.client.keys
+        try:
+            return self.client.bus.call(keys.health(service), Nothing(), Health, timeout=1.0)
+        except Unavailable:
+            return None
+
+    def wait_ready(self, report: Callable[[str], None]) -> None:
+        """Wait until every service is ready, reporting what they do. Raises Unavailable when one cannot start."""
+        while not_ready := [
+            (name, health) for name in SERVICES if not ((health := self.health(name)) and health.ready)
+        ]:
+            report(", ".join(f"{name}: {health.activity if health else 'starting'}" for name, health in not_ready))
+            if fallen := self.supervisor.fallen():
+                raise Unavailable(f"the {fallen[0]} cannot start: {self.supervisor.last_words(fallen[0])}")
+            time.sleep(0.1)
+
+    def wait(self) -> None:
+        """Wait for ever; raises InternalError when a service ends again and again."""
+        while not (fallen := self.supervisor.given_up()):
+            time.sleep(1.0)
+        raise InternalError(
+            f"the {fallen[0]} ends again and again, at last with: {self.supervisor.last_words(fallen[0])}"
+        )
+
+
+@contextmanager
+def launch(
+    robot: str,
+    *,
+    name: str | None = None,
+    strategy: str | None = None,
+    connect: str | None = None,
+    listen: str = DEFAULT_ENDPOINT,
+    state: Path,
+    log_level: str | None = None,
+) -> Iterator[Stack]:
+    """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
+
+    Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
+    is already up on that bus, Unavailable where the port is taken or no router answers.
+    """
+    loaded = load_robot(robot)
+    keys = keys_of(name if name is not None else loaded.descriptor.name)
+    endpoint = connect or listen
+    arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
+    choice = [] if strategy is None else ["--strategy", strategy]
+    programs = {
+        "planner": ("zarm_planner.service", arguments),
+        "executor": ("zarm_executor.service", [*arguments, *choice]),
+    }
+    environment = {"ZARM_COLOUR": "1"} if sys.stderr.isatty() else {}
+    if log_level is not None:
+        environment["ZARM_LOG"] = log_level
+    with ExitStack() as stack:
+        if connect is None:
+            stack.enter_context(_router(listen, keys))
+        bus = stack.enter_context(Bus(endpoint, timeout=2.0))
+        _refuse_second(bus, keys, endpoint)
+        with uninterrupted():
+            supervisor = stack.enter_context(Supervisor(programs, environment))
+        yield Stack(loaded, Client(bus, keys, endpoint), supervisor)
+
+
+def _router(listen: str, keys: Keys) -> AbstractContextManager[object]:
+    try:
+        return open_router(listen)
+    except Unavailable:
+        with suppress(Unavailable), Bus(listen, timeout=1.0) as bus:  # is it zarm that listens there?
+            _refuse_second(bus, keys, listen)
+        raise
+
+
+def _refuse_second(bus: Bus, keys: Keys, endpoint: str) -> None:
+    if running := sorted({service for _, service, _ in bus.alive(keys.alive("*", "*"))} & {*SERVICES}):
+        raise InvalidRequest(
+            f"the robot {keys.robot} is already up on the bus at {endpoint} ({', '.join(running)}); `zarm status` shows "
+            "it; a second robot needs another --name and --connect to that bus"
+        )
+
+
+def up(
+    robot: Annotated[str, typer.Option(envvar="ZARM_ROBOT", help="A robot of zarm's, or a descriptor (.yaml).")] = (
+        "doosan_m1013"
+    ),
+    name: Annotated[
+        str | None, typer.Option(envvar="ZARM_NAME", help="Its name on the bus; left out: the descriptor's.")
+    ] = None,
+    strategy: Annotated[
+        str | None, typer.Option(help="Control strategy to start with; left out: the descriptor's.")
+    ] = None,
+    connect: Annotated[
+        str | None, typer.Option(envvar="ZARM_CONNECT", help="Join the router at this endpoint instead of running one.")
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}]", show_default=False)
+    ] = None,
+    state: Annotated[
+        Path | None, typer.Option(help=f"Folder for what outlives the processes.  [default: {default_state()}]")
+    ] = None,
+) -> None:
+    """Start router, planner and executor for one robot; Ctrl-C stops them, the robot first."""
+    if connect is not None and listen is not None:
+        raise typer.BadParameter(
+            "one joins a router, the other runs one (ZARM_CONNECT counts)", param_hint="--connect / --listen"
+        )
+    with (
+        suppress(KeyboardInterrupt),  # the ordinary end
+        launch(
+            robot,
+            name=name,
+            strategy=strategy,
+            connect=connect,
+            listen=listen or DEFAULT_ENDPOINT,
+            state=state or default_state(),
+        ) as stack,
+    ):
+        stack.wait_ready(lambda _: None)  # the services' own log lines say it
+        _say_ready(stack)
+        stack.wait()
+
+
+def _say_ready(stack: Stack) -> None:
+    client = stack.client
+    first, *rest = stack.robot.descriptor.home
+    where = "" if client.endpoint == DEFAULT_ENDPOINT else f" --connect {client.endpoint}"
+    out.print(
+        facts(
+            ("robot", client.keys.robot),
+            ("endpoint", client.endpoint),
+            ("strategy", client.ask(client.keys.strategy, Strategies).active),
+            ("try", f"zarm execute --joints {numbers([first + 0.5, *rest]).replace(' ', '')}{where}"),
+            ("stop", "Ctrl-C"),
+        )
+    )

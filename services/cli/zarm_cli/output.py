@@ -1,0 +1,65 @@
+"""What the commands print: results on standard output, progress and errors on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from zarm_contract._model import Message
+from zarm_contract.codec import encode
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import Pose
+
+# Nothing that is printed is markup: messages hold brackets. A pipe is no terminal of 80 columns.
+out = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 120)
+err = Console(highlight=False, markup=False, stderr=True)
+
+
+def print_json(value: Message | Mapping[str, object]) -> None:
+    """A line of JSON: one message as it goes over the bus, or several by name."""
+    line = encode(value).decode() if isinstance(value, Message) else json.dumps(value, default=_plain)
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Message):
+        return json.loads(encode(value))
+    raise TypeError(f"{value!r} has no JSON form")
+
+
+def error_line(error: ZarmError) -> str:
+    """An error as one line: `zarm: <code>: <sentence>`."""
+    first, *more = str(error).splitlines()
+    rest = f" (and {len(more)} more; `zarm robot check` lists them)" if more else ""
+    return f"zarm: {error.code}: {first}{rest}"
+
+
+def numbers(values: Sequence[float], digits: int = 3) -> str:
+    """`0.559, 0.034, 0.651`."""
+    return ", ".join(f"{round(value, digits) + 0.0:.{digits}f}" for value in values)
+
+
+def degrees(values: Sequence[float]) -> str:
+    """Angles in rad as `30.0, -45.0`, in degrees."""
+    return numbers([math.degrees(value) for value in values], 1)
+
+
+def pose_text(pose: Pose) -> str:
+    """A pose as `x, y, z m   qx, qy, qz, qw (x, y, z, w)`."""
+    return f"{numbers(pose.position)} m   {numbers(pose.orientation)} (x, y, z, w)"
+
+
+def facts(*rows: tuple[str, str]) -> Table:
+    """A table of names and values."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column()
+    for row in rows:
+        table.add_row(*row)
+    return table

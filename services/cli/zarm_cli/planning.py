@@ -1,0 +1,156 @@
+"""`zarm plan`, and the goals that a person types for it and for `execute` and `ik`."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, joints, message
+from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
+from zarm_contract.codec import decode, encode
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import CancelledPlan, CancelPlan, Plan, PlanRequest
+from zarm_contract.session import DEFAULT_ENDPOINT
+
+To = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,Z[,QX,QY,QZ,QW]",
+        help="Pose of the tip in the base frame (m); without an orientation the tip keeps the one it has.",
+    ),
+]
+JointsGoal = Annotated[
+    str | None, typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad), in the descriptor's order.")
+]
+VelocityScale = Annotated[
+    float | None, typer.Option(help="Fraction of the joint velocity limits, above 0 and up to 1.")
+]
+
+_LONGEST_PLANNING = 60.0  # s, what the planner allows at most
+_ANSWER_MARGIN = 5.0
+
+
+def plan(
+    to: To = None,
+    joints_goal: JointsGoal = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,C,...", help="Joint positions to start from; left out: the measured ones."),
+    ] = None,
+    timeout: Annotated[float | None, typer.Option(help="Deadline of the planning (s).")] = None,
+    velocity_scale: VelocityScale = None,
+    seed: Annotated[int, typer.Option(help="Same seed, scene and request: same motion.")] = 0,
+    save: Annotated[Path | None, typer.Option(help="Write the plan to this file, for `zarm execute --plan`.")] = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Plan a motion around the scene; nothing moves."""
+    goal, at = typed_goal(to, joints_goal), joints(start, "--start")
+    with connected(connect, name) as client:
+        found = request_plan(client, goal, start=at, timeout=timeout, velocity_scale=velocity_scale, seed=seed)
+    if save is not None:
+        write_text(save, encode(found).decode() + "\n")
+    if as_json:
+        print_json(found)
+    else:
+        out.print(plan_table(found))
+
+
+@dataclass(frozen=True)
+class TypedGoal:
+    """What a person typed: joints (rad), or a pose of the tip of which the orientation may be left out."""
+
+    joints: list[float] | None
+    pose: list[float] | None
+
+
+def typed_goal(to: str | None, joints_goal: str | None) -> TypedGoal:
+    """Read --to and --joints, of which one must be given; usage error else."""
+    if (to is None) == (joints_goal is None):
+        raise typer.BadParameter("give exactly one of them", param_hint="--to / --joints")
+    return TypedGoal(joints(joints_goal, "--joints"), None if to is None else floats(to, "--to", 3, 7))
+
+
+def request_plan(
+    client: Client,
+    goal: TypedGoal,
+    *,
+    start: list[float] | None = None,
+    timeout: float | None = None,
+    velocity_scale: float | None = None,
+    seed: int = 0,
+) -> Plan:
+    """Ask for a plan; Ctrl-C ends the planning as well. Raises what the planner answers."""
+    request = message(
+        PlanRequest,
+        goal=(
+            {"kind": "joints", "position": goal.joints}
+            if goal.pose is None
+            else {"kind": "pose", **full_pose(client, goal.pose, start)}
+        ),
+        start=start,
+        request_id=f"cli-{secrets.token_hex(4)}",
+        timeout=timeout,
+        velocity_scale=velocity_scale,
+        seed=seed,
+    )
+    try:
+        return client.bus.call(
+            client.keys.plan, request, Plan, timeout=(request.timeout or _LONGEST_PLANNING) + _ANSWER_MARGIN
+        )
+    except KeyboardInterrupt:
+        client.ask(client.keys.plan_cancel, CancelledPlan, CancelPlan(request_id=request.request_id or ""))
+        raise
+
+
+def full_pose(client: Client, typed: list[float], at: list[float] | None = None) -> dict[str, list[float]]:
+    """Position and orientation of a typed pose; left out, the orientation is that at the joints `at`, or measured."""
+    if len(typed) == 3:
+        typed = [*typed, *client.tip(tuple(at) if at is not None else client.measured().position).orientation]
+    return {"position": typed[:3], "orientation": typed[3:]}
+
+
+def plan_table(found: Plan) -> Table:
+    """A plan in the words of a person."""
+    times = found.timings
+    stages = ("ik", "search", "shorten", "timing", "verify")
+    shares = ", ".join(f"{stage} {getattr(times, stage) * 1e3:.1f}" for stage in stages)
+    return facts(
+        ("plan", found.plan_id),
+        ("found in", f"{times.total * 1e3:.1f} ms ({shares})"),
+        ("motion", f"{found.trajectory.duration:.2f} s, {found.path_length:.2f} rad"),
+        ("clearance", f"{found.clearance * 1e3:.1f} mm at the closest, in scene revision {found.scene_revision}"),
+        ("ends at", pose_text(found.tip)),
+        ("joints", f"{numbers(found.trajectory.position[-1], 4)} rad = {degrees(found.trajectory.position[-1])} deg"),
+    )
+
+
+def read_plan(path: Path) -> Plan:
+    """A plan that `zarm plan --save` wrote. Raises InvalidRequest that names the file."""
+    content = read_bytes(path)
+    try:
+        return decode(Plan, content)
+    except InvalidRequest as error:
+        raise InvalidRequest(f"{path} holds no plan: {error.problem.message}", field=error.problem.field) from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """A file's content. Raises InvalidRequest where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidRequest(f"cannot read {path}: {error.strerror}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file. Raises InvalidRequest where it cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InvalidRequest(f"cannot write {path}: {error.strerror}") from error

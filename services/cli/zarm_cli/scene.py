@@ -1,0 +1,145 @@
+"""`zarm scene`: what the planner keeps clear of."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+import yaml
+from rich.table import Table
+
+from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, message
+from zarm_cli.output import numbers, out, print_json
+from zarm_cli.planning import read_bytes, write_text
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Scene, SceneEdit, SceneEdited
+from zarm_contract.session import DEFAULT_ENDPOINT
+
+app = typer.Typer(no_args_is_help=True, help="Show and change the objects that motions are planned around.")
+
+
+@app.command("list")
+def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+    """List the objects."""
+    scene = _read(connect, name)
+    if as_json:
+        print_json(scene)
+        return
+    table = Table("name", "kind", "position (m)", "orientation (x, y, z, w)", "dimensions (m)", box=None)
+    for one in scene.objects:
+        fields = one.model_dump(exclude={"kind", "name", "position", "orientation"})
+        table.add_row(
+            one.name,
+            one.kind,
+            numbers(one.position),
+            numbers(getattr(one, "orientation", ())),
+            ", ".join(
+                f"{key} {numbers(value if isinstance(value, tuple) else (value,))}" for key, value in fields.items()
+            ),
+        )
+    out.print(table if scene.objects else "the scene is empty", f"revision {scene.revision}", sep="\n")
+
+
+@app.command()
+def add(
+    kind: Annotated[Literal["cuboid", "sphere", "capsule", "cylinder"], typer.Argument()],
+    object_name: Annotated[str, typer.Argument(metavar="NAME")],
+    at: Annotated[str, typer.Option(metavar="X,Y,Z[,QX,QY,QZ,QW]", help="Pose of its centre in the base frame (m).")],
+    size: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Edge lengths of a cuboid (m).")] = None,
+    radius: Annotated[float | None, typer.Option(help="Of a sphere, capsule or cylinder (m).")] = None,
+    length: Annotated[float | None, typer.Option(help="Of a capsule or cylinder, along its own z (m).")] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Take the place of an object of that name.")] = False,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Add an object: `zarm scene add cuboid table --at 0.5,0,0.2 --size 1,1,0.02`."""
+    pose = floats(at, "--at", 3, 7)
+    fields = {
+        "kind": kind,
+        "name": object_name,
+        "position": pose[:3],
+        "orientation": pose[3:] or None,
+        "size": None if size is None else floats(size, "--size", 3),
+        "radius": radius,
+        "length": length,
+    }
+    thing = {key: value for key, value in fields.items() if value is not None}
+    _edit(connect, name, as_json, op="add", objects=[thing], replace=replace)
+
+
+@app.command()
+def remove(
+    names: Annotated[list[str], typer.Argument(metavar="NAME...")],
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Remove objects by name."""
+    _edit(connect, name, as_json, op="remove", names=names)
+
+
+@app.command()
+def clear(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+    """Remove every object."""
+    _edit(connect, name, as_json, op="clear")
+
+
+@app.command()
+def load(
+    file: Annotated[Path, typer.Argument(help="YAML: `objects`, a list with the fields that `scene save` writes.")],
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Replace the whole scene by that of a file."""
+    objects = _read_objects(file)
+    try:
+        edit = message(SceneEdit, edit={"op": "load", "objects": objects})
+    except InvalidRequest as error:
+        field = error.problem.field
+        raise InvalidRequest(f"{file}: {error.problem.message}", field=field and field.removeprefix("edit.")) from error
+    with connected(connect, name) as client:
+        _apply(client, edit, as_json)
+
+
+@app.command()
+def save(file: Path, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+    """Write the scene to a YAML file that `scene load` reads."""
+    scene = _read(connect, name)
+    objects = json.loads(scene.model_dump_json(include={"objects"}))
+    write_text(file, yaml.safe_dump(objects, sort_keys=False, default_flow_style=None))
+    out.print(f"{len(scene.objects)} objects in {file}")
+
+
+def _read(connect: str, name: str | None) -> Scene:
+    with connected(connect, name) as client:
+        return client.ask(client.keys.scene, Scene)
+
+
+def _edit(connect: str, name: str | None, as_json: bool, **edit: object) -> None:
+    request = message(SceneEdit, edit=edit)
+    with connected(connect, name) as client:
+        _apply(client, request, as_json)
+
+
+def _apply(client: Client, edit: SceneEdit, as_json: bool) -> None:
+    edited = client.ask(client.keys.scene_edit, SceneEdited, edit)
+    if as_json:
+        print_json(edited)
+    else:
+        out.print(f"the scene holds {edited.count} objects (revision {edited.revision})")
+
+
+def _read_objects(file: Path) -> object:
+    try:
+        data = yaml.safe_load(read_bytes(file))
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"{file}:{mark.line + 1}" if mark else str(file)
+        raise InvalidRequest(f"{place}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
+    if not isinstance(data, dict) or set(data) != {"objects"}:
+        raise InvalidRequest(f"{file}: a scene is a mapping with the one key `objects`, a list")
+    return data["objects"]

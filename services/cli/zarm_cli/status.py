@@ -1,0 +1,158 @@
+"""`zarm status`, `zarm health` and `zarm watch`: what runs, and what the robot does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+import typer
+from rich.live import Live
+from rich.table import Table
+
+from zarm_cli.client import AsJson, Client, Connect, Name, connected
+from zarm_cli.output import degrees, facts, out, pose_text, print_json
+from zarm_contract._model import Message
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import ExecutorState, FkPoses, FkRequest, GoalState, Health, JointState, Pose, Scene
+from zarm_contract.session import DEFAULT_ENDPOINT
+
+_NEEDED = ("planner", "executor")
+_PERIOD = 0.1  # s between two looks of `watch`
+_STALE = 1.0  # s after which a joint state is no longer shown
+
+M = TypeVar("M", bound=Message)
+
+
+def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+    """Show the services of a robot, its state and its scene. Exit code 3 unless planner and executor are ready."""
+    with connected(connect, name) as client:
+        found = {service for _, service, _ in client.bus.alive(client.keys.alive("*", "*"))}
+        services = {one: _ask(client, client.keys.health(one), Health) for one in sorted(found | {*_NEEDED})}
+        state = _ask(client, client.keys.executor_state, ExecutorState)
+        scene = _ask(client, client.keys.scene, Scene)
+    if as_json:
+        print_json({"robot": client.keys.robot, "services": services, "executor": state, "scene": scene})
+    else:
+        _print_status(client, services, state, scene)
+    if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
+        raise Unavailable(f"{' and '.join(missing)} not ready")
+
+
+def _ask(client: Client, key: str, reply: type[M]) -> M | None:
+    try:
+        return client.ask(key, reply)
+    except Unavailable:
+        return None
+
+
+def _print_status(
+    client: Client, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
+) -> None:
+    table = Table("service", "", "uptime (s)", "pid", "instance", "version", box=None)
+    for service, health in services.items():
+        if health is None:
+            table.add_row(service, "does not answer")
+        else:
+            activity = "ready" if health.ready else health.activity
+            table.add_row(service, activity, f"{health.uptime:.0f}", str(health.pid), health.instance, health.version)
+    rows = [("robot", f"{client.keys.robot} at {client.endpoint}")]
+    if state is not None:
+        rows += _state_rows(state)
+    if scene is not None:
+        rows.append(("scene", f"{len(scene.objects)} objects, revision {scene.revision}"))
+    out.print(facts(*rows), "", table, sep="\n")
+
+
+def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
+    rows = [("mode", state.mode + (f", goal {state.goal_id}" if state.goal_id else "")), ("strategy", state.strategy)]
+    if state.problem is not None:
+        rows.append(("problem", f"{state.problem.code}: {state.problem.message}"))
+    return rows
+
+
+def health(
+    service: Annotated[str, typer.Argument(help="planner, executor, ...")],
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Exit with 0 when the service is ready, with 3 when it is not."""
+    with connected(connect, name) as client:
+        found = client.ask(client.keys.health(service), Health)
+    if as_json:
+        print_json(found)
+    if not found.ready:
+        raise Unavailable(f"the {service} of {client.keys.robot} is not ready yet: {found.activity}")
+    if not as_json:
+        out.print(f"the {service} of {client.keys.robot} is ready")
+
+
+def watch(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+    """Show live what the robot does, until Ctrl-C; with --json ten lines a second."""
+    with connected(connect, name) as client:
+        looks = _looks(client)
+        if as_json:
+            for look in looks:
+                print_json(vars(look))
+            return
+        with Live(console=out, auto_refresh=False) as live:
+            for look in looks:
+                live.update(_picture(client, look), refresh=True)
+
+
+@dataclass(frozen=True)
+class _Look:
+    state: ExecutorState | None
+    goal: GoalState | None
+    joints: JointState | None
+    tip: Pose | None
+
+
+def _looks(client: Client) -> Iterator[_Look]:
+    states: dict[str, ExecutorState] = {}
+    goals: dict[str, GoalState] = {}
+
+    def keep_goal(_: str, goal: GoalState) -> None:
+        goals[goal.goal_id] = goal
+        if len(goals) > 100:
+            del goals[next(iter(goals))]
+
+    client.bus.watch(client.keys.executor_state, ExecutorState, states.__setitem__)
+    client.bus.watch(client.keys.goal("*"), GoalState, keep_goal)
+    newest = client.bus.latest(client.keys.joint_states, JointState)
+    while True:
+        state = states.get(client.keys.executor_state)
+        joints = newest.get(max_age=_STALE)
+        yield _Look(
+            state,
+            goals.get(state.goal_id) if state is not None and state.goal_id is not None else None,
+            joints,
+            None if joints is None else _tip(client, joints),
+        )
+        time.sleep(_PERIOD)
+
+
+def _tip(client: Client, joints: JointState) -> Pose | None:
+    request = FkRequest(joints=(joints.position,))
+    try:
+        return client.bus.call(client.keys.fk, request, FkPoses, timeout=_STALE).poses[0]
+    except Unavailable:
+        return None
+
+
+def _picture(client: Client, look: _Look) -> Table:
+    state, goal, joints, tip = look.state, look.goal, look.joints, look.tip
+    rows = [("robot", client.keys.robot)]
+    rows += [("mode", "the executor does not answer")] if state is None else _state_rows(state)
+    if goal is not None:
+        filled = round(goal.progress * 30)
+        rows.append(("goal", f"{'━' * filled}{'╌' * (30 - filled)} {goal.elapsed:.1f} of {goal.duration:.1f} s"))
+    rows.append(("tip", "unknown" if tip is None else pose_text(tip)))
+    if joints is None:
+        rows.append(("joints", f"no state for {_STALE:g} s"))
+    else:
+        columns = zip(joints.joint_names, joints.position, joints.velocity, strict=True)
+        rows += [(joint, f"{q:8.4f} rad {degrees((q,)):>7} deg {qd:8.4f} rad/s") for joint, q, qd in columns]
+    return facts(*rows)

@@ -1,0 +1,160 @@
+"""Keep service processes running, with supervisord: restart with back-off, stop in order, leave nothing behind.
+
+supervisord runs as a child with a configuration of its own in a temporary folder. It looks around once a second, so a
+process that died is started again after about 1 s; starting and stopping do not wait for that look, because a call on its
+socket wakes it. It and the services hang on leashes (`zarm_cli.leash`): whatever ends the launcher ends them too.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from xmlrpc.client import ServerProxy
+
+from supervisor.states import ProcessStates
+from supervisor.xmlrpc import SupervisorTransport
+
+from zarm_cli.interrupts import uninterrupted
+from zarm_contract.errors import InternalError
+
+_STOP_SECONDS = 10  # for one process, deceleration included; then it is killed
+_RETRIES = 6  # starts that fail in a row, with 1 s, 2 s, ... between them
+
+_HEAD = """\
+[supervisord]
+nodaemon = true
+silent = true
+logfile = {folder}/supervisord.log
+pidfile = {folder}/supervisord.pid
+minfds = 64
+minprocs = 1
+
+[unix_http_server]
+file = {folder}/socket
+
+[rpcinterface:supervisor]
+supervisor.rpcinterface_factory = supervisor.rpcinterface:make_main_rpcinterface
+"""
+
+# Of two programs the one with the higher priority is started last and stopped first.
+_PROGRAM = """
+[program:{name}]
+command = {command}
+priority = {priority}
+autorestart = true
+startsecs = 5
+startretries = {retries}
+stopwaitsecs = {stop_seconds}
+redirect_stderr = true
+stdout_logfile = /dev/fd/1
+stdout_logfile_maxbytes = 0
+"""
+
+
+def _command(module: str, arguments: Sequence[str]) -> list[str]:
+    return [sys.executable, "-P", "-m", "zarm_cli.leash", module, *arguments]
+
+
+class Supervisor:
+    """Modules that run as programs, `{name: (module, arguments)}`: started in this order, stopped in the opposite one.
+
+    Use it in `with`; leaving stops them all. What they print goes to standard error.
+    """
+
+    def __init__(self, programs: Mapping[str, tuple[str, Sequence[str]]], environment: Mapping[str, str]) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="zarm-")
+        folder = Path(self._folder.name)
+        config = _HEAD.format(folder=folder)
+        for priority, (name, (module, arguments)) in enumerate(programs.items(), start=1):
+            command = shlex.join(_command(module, arguments)).replace("%", "%%")
+            config += _PROGRAM.format(
+                name=name, command=command, priority=priority, retries=_RETRIES, stop_seconds=_STOP_SECONDS
+            )
+        (folder / "supervisord.conf").write_text(config)
+        self._socket = folder / "socket"
+        self._names = tuple(programs)
+        self._environment = {**os.environ, **environment}
+        self._last_lines: deque[str] = deque(maxlen=100)
+
+    def __enter__(self) -> Self:
+        command = _command("supervisor.supervisord", ["-c", f"{self._folder.name}/supervisord.conf"])
+        self._process = subprocess.Popen(  # noqa: S603 - our own interpreter
+            command,
+            env=self._environment,
+            stdin=subprocess.PIPE,  # the leash
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,  # Ctrl-C in the terminal reaches the launcher alone
+        )
+        self._relay = threading.Thread(target=self._relay_output, daemon=True)
+        self._relay.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with uninterrupted():
+            self._process.terminate()
+            self._wake()
+            try:
+                self._process.wait(_STOP_SECONDS * (len(self._names) + 1))
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+            self._relay.join()
+            self._folder.cleanup()
+
+    def fallen(self) -> list[str]:
+        """Names of the programs that ended by themselves in their first seconds and wait for their next start."""
+        return self._in_state(ProcessStates.BACKOFF, ProcessStates.FATAL)
+
+    def given_up(self) -> list[str]:
+        """Names of the programs that ended too often in a row and are not started again."""
+        return self._in_state(ProcessStates.FATAL)
+
+    def last_words(self, name: str) -> str:
+        """Why a program ended: the reason in its log (as `zarm_contract.service` writes it), else the last line of all."""
+        self._relay.join(0.2)  # what it printed last may still be on its way here
+        for line in reversed(list(self._last_lines)):
+            if name in line and "reason=" in line:
+                return line.partition("reason=")[2]
+        return self._last_lines[-1] if self._last_lines else "it printed nothing"
+
+    def _in_state(self, *states: int) -> list[str]:
+        if self._process.poll() is not None:
+            raise InternalError(f"supervisord ended with {self._process.returncode}; its last lines are above")
+        try:
+            with self._server() as server:
+                processes = server.supervisor.getAllProcessInfo()
+        except (FileNotFoundError, ConnectionError):  # it does not listen yet, or is about to end
+            return []
+        return [process["name"] for process in processes if process["state"] in states]
+
+    def _server(self) -> Any:
+        return ServerProxy("http://localhost", transport=SupervisorTransport(None, None, f"unix://{self._socket}"))
+
+    def _wake(self) -> None:
+        with suppress(OSError), socket.socket(socket.AF_UNIX) as connection:  # it may have ended
+            connection.settimeout(1.0)
+            connection.connect(str(self._socket))
+
+    def _relay_output(self) -> None:
+        output = self._process.stdout
+        if output is None:
+            return
+        for line in output:
+            with suppress(OSError):  # whoever read our standard error has left; supervisord must not wait for us
+                sys.stderr.buffer.write(line)
+                sys.stderr.buffer.flush()
+            self._last_lines.append(line.decode(errors="replace").strip())

@@ -1,0 +1,100 @@
+"""What the executor is asked, and what it says about the robot."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from zarm_contract._model import Message
+from zarm_contract.errors import Problem
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Trajectory
+
+RobotMode = Literal["idle", "running", "stopping", "paused", "fault"]
+GoalStatus = Literal["accepted", "running", "paused", "stopping", "succeeded", "cancelled", "aborted"]
+
+
+class ExecuteRequest(Message):
+    """Move the robot: along the plan `plan_id`, along `trajectory`, or (empty request) along the last plan.
+
+    With `trajectory`, `scene_revision` may state the scene it was verified in; a scene that has changed since is refused.
+    """
+
+    plan_id: Name | None = None
+    trajectory: Trajectory | None = None
+    scene_revision: Annotated[int, Field(ge=0)] | None = None
+
+    @field_validator("trajectory")
+    @classmethod
+    def _one_source(cls, trajectory: Trajectory | None, info: ValidationInfo) -> Trajectory | None:
+        if trajectory is not None and info.data.get("plan_id") is not None:
+            raise ValueError("give plan_id or trajectory, not both")
+        return trajectory
+
+    @field_validator("scene_revision")
+    @classmethod
+    def _of_a_trajectory(cls, revision: int | None, info: ValidationInfo) -> int | None:
+        if revision is not None and info.data.get("trajectory", revision) is None:
+            raise ValueError("scene_revision belongs to a trajectory; a plan carries its own")
+        return revision
+
+
+class Accepted(Message):
+    """The goal was accepted and starts now; follow it on `executor/goal/<goal_id>`."""
+
+    goal_id: Name
+
+
+class GoalState(Message):
+    """How one goal is doing. `progress` 0..1 in time; `joint_command` the last command sent (rad); `elapsed` s in motion."""
+
+    goal_id: Name
+    plan_id: Name | None = None
+    status: GoalStatus
+    progress: Annotated[float, Field(ge=0, le=1)]
+    elapsed: NonNegative
+    duration: NonNegative
+    joint_command: Joints
+    problem: Problem | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether this is the goal's last state."""
+        return self.status in ("succeeded", "cancelled", "aborted")
+
+
+class CancelRequest(Message):
+    """Cancel one goal, or (empty request) the one that runs. Unknown and finished goals are no error."""
+
+    goal_id: Name | None = None
+
+
+class ExecutorState(Message):
+    """What the robot's owner is doing. `problem` says why it is in `fault`; `missed_ticks` counts since start."""
+
+    mode: RobotMode
+    strategy: str
+    goal_id: Name | None = None
+    problem: Problem | None = None
+    missed_ticks: Annotated[int, Field(ge=0)]
+
+
+class StrategyInfo(Message):
+    """One control strategy of this robot; `reason` says why it is not available."""
+
+    name: Name
+    available: bool
+    reason: str | None = None
+
+
+class Strategies(Message):
+    """The active control strategy and all that this robot knows."""
+
+    active: Name
+    strategies: tuple[StrategyInfo, ...]
+
+
+class StrategyRequest(Message):
+    """Switch to a strategy; an empty request reads."""
+
+    strategy: Name | None = None

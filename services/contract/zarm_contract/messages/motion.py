@@ -1,0 +1,111 @@
+"""Poses, joint states and trajectories, and the kinds of value that every message is made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Annotated
+
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+
+from zarm_contract._model import Message
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+"""Letters, digits, `_`, `.` and `-`: a name that is also one chunk of a key expression."""
+Joints = Annotated[tuple[float, ...], Field(min_length=1, max_length=32)]
+"""One value per joint of the descriptor, in its order."""
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Scale = Annotated[float, Field(gt=0, le=1)]
+Vector3 = tuple[float, float, float]
+
+
+def _unit(q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    norm = math.sqrt(sum(x * x for x in q))
+    if abs(norm - 1.0) > 1e-3:
+        raise ValueError(f"the quaternion (x, y, z, w) has length {norm:.6g}; normalise it to 1")
+    if abs(norm - 1.0) < 1e-12:  # normalised already: dividing again would change the last digit with every hop
+        return q
+    return (q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)
+
+
+Quaternion = Annotated[tuple[float, float, float, float], AfterValidator(_unit)]
+"""`(x, y, z, w)`; a length within 1e-3 of one is normalised, any other is refused."""
+
+
+def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"the joint {name} stands twice; name each joint once")
+    return names
+
+
+JointNames = Annotated[tuple[str, ...], Field(min_length=1, max_length=32), AfterValidator(_distinct)]
+"""Which joint each column is; no name twice."""
+
+
+def _same_length(values: Sequence[object], info: ValidationInfo, other: str) -> None:
+    expected: Sequence[object] | None = info.data.get(other)  # absent when `other` itself is at fault
+    if expected is not None and len(values) != len(expected):
+        raise ValueError(f"{len(values)} entries where {other} has {len(expected)}")
+
+
+class Pose(Message):
+    """A frame: `position` in m, `orientation` as a unit quaternion `(x, y, z, w)`."""
+
+    position: Vector3
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+
+class JointState(Message):
+    """Measured (or previewed) joints at one moment; `velocity` in rad/s."""
+
+    stamp: float
+    joint_names: JointNames
+    position: Joints
+    velocity: Joints
+
+    @field_validator("position", "velocity")
+    @classmethod
+    def _one_per_joint(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        _same_length(values, info, "joint_names")
+        return values
+
+
+class Trajectory(Message):
+    """A timed motion: `time[i]` s from its start (first 0, strictly increasing), then one row per sample.
+
+    Between samples the motion is the quintic polynomial that meets position, velocity (rad/s) and acceleration
+    (rad/s^2) at both ends, as ros2_control's JointTrajectoryController interpolates.
+    """
+
+    joint_names: JointNames
+    time: tuple[NonNegative, ...] = Field(min_length=2)
+    position: tuple[Joints, ...]
+    velocity: tuple[Joints, ...]
+    acceleration: tuple[Joints, ...]
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last sample."""
+        return self.time[-1]
+
+    @field_validator("time")
+    @classmethod
+    def _from_zero_onwards(cls, time: tuple[float, ...]) -> tuple[float, ...]:
+        if time[0] != 0.0:
+            raise ValueError("time must start at 0")
+        if any(b <= a for a, b in pairwise(time)):
+            raise ValueError("time must increase strictly from sample to sample")
+        return time
+
+    @field_validator("position", "velocity", "acceleration")
+    @classmethod
+    def _one_row_per_sample(
+        cls, rows: tuple[tuple[float, ...], ...], info: ValidationInfo
+    ) -> tuple[tuple[float, ...], ...]:
+        _same_length(rows, info, "time")
+        for row in rows:
+            _same_length(row, info, "joint_names")
+        return rows

@@ -1,0 +1,29 @@
+"""What every service is asked."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from zarm_contract._model import Message
+from zarm_contract.messages.motion import Name, NonNegative
+
+
+class Nothing(Message):
+    """A request without content: `{}` or no payload at all."""
+
+
+class Health(Message):
+    """How a service is. `activity` says what it is busy with while not `ready`; `uptime` in s."""
+
+    service: Name
+    robot: Name
+    instance: Name
+    ready: bool
+    activity: str
+    version: str
+    contract: str
+    robot_hash: str
+    uptime: NonNegative
+    pid: Annotated[int, Field(gt=0)]

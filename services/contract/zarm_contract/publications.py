@@ -1,0 +1,142 @@
+"""The ends of a publication: who publishes, who holds the present value, who keeps the newest message."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+import zenoh
+
+from zarm_contract._model import Message
+from zarm_contract.codec import decode, encode, schema
+from zarm_contract.errors import InvalidRequest
+
+log = logging.getLogger(__name__)
+
+M = TypeVar("M", bound=Message)
+
+
+class Publisher(Generic[M]):
+    """Publishes messages of one class on one key."""
+
+    def __init__(self, entity: zenoh.Publisher) -> None:
+        self._entity = entity
+
+    def put(self, message: M) -> None:
+        """Publish."""
+        self._entity.put(encode(message))
+
+
+class Latched(Generic[M]):
+    """See `Bus.latched`."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._session = session
+        self._key = key
+        self._values: dict[str, tuple[bytes, zenoh.Encoding]] = {}
+        self._lock = threading.Lock()
+        self._queryable = session.declare_queryable(key, self._answer, complete=True)
+
+    def set(self, message: M, *, key: str | None = None) -> None:
+        """Change the value and publish it; `key` names the member of a family."""
+        key = key or self._key
+        payload, encoding = encode(message), encoding_of(type(message))
+        with self._lock:  # publications leave in the order in which the value changed
+            self._values[key] = payload, encoding
+            self._session.put(key, payload, encoding=encoding)
+
+    def forget(self, key: str) -> None:
+        """Drop one member of a family; it is no longer answered."""
+        with self._lock:
+            self._values.pop(key, None)
+
+    def undeclare(self) -> None:
+        """Answer no more."""
+        self._queryable.undeclare()
+
+    def _answer(self, query: zenoh.Query) -> None:
+        with query:
+            with self._lock:
+                values = [(k, v) for k, v in self._values.items() if query.key_expr.intersects(zenoh.KeyExpr(k))]
+            for key, (payload, encoding) in values:
+                query.reply(key, payload, encoding=encoding)
+
+
+class Latest(Generic[M]):
+    """See `Bus.latest`."""
+
+    def __init__(self, session: zenoh.Session, key: str, model: type[M]) -> None:
+        self._key = key
+        self._model = model
+        self._newest: tuple[bytes, float] | None = None
+        self._changed = threading.Condition()
+        self._subscriber = session.declare_subscriber(key, self._receive)
+
+    def get(self, *, max_age: float | None = None) -> M | None:
+        """The newest message, or None when there is none, or none received within the last `max_age` s.
+
+        One that cannot be read is logged and dropped.
+        """
+        newest = self._newest
+        if newest is None or (max_age is not None and time.monotonic() - newest[1] > max_age):
+            return None
+        return self._read(newest)
+
+    def wait(self, timeout: float) -> M | None:
+        """The next message that arrives, or None after `timeout` s."""
+        deadline = time.monotonic() + timeout
+        before = self._newest
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._newest not in (None, before), deadline - time.monotonic())
+                newest = self._newest
+            if newest is None or newest is before:
+                return None
+            if (message := self._read(newest)) is not None:
+                return message
+
+    def undeclare(self) -> None:
+        """Receive no more."""
+        self._subscriber.undeclare()
+
+    def _read(self, newest: tuple[bytes, float]) -> M | None:
+        try:
+            return decode(self._model, newest[0])
+        except InvalidRequest as error:
+            _log_dropped(self._key, error)
+            with self._changed:
+                if self._newest is newest:
+                    self._newest = None
+            return None
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        if sample.kind != zenoh.SampleKind.PUT:
+            return
+        with self._changed:
+            self._newest = (sample.payload.to_bytes(), time.monotonic())
+            self._changed.notify_all()
+
+
+def encoding_of(model: type[Message]) -> zenoh.Encoding:
+    """JSON with the schema name of the message class."""
+    return zenoh.Encoding.APPLICATION_JSON.with_schema(schema(model))
+
+
+def deliver(key: str, payload: bytes, model: type[M], callback: Callable[[str, M], None]) -> None:
+    """Call `callback` with what was received; log what cannot be read, and an exception of the callback."""
+    try:
+        message = decode(model, payload)
+    except InvalidRequest as error:
+        _log_dropped(key, error)
+        return
+    try:
+        callback(key, message)
+    except Exception:  # whatever the callback does wrong, the next message is to be delivered
+        log.exception("subscriber failed key=%s", key)
+
+
+def _log_dropped(key: str, error: InvalidRequest) -> None:
+    log.warning("dropped a message key=%s reason=%s", key, error)

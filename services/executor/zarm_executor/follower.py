@@ -1,0 +1,98 @@
+"""Moving along a path at a path speed that falls and rises as fast as the joints' acceleration limits allow.
+
+The commanded motion is q(s(t)) with path time s and path speed sigma = ds/dt in [0, 1], so the robot stays on the
+verified path while it brakes. Its acceleration is q''(s) sigma^2 + q'(s) dsigma/dt (chain rule; Bobrow, Dubowsky and
+Gibson 1985). A path inside the limits at sigma = 1 is inside them at every constant sigma below, so holding the speed is
+always allowed, and braking as hard as possible now never leads into a state without a way on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_executor.path import Array, Path
+
+TICK = 0.01
+"""Period of the executor's control loop, s."""
+CATCH_UP = 0.1
+"""A pause between ticks up to this long (s) is caught up with; after a longer one the path goes on from rest where it
+stood, because nobody commanded the robot meanwhile."""
+
+
+class Follower:
+    """Where a robot with these acceleration limits (J,) rad/s^2 is on a path, and how fast it goes along it.
+
+    `time` is the path time s, `speed` is sigma, `target` the path speed wanted (1 to move, 0 to rest); `position` (rad)
+    and `velocity` (rad/s) are the commanded joints (J,).
+    """
+
+    def __init__(self, path: Path, acceleration_limit: Array) -> None:
+        self.path = path
+        self.time = 0.0
+        self.speed = 1.0
+        self.target = 1.0
+        self._limit = acceleration_limit
+        self._reach()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end of the path is reached."""
+        return self.time >= self.path.duration
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the commanded robot stands still: held, or at the end of the path."""
+        return self.speed == 0.0 or self.finished
+
+    @property
+    def settled(self) -> bool:
+        """Whether the passing of time changes nothing."""
+        return self.finished or self.speed == self.target == 0.0
+
+    def advance(self, dt: float) -> None:
+        """Let `dt` seconds pass."""
+        if dt > CATCH_UP:
+            self.speed = 0.0
+            self._reach()
+            return
+        while dt > 1e-9 and not self.settled:
+            step = min(dt, TICK)
+            self._step(step)
+            dt -= step
+
+    def _reach(self) -> None:
+        self._state = self.path.at(self.time)
+        self.position: Array = self._state[0]
+        self.velocity: Array = self._state[1] * (0.0 if self.at_rest else self.speed)
+
+    def _step(self, dt: float) -> None:
+        rate = 0.0 if self.speed == self.target else self._rate(dt)
+        speed = min(max(self.speed + rate * dt, 0.0), 1.0)
+        if abs(speed - self.target) < 1e-9:
+            speed = self.target
+        self.time = min(self.time + 0.5 * (self.speed + speed) * dt, self.path.duration)
+        self.speed = speed
+        self._reach()
+
+    def _rate(self, dt: float) -> float:
+        """The change of path speed, 1/s, nearest to what reaches the target within `dt` and inside the limits."""
+        wanted = (self.target - self.speed) / dt
+        low, high = self._bounds(self._state, self.speed)
+        rate = min(max(wanted, low), high)
+        # The path bends within the tick too, so the limits must also hold where the tick ends.
+        speed = min(max(self.speed + rate * dt, 0.0), 1.0)
+        ahead = self.path.at(self.time + 0.5 * (self.speed + speed) * dt)
+        for sigma in (self.speed, speed):
+            low, high = self._bounds(ahead, sigma)
+            rate = min(max(rate, low), high)
+        return rate
+
+    def _bounds(self, state: Array, speed: float) -> tuple[float, float]:
+        """The least and greatest dsigma/dt that keep every joint inside its limit at this point; 0 is always inside."""
+        velocity, needed = state[1], state[2] * speed**2
+        moving = np.abs(velocity) > 1e-9
+        if not moving.any():
+            return -np.inf, np.inf
+        slope = velocity[moving]
+        ends = np.stack(((-self._limit - needed)[moving] / slope, (self._limit - needed)[moving] / slope))
+        return min(float(ends.min(axis=0).max()), 0.0), max(float(ends.max(axis=0).min()), 0.0)

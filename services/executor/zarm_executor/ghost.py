@@ -1,0 +1,65 @@
+"""The ghost: every plan is replayed once for the eye, whatever the strategy. It never moves anything."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import ZarmError
+from zarm_contract.keys import Keys
+from zarm_contract.messages import JointState, Plan, Trajectory
+from zarm_contract.robot import Robot
+from zarm_executor.checks import executable
+from zarm_executor.path import Path
+
+log = logging.getLogger(__name__)
+
+PERIOD = 0.02
+"""Period of `preview/joint_states`, s."""
+
+
+class Ghost:
+    """Shows the newest plan on `preview/trajectory` and plays it on `preview/joint_states`, where it rests at its end."""
+
+    def __init__(self, bus: Bus, keys: Keys, robot: Robot) -> None:
+        self._robot = robot
+        self._joints = robot.descriptor.joints
+        self._trajectories = bus.publisher(keys.preview_trajectory, Trajectory)
+        self._joint_states = bus.publisher(keys.preview_joint_states, JointState)
+        self._newest: Plan | None = None
+        self._path: Path | None = None
+        self._began = 0.0
+        self._lock = threading.Lock()
+
+    def show(self, _key: str, plan: Plan) -> None:
+        """Play this plan from the next period on; called from any thread."""
+        with self._lock:
+            self._newest = plan
+
+    def play(self, now: float) -> None:
+        """One period; `now` is on the monotonic clock."""
+        with self._lock:
+            plan, self._newest = self._newest, None
+        if plan is not None:
+            self._begin(plan, now)
+        if self._path is not None:
+            position, velocity, _ = self._path.at(now - self._began)
+            self._joint_states.put(
+                JointState(
+                    stamp=time.time(),
+                    joint_names=self._joints,
+                    position=tuple(position.tolist()),
+                    velocity=tuple(velocity.tolist()),
+                )
+            )
+
+    def _begin(self, plan: Plan, now: float) -> None:
+        try:
+            self._path = executable(plan.trajectory, self._robot)
+        except ZarmError as error:
+            log.warning("a plan cannot be previewed plan_id=%s reason=%s", plan.plan_id, error)
+            return
+        self._began = now
+        self._trajectories.put(plan.trajectory)

@@ -1,0 +1,271 @@
+"""The state machine that owns the robot: one goal at a time, and what becomes of it.
+
+mode      idle -> running -> idle                      a goal that succeeds
+          running -> stopping -> paused -> running     pause and resume
+          running | paused -> stopping -> idle         cancel, stop, a switch of strategy, the end of the process
+          running | paused -> stopping -> fault        a check during motion failed; only `reset` leads back to idle
+
+A machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and what
+changed waits in `changes` for whoever publishes it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+
+from zarm_contract.errors import Busy, ExecutionFailed, Problem, Unavailable, ZarmError
+from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
+from zarm_executor.follower import TICK
+from zarm_executor.monitor import Monitor
+from zarm_executor.path import Path
+from zarm_executor.strategies.base import Measured, Strategy
+
+STALL_LIMIT = 0.5
+"""A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
+
+
+@dataclass
+class Goal:
+    """One motion on its way to an end. `outcome` is set once it is certain that it ends, and how."""
+
+    goal_id: str
+    plan_id: str | None
+    path: Path
+    monitor: Monitor
+    status: GoalStatus = "accepted"
+    elapsed: float = 0.0
+    pausing: bool = False
+    outcome: tuple[GoalStatus, Problem] | None = field(default=None)
+
+
+class Machine:
+    """See the module. `strategy` is opened; raises the ZarmError of that."""
+
+    def __init__(self, strategy: Strategy) -> None:
+        strategy.open()
+        self._strategy = strategy
+        self._goal: Goal | None = None
+        self._problem: Problem | None = None
+        self._switching = False
+        self._ending = False
+        self._last_tick: float | None = None
+        self._missed_ticks = 0
+        self._lock = threading.RLock()
+        self._rested = threading.Condition(self._lock)
+        self.changes: deque[GoalState] = deque()
+
+    # -- commands --
+
+    def admit(self) -> None:
+        """Raise Busy or Unavailable where no motion can start now."""
+        with self._lock:
+            if self._ending:
+                raise Unavailable("the executor is ending; execute again when it has been started again")
+            if self._problem is not None:
+                raise Unavailable(
+                    f"the executor is in fault: {self._problem.message}; when that is put right, reset it (executor/reset)"
+                )
+            if self._goal is not None:
+                raise Busy(f"{self._goal.goal_id} is not at its end; cancel it or wait, then execute again")
+            if self._switching:
+                raise Busy("the strategy is being switched; execute again in a moment")
+            self._strategy.admit()
+
+    def start(self, goal: Goal) -> None:
+        """Move the robot along the goal's path, which starts where it stands. Raises what `admit` raises."""
+        with self._lock:
+            self.admit()
+            self._strategy.start(goal.path)
+            self._goal = goal
+            self._note(goal)
+
+    def cancel(self, goal_id: str | None, why: str) -> None:
+        """End this goal, or whichever there is, as cancelled; nothing where it is unknown or at its end."""
+        with self._lock:
+            goal = self._goal
+            if goal is not None and goal.outcome is None and goal_id in (None, goal.goal_id):
+                self._end(goal, "cancelled", Problem(code="cancelled", message=why))
+
+    def pause(self) -> None:
+        """Bring the running goal to rest and hold it."""
+        with self._lock:
+            goal = self._goal
+            if goal is not None and goal.outcome is None:
+                goal.pausing = True
+                self._strategy.stop()
+
+    def resume(self) -> None:
+        """Go on with a goal that was paused."""
+        with self._lock:
+            goal = self._goal
+            if goal is not None and goal.outcome is None and goal.pausing:
+                goal.pausing = False
+                self._strategy.resume()
+                self._become(goal, "running")
+
+    def reset(self) -> None:
+        """Leave `fault`."""
+        with self._lock:
+            self._problem = None
+
+    def switch(self, strategy: Strategy, patience: float) -> None:
+        """Bring the robot to rest within `patience` s, then let `strategy` move it.
+
+        Raises Busy while another switch is under way, and Unavailable where the robot does not rest or `strategy`
+        cannot be opened; then the old one is active as before.
+        """
+        with self._lock:
+            if self._switching:
+                raise Busy("the strategy is being switched already; try again in a moment")
+            self._switching = True
+        try:
+            old = self._strategy
+            self.cancel(None, f"the strategy was switched from {old.name} to {strategy.name}")
+            with self._lock:
+                if not self.wait_for_rest(patience):
+                    raise Unavailable(f"the robot does not come to rest; {old.name} is still active")
+                old.close()
+                try:
+                    strategy.open()
+                except ZarmError as error:
+                    old.open()
+                    raise Unavailable(f"{strategy.name} cannot start: {error}; {old.name} is active again") from error
+                self._strategy = strategy
+        finally:
+            self._switching = False
+
+    def end(self, patience: float) -> bool:
+        """Bring the robot to rest and admit no further motion; whether it rests within `patience` s."""
+        with self._lock:
+            self._ending = True
+        self.cancel(None, "the executor was told to end")
+        return self.wait_for_rest(patience)
+
+    def release(self) -> None:
+        """Close the active strategy; no command and no tick may follow."""
+        with self._lock:
+            self._strategy.close()
+
+    # -- what is --
+
+    def state(self) -> ExecutorState:
+        """The robot's state now."""
+        with self._lock:
+            return ExecutorState(
+                mode=self._mode(),
+                strategy=self._strategy.name,
+                goal_id=self._goal.goal_id if self._goal else None,
+                problem=self._problem,
+                missed_ticks=self._missed_ticks,
+            )
+
+    def goal_state(self) -> GoalState | None:
+        """The state of the goal that has not ended, if there is one."""
+        with self._lock:
+            return self._describe(self._goal) if self._goal else None
+
+    def joint_state(self) -> Measured | None:
+        """The newest measured state of the robot."""
+        with self._lock:
+            return self._strategy.joint_state()
+
+    def wait_for_rest(self, patience: float) -> bool:
+        """Wait until no goal is left; whether that was so within `patience` s."""
+        with self._rested:
+            return self._rested.wait_for(lambda: self._goal is None, patience)
+
+    def _mode(self) -> RobotMode:
+        if self._goal is None:
+            return "idle" if self._problem is None else "fault"
+        if self._goal.outcome is None and self._goal.status == "paused":
+            return "paused"
+        return "stopping" if self._goal.outcome or self._goal.pausing else "running"
+
+    # -- the control loop --
+
+    def tick(self, now: float) -> Measured | None:
+        """One period of control, `now` (s) on the monotonic clock; returns the measured state of the robot."""
+        with self._lock:
+            dt = 0.0 if self._last_tick is None else now - self._last_tick
+            self._last_tick = now
+            self._missed_ticks += max(0, round(dt / TICK) - 1)
+            goal = self._goal
+            if goal is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
+                self._abort(goal, self._stalled(dt))
+            self._strategy.tick(now, dt)
+            if goal is not None:
+                self._advance(goal, now, dt)
+            return self._strategy.joint_state()
+
+    def _advance(self, goal: Goal, now: float, dt: float) -> None:
+        progress, measured, monitor = self._strategy.progress(), self._strategy.joint_state(), goal.monitor
+        if goal.status != "paused":
+            goal.elapsed += dt
+        if goal.status == "accepted":
+            self._become(goal, "running")
+        try:
+            if goal.outcome is None:
+                monitor.follow(now, dt, progress, measured)
+            if goal.outcome is None and not goal.pausing:
+                if monitor.at_goal(now, progress, measured):
+                    self._finish(goal, "succeeded", None)
+            elif goal.status != "paused" and monitor.at_rest(now, progress, measured):
+                self._rest(goal)
+        except ExecutionFailed as failure:
+            if goal.outcome is not None and goal.outcome[0] == "aborted":
+                self._rest(goal)  # it had its time to stop; what is wrong is said by the first failure
+            else:
+                self._abort(goal, failure)
+
+    def _rest(self, goal: Goal) -> None:
+        if goal.outcome is None:
+            self._become(goal, "paused")
+        else:
+            self._finish(goal, *goal.outcome)
+
+    def _abort(self, goal: Goal, failure: ExecutionFailed) -> None:
+        self._end(goal, "aborted", failure.problem)
+
+    def _end(self, goal: Goal, status: GoalStatus, problem: Problem) -> None:
+        goal.outcome = status, problem
+        self._strategy.stop()
+        self._become(goal, "stopping")
+
+    def _finish(self, goal: Goal, status: GoalStatus, problem: Problem | None) -> None:
+        goal.outcome = None if problem is None else (status, problem)
+        self._become(goal, status)
+        self._goal = None
+        if status == "aborted":
+            self._problem = problem
+        self._rested.notify_all()
+
+    def _become(self, goal: Goal, status: GoalStatus) -> None:
+        if goal.status != status:
+            goal.status = status
+            self._note(goal)
+
+    def _note(self, goal: Goal) -> None:
+        self.changes.append(self._describe(goal))
+
+    def _describe(self, goal: Goal) -> GoalState:
+        progress = self._strategy.progress()
+        return GoalState(
+            goal_id=goal.goal_id,
+            plan_id=goal.plan_id,
+            status=goal.status,
+            progress=min(max(progress.time / goal.path.duration, 0.0), 1.0),
+            elapsed=goal.elapsed,
+            duration=goal.path.duration,
+            joint_command=tuple(progress.command.tolist()),
+            problem=goal.outcome[1] if goal.outcome else None,
+        )
+
+    @staticmethod
+    def _stalled(dt: float) -> ExecutionFailed:
+        return ExecutionFailed(
+            f"the executor's control loop was away for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); see "
+            "what holds up this machine, then reset",
+            code="driver_stalled",
+        )

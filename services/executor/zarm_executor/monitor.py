@@ -1,0 +1,110 @@
+"""What must hold while a robot moves, and until it rests where it should."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_contract.errors import ExecutionFailed
+from zarm_contract.robot import Execution
+from zarm_executor.path import Array, Path
+from zarm_executor.strategies.base import Measured, Progress
+
+
+class Monitor:
+    """Watches one motion. Times are on the monotonic clock; joints in the descriptor's order."""
+
+    def __init__(self, path: Path, joints: tuple[str, ...], execution: Execution) -> None:
+        self._path = path
+        self._joints = joints
+        self._execution = execution
+        self._allowed = execution.allowed_duration_factor * path.duration + execution.allowed_duration_margin
+        self._commanded = 0.0
+        self._rest_since: float | None = None
+
+    def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> None:
+        """Raises ExecutionFailed where the robot does not follow: `tolerance_violated` or `driver_stalled`.
+
+        The allowed duration counts time at path speed 1; what the executor itself slows down or holds is not held
+        against the robot.
+        """
+        if not progress.at_rest:
+            self._rest_since = None
+        age = np.inf if measured is None else now - measured.time
+        if measured is None or age > self._execution.joint_state_timeout:
+            raise ExecutionFailed(
+                f"the robot has not reported its joints for {age:.2f} s (joint_state_timeout "
+                f"{self._execution.joint_state_timeout:g} s); check its driver, then reset",
+                code="driver_stalled",
+            )
+        self._within(
+            np.abs(measured.position - progress.command), self._execution.path_tolerance, "path_tolerance", "left"
+        )
+        self._commanded += dt * progress.speed
+        if not progress.finished and self._commanded > self._allowed:
+            raise ExecutionFailed(
+                f"the robot is at {progress.time:.2f} s of a motion of {self._path.duration:.2f} s after "
+                f"{self._commanded:.2f} s, more than allowed; check its driver, then reset",
+                code="driver_stalled",
+            )
+
+    def at_goal(self, now: float, progress: Progress, measured: Measured | None) -> bool:
+        """Whether the robot rests at the end of the path, which is commanded.
+
+        Raises ExecutionFailed (`tolerance_violated`) when it does not within `settle_time`.
+        """
+        if measured is None or not progress.finished:
+            return False
+        error = np.abs(measured.position - self._path.end)
+        if self._stopped(measured) and np.all(error <= self._execution.goal_tolerance):
+            return True
+        if self._overdue(now):
+            self._within(error, self._execution.goal_tolerance, "goal_tolerance", "missed")
+            self._refuse_to_move(measured)
+        return False
+
+    def at_rest(self, now: float, progress: Progress, measured: Measured | None) -> bool:
+        """Whether the robot stands still after it was commanded to.
+
+        Raises ExecutionFailed when it does not, or does not report, within `settle_time`.
+        """
+        if not progress.at_rest:
+            return False
+        fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
+        if measured is not None and fresh and self._stopped(measured):
+            return True
+        if self._overdue(now):
+            if measured is None or not fresh:
+                raise ExecutionFailed(
+                    "the robot was told to stop and no longer reports its joints; look at it and its driver, then reset",
+                    code="driver_stalled",
+                )
+            self._refuse_to_move(measured)
+        return False
+
+    def _stopped(self, measured: Measured) -> bool:
+        return bool(np.all(np.abs(measured.velocity) <= self._execution.stopped_velocity))
+
+    def _overdue(self, now: float) -> bool:
+        if self._rest_since is None:
+            self._rest_since = now
+        return now - self._rest_since > self._execution.settle_time
+
+    def _within(self, error: Array, tolerance: float, setting: str, verb: str) -> None:
+        worst = int(error.argmax())
+        if not error[worst] <= tolerance:
+            what = "the commanded path" if verb == "left" else "the end of the motion"
+            raise ExecutionFailed(
+                f"{self._joints[worst]} {verb} {what} by {error[worst]:.4f} rad ({setting} {tolerance:g}); see what holds "
+                "or pushes the robot, then reset",
+                code="tolerance_violated",
+                joint=self._joints[worst],
+            )
+
+    def _refuse_to_move(self, measured: Measured) -> None:
+        worst = int(np.abs(measured.velocity).argmax())
+        raise ExecutionFailed(
+            f"{self._joints[worst]} still moves at {abs(measured.velocity[worst]):.3g} rad/s "
+            f"{self._execution.settle_time:g} s after the robot was commanded to rest; see what moves it, then reset",
+            code="tolerance_violated",
+            joint=self._joints[worst],
+        )

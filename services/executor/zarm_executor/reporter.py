@@ -1,0 +1,103 @@
+"""Says on the bus what the state machine does: every change at once, and progress while something moves."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Problem
+from zarm_contract.keys import Keys
+from zarm_contract.messages import ExecutorState, GoalState
+from zarm_executor.machine import Machine
+from zarm_executor.state_file import StateFile
+
+log = logging.getLogger(__name__)
+
+PERIOD = 0.02
+"""How often (s) the machine is looked at for changes that no command brought about."""
+PROGRESS_PERIOD = 0.1
+"""How often (s) the state of a moving goal is published."""
+MISSED_TICKS_PERIOD = 1.0
+"""How often (s) at most the executor's state is published for nothing but missed ticks."""
+FINISHED_GOALS = 32
+"""How many goals at their end stay answerable."""
+
+
+class Reporter:
+    """Publishes `executor/state` and `executor/goal/<goal_id>`, and keeps the running goal in `running` for a restart."""
+
+    def __init__(self, bus: Bus, keys: Keys, machine: Machine, running: StateFile[GoalState]) -> None:
+        self._keys = keys
+        self._machine = machine
+        self._running = running
+        self._states = bus.latched(keys.executor_state, ExecutorState)
+        self._goals = bus.latched(keys.goal("*"), GoalState)
+        self._finished: deque[str] = deque()
+        self._state: ExecutorState | None = None
+        self._published_state = 0.0
+        self._published_progress = 0.0
+        self._lock = threading.Lock()
+
+    def report_interrupted(self) -> None:
+        """Report the goal that an earlier process left running, if any, as aborted."""
+        left = self._running.load()
+        if left is not None:
+            problem = Problem(
+                code="unavailable",
+                message="the executor ended while this goal ran; it does not go on: plan again from where the robot is",
+            )
+            with self._lock:
+                self._publish_goal(left.model_copy(update={"status": "aborted", "problem": problem}))
+
+    def remember(self, goal: GoalState) -> None:
+        """Put on record, before it moves, a goal that a restart must report. Raises Unavailable."""
+        self.publish()  # takes the goal before this one off the record
+        self._running.save(goal)
+
+    def forget(self) -> None:
+        """Take a goal off the record that was not started after all."""
+        self._running.clear()
+
+    def publish(self, now: float | None = None) -> ExecutorState:
+        """Publish what has changed, and return the state that now stands on the bus; `now` is on the monotonic clock.
+
+        A command's handler calls it before it answers, so that no answer is ahead of the published state.
+        """
+        now = time.monotonic() if now is None else now
+        with self._lock:
+            while self._machine.changes:
+                self._publish_goal(self._machine.changes.popleft())
+                self._published_progress = now
+            if now - self._published_progress >= PROGRESS_PERIOD - PERIOD / 2:
+                goal = self._machine.goal_state()
+                if goal is not None and not self._machine.changes:
+                    self._goals.set(goal, key=self._keys.goal(goal.goal_id))
+                    self._published_progress = now
+            return self._publish_state(now)
+
+    def _publish_goal(self, goal: GoalState) -> None:
+        self._goals.set(goal, key=self._keys.goal(goal.goal_id))
+        log.info("goal goal_id=%s status=%s%s", goal.goal_id, goal.status, _reason(goal.problem))
+        if not goal.done:
+            return
+        self.forget()
+        self._finished.append(goal.goal_id)
+        if len(self._finished) > FINISHED_GOALS:
+            self._goals.forget(self._keys.goal(self._finished.popleft()))
+
+    def _publish_state(self, now: float) -> ExecutorState:
+        state, before = self._machine.state(), self._state
+        if before is None or state != before.model_copy(update={"missed_ticks": state.missed_ticks}):
+            log.info("state mode=%s strategy=%s%s", state.mode, state.strategy, _reason(state.problem))
+        elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:
+            return state
+        self._states.set(state)
+        self._state, self._published_state = state, now
+        return state
+
+
+def _reason(problem: Problem | None) -> str:
+    return f" reason={problem.code}: {problem.message}" if problem else ""

@@ -1,0 +1,79 @@
+"""What the executor asks of every control strategy."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+from zarm_executor.path import Array, Path
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Joint positions (J,) rad and velocities (J,) rad/s, measured at `time` on the monotonic clock."""
+
+    position: Array
+    velocity: Array
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a motion is: path time `time` (s), path speed `speed` in [0, 1], commanded positions `command` (J,)."""
+
+    time: float
+    speed: float
+    command: Array
+    finished: bool
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the commanded robot stands still."""
+        return self.finished or self.speed == 0.0
+
+
+class Strategy(ABC):
+    """One way to move one robot along a path.
+
+    The state machine owns it: it calls one method at a time, so a strategy needs no lock against itself, and each must
+    return within a fraction of a tick. Motions never overlap: after `start` comes no other until the first is at rest.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def open(self) -> None:
+        """Take hold of the robot. Raises a ZarmError where that fails; then nothing is held."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the robot, which is at rest. May be opened again."""
+
+    @abstractmethod
+    def admit(self) -> None:
+        """Raise Unavailable, with the remedy, where this strategy could not move the robot now."""
+
+    @abstractmethod
+    def start(self, path: Path) -> None:
+        """Begin to move along `path`, which starts where the robot stands."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Decelerate to rest along the path, inside the acceleration limits. Idempotent."""
+
+    @abstractmethod
+    def resume(self) -> None:
+        """After `stop`: go on along the same path."""
+
+    @abstractmethod
+    def tick(self, now: float, dt: float) -> None:
+        """One period of the control loop: `now` on the monotonic clock, `dt` s since the last one."""
+
+    @abstractmethod
+    def joint_state(self) -> Measured | None:
+        """The newest measured state of the robot, also while nothing moves; None before the first."""
+
+    @abstractmethod
+    def progress(self) -> Progress:
+        """How far the motion begun by the last `start` is."""

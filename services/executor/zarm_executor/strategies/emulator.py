@@ -1,0 +1,123 @@
+"""The emulated robot, and the strategy that moves it: it is exactly where it is commanded to be, on time."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+import numpy as np
+
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import JointState
+from zarm_contract.robot import RobotDescriptor
+from zarm_executor.follower import Follower
+from zarm_executor.loop import Loop
+from zarm_executor.path import Array, Path
+from zarm_executor.state_file import StateFile
+from zarm_executor.strategies.base import Measured, Progress, Strategy
+
+log = logging.getLogger(__name__)
+
+SAVE_PERIOD = 0.05
+"""Period, s, at which the position of a moving emulated robot is saved: after a crash it is where it was at most this
+long before, 0.06 rad away on a joint at 1.2 rad/s."""
+
+
+class EmulatedRobot:
+    """Joints that stay where they were put, also from one process to the next. It starts at `home`."""
+
+    def __init__(self, descriptor: RobotDescriptor, file: StateFile[JointState]) -> None:
+        self._joints = descriptor.joints
+        self._file = file
+        self._still = np.zeros(len(self._joints))
+        saved = file.load()
+        if saved is not None and saved.joint_names != self._joints:
+            log.warning("the saved position is of other joints; the emulated robot starts at home")
+            saved = None
+        position = np.array(descriptor.home if saved is None else saved.position)
+        self.measured = Measured(position, self._still, time.monotonic())
+        self._saved: Array | None = None
+
+    def move(self, position: Array, velocity: Array, now: float) -> None:
+        """Be at `position` with `velocity`."""
+        self.measured = Measured(position, velocity, now)
+
+    def rest(self, now: float) -> None:
+        """Stay."""
+        self.measured = Measured(self.measured.position, self._still, now)
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether the position has changed since it was saved."""
+        return self.measured.position is not self._saved
+
+    def save(self) -> None:
+        """Write the position to the file. Raises Unavailable."""
+        position = self.measured.position
+        rest = tuple(self._still.tolist())
+        self._file.save(
+            JointState(stamp=time.time(), joint_names=self._joints, position=tuple(position.tolist()), velocity=rest)
+        )
+        self._saved = position
+
+
+class Emulator(Strategy):
+    """Moves the emulated robot along the path by the clock."""
+
+    name = "emulator"
+
+    def __init__(self, robot: EmulatedRobot, acceleration_limit: Array) -> None:
+        self._robot = robot
+        self._limit = acceleration_limit
+        self._follower = Follower(Path.standing(robot.measured.position), acceleration_limit)
+        self._saver = Loop("emulated robot", SAVE_PERIOD, self._save)
+
+    def open(self) -> None:
+        """Begin to save the position; fails where it cannot be written."""
+        self._robot.save()
+        self._saver = Loop("emulated robot", SAVE_PERIOD, self._save)
+        self._saver.start()
+
+    def close(self) -> None:
+        """Save the position a last time."""
+        self._saver.stop()
+        self._save()
+
+    def admit(self) -> None:
+        """Always."""
+
+    def start(self, path: Path) -> None:
+        """Begin at the start of `path`."""
+        self._follower = Follower(path, self._limit)
+
+    def stop(self) -> None:
+        """Let the path speed fall to 0."""
+        self._follower.target = 0.0
+
+    def resume(self) -> None:
+        """Let the path speed rise to 1."""
+        self._follower.target = 1.0
+
+    def tick(self, now: float, dt: float) -> None:
+        """Put the robot where the clock says that it is."""
+        if self._follower.settled:
+            self._robot.rest(now)
+        else:
+            self._follower.advance(dt)
+            self._robot.move(self._follower.position, self._follower.velocity, now)
+
+    def joint_state(self) -> Measured | None:
+        """Where the emulated robot is."""
+        return self._robot.measured
+
+    def progress(self) -> Progress:
+        """How far the path is followed."""
+        follower = self._follower
+        return Progress(follower.time, follower.speed, follower.position, follower.finished)
+
+    def _save(self, _now: float = 0.0) -> None:
+        try:
+            if self._robot.unsaved:
+                self._robot.save()
+        except Unavailable as error:
+            log.warning("the emulated robot's position is not saved reason=%s", error)

@@ -1,0 +1,52 @@
+"""The strategy under which nothing moves the robot: to plan and look at previews without a risk."""
+
+from __future__ import annotations
+
+from zarm_contract.errors import Unavailable
+from zarm_executor.path import Path
+from zarm_executor.strategies.base import Measured, Progress, Strategy
+from zarm_executor.strategies.emulator import EmulatedRobot
+
+
+class GhostOnly(Strategy):
+    """Refuses every motion; only the preview plays. The robot is still measured, so that plans can start where it stands."""
+
+    name = "ghost"
+
+    def __init__(self, robot: EmulatedRobot) -> None:
+        self._robot = robot
+
+    def open(self) -> None:
+        """Nothing is held."""
+
+    def close(self) -> None:
+        """Nothing was held."""
+
+    def admit(self) -> None:
+        """Never."""
+        raise Unavailable(
+            "the active strategy is ghost, under which nothing moves the robot; switch to another one first "
+            '(executor/strategy with {"strategy": "emulator"})'
+        )
+
+    def start(self, path: Path) -> None:
+        """Never."""
+        self.admit()
+
+    def stop(self) -> None:
+        """Nothing moves."""
+
+    def resume(self) -> None:
+        """Nothing moves."""
+
+    def tick(self, now: float, dt: float) -> None:
+        """The robot stays."""
+        self._robot.rest(now)
+
+    def joint_state(self) -> Measured | None:
+        """Where the robot stands."""
+        return self._robot.measured
+
+    def progress(self) -> Progress:
+        """None."""
+        return Progress(time=0.0, speed=0.0, command=self._robot.measured.position, finished=True)

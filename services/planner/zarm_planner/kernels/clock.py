@@ -1,0 +1,26 @@
+"""Deadlines inside kernels."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numba.core import types
+from numpy.typing import NDArray
+
+from zarm_planner.kernels.compiled import inlined
+from zarm_planner.kernels.lanes import pointer
+
+_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.CPointer(types.int64)))
+_CLOCK = time.CLOCK_MONOTONIC
+
+
+@inlined
+def passed(deadline: NDArray[np.float64], now: NDArray[np.int64]) -> bool:
+    """Whether the monotonic clock is past `deadline[0]` (s), which another thread may set at any time.
+
+    `now` (2,) is memory for the clock. The call into the C library makes the compiler read `deadline` anew.
+    """
+    _gettime(_CLOCK, pointer(now))
+    return bool(now[0] + 1e-9 * now[1] > deadline[0])

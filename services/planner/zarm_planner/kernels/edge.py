@@ -1,0 +1,88 @@
+"""Whether a straight edge in joint space is free.
+
+Edges are checked as Schwarzer, Saha and Latombe do ("Adaptive dynamic collision checking for single and multiple
+articulated robots in complex environments", 2005): a configuration whose links keep further away than they can move on
+a stretch of the edge proves that whole stretch free; only what is nearer is divided further.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_planner.kernels.collision import check
+from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_planner.kernels.lanes import LANES, load
+
+RESOLUTION = 0.01
+"""No sphere centre moves further (m) between two checked configurations of an edge than this, unless it is proven free
+there. So what lies between is at most half of it away from what was checked: within the default margin of 0.005 m."""
+
+
+@inlined
+def set_edge(space: Space, start: Single, end: Single) -> float:
+    """Make an edge the one in hand; returns how far (m) any sphere centre moves along it at most."""
+    farthest = np.float32(0.0)
+    for k in range(space.dof):
+        space.start[k] = start[k]
+        space.step[k] = end[k] - start[k]
+    for link in range(space.links):
+        motion = np.float32(0.0)
+        for k in range(space.dof):
+            motion += space.reach[space.dof * link + k] * abs(space.step[k])
+        space.motion[link] = motion
+        farthest = max(farthest, motion)
+    for pair in range(space.pairs):
+        a, b = space.pair[2 * pair], space.pair[2 * pair + 1]
+        motion = np.float32(0.0)
+        for k in range(space.link_joint[a] + 1, space.dof):  # the joints before move both links as one
+            motion += space.reach[space.dof * b + k] * abs(space.step[k])
+        space.pair_motion[pair] = motion
+    return float(farthest)
+
+
+@kernel
+def edge_free(space: Space, start: Single, end: Single) -> bool:
+    """Whether the edge between two configurations is free, to RESOLUTION; of zero length: whether the configuration is."""
+    farthest = set_edge(space, start, end)
+    # 16 stretches in hand, and above them a stack of those still to be checked. A division makes a stretch half as long
+    # at least and a round pushes 32 at most, so there is room for edges of any length.
+    middle, half = space.middle, space.half
+    top = 2 * LANES
+    for i in range(LANES):
+        middle[LANES + i] = (i + 0.5) / LANES
+        half[LANES + i] = 0.5 / LANES
+    while top > LANES:
+        taken = min(top - LANES, LANES)
+        for i in range(LANES):  # lanes without a stretch of their own repeat the first
+            at = top - 1 - (i if i < taken else 0)
+            middle[i], half[i] = middle[at], half[at]
+        hit, near = check(space, load(middle, 0), load(half, 0))
+        if hit != 0:
+            return False
+        top -= taken
+        count = 0
+        for i in range(taken):
+            count += (near >> i) & 1
+        for i in range(taken):
+            needed = math.ceil(2.0 * half[i] * farthest / RESOLUTION)
+            if (near >> i) & 1 and needed > 1:
+                parts = min(needed, max(2, LANES // count))
+                part = half[i] / parts
+                for p in range(parts):
+                    middle[top] = middle[i] - half[i] + (2 * p + 1) * part
+                    half[top] = part
+                    top += 1
+    return True
+
+
+@kernel
+def path_free(robot: RobotArrays, world: WorldArrays, memory: Memory, path: Single) -> bool:
+    """Whether every edge of a path (n, dof) is free; a path of one row is one configuration."""
+    checks = space(robot, world, memory)
+    for i in range(max(1, path.shape[0] - 1)):
+        if not edge_free(checks, path[i], path[min(i + 1, path.shape[0] - 1)]):
+            return False
+    return True

@@ -1,0 +1,19 @@
+"""Random numbers with a state of one's own, so that a seed decides everything and threads do not share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.kernels.compiled import inlined
+
+
+@inlined
+def uniform(state: NDArray[np.uint64]) -> float:
+    """The next number in [0, 1): SplitMix64 (Steele, Lea and Flood, 2014), the upper 53 bits."""
+    state[0] += np.uint64(0x9E3779B97F4A7C15)
+    z = state[0]
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return np.float64(z >> np.uint64(11)) * 2.0**-53

@@ -1,0 +1,98 @@
+"""A timed motion of the joints, and the limits that it has to hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.messages import Trajectory
+from zarm_planner.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-3
+"""By which part of a limit a motion may be over it."""
+_CHECKS = 8
+"""Moments per interval between samples at which velocity and acceleration are checked."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Per joint, (dof,): rad/s, rad/s^2, rad/s^3."""
+
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+
+    @classmethod
+    def of(cls, model: RobotModel, velocity_scale: float = 1.0, acceleration_scale: float = 1.0) -> Self:
+        """The descriptor's limits, scaled."""
+        return cls(model.velocity * velocity_scale, model.acceleration * acceleration_scale, model.jerk)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Samples of a motion: `time` (n,) in s from 0, the rest (n, dof) in rad, rad/s, rad/s^2.
+
+    Between samples it is the quintic that meets all three at both ends, as `zarm_contract.messages.Trajectory` says.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last sample."""
+        return float(self.time[-1])
+
+    def at(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at times `t` (k,) within the motion, each (k, dof)."""
+        i = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
+        h = (self.time[i + 1] - self.time[i])[:, None]
+        x = (t - self.time[i])[:, None] / h
+        p0, v0, a0 = self.position[i], self.velocity[i] * h, self.acceleration[i] * h * h
+        p1, v1, a1 = self.position[i + 1], self.velocity[i + 1] * h, self.acceleration[i + 1] * h * h
+        # With x from 0 to 1 the start fixes c0, c1 and c2 = a0 / 2; the end gives three equations for the others.
+        p, v, a = p1 - p0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+        c3, c4, c5 = 10 * p - 4 * v + a / 2, -15 * p + 7 * v - a, 6 * p - 3 * v + a / 2
+        return (
+            p0 + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5)))),
+            (v0 + x * (a0 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h,
+            (a0 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h),
+        )
+
+    def load(self, limits: Limits) -> float:
+        """How far the limits are used, 1 being fully: slower by this factor, the motion just keeps all of them.
+
+        Velocity and acceleration are taken also between samples, jerk as the mean from sample to sample.
+        """
+        h = np.diff(self.time)
+        _, velocity, acceleration = self.at((self.time[:-1, None] + h[:, None] * np.arange(_CHECKS) / _CHECKS).ravel())
+        jerk = np.diff(self.acceleration, axis=0) / h[:, None]
+        return max(
+            float(np.max(np.abs(velocity) / limits.velocity)),
+            float(np.sqrt(np.max(np.abs(acceleration) / limits.acceleration))),
+            float(np.cbrt(np.max(np.abs(jerk) / limits.jerk))),
+        )
+
+    def slower(self, factor: float) -> Motion:
+        """The same motion, taking `factor` times as long."""
+        return Motion(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)
+
+    def trajectory(self, joint_names: tuple[str, ...]) -> Trajectory:
+        """The motion as a message."""
+        position, velocity, acceleration = (
+            tuple(map(tuple, rows.tolist())) for rows in (self.position, self.velocity, self.acceleration)
+        )
+        return Trajectory(
+            joint_names=joint_names,
+            time=tuple(self.time.tolist()),
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+        )

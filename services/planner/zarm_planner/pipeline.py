@@ -1,0 +1,101 @@
+"""From a goal to a verified motion: both ends, search, shorten, time, verify; and again where the last step refuses."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from zarm_contract.errors import DeadlineExceeded, PlanningFailed
+from zarm_contract.messages import Goal, PlanTimings
+from zarm_planner.ends import Snapshot, goal_ends, start_end
+from zarm_planner.motion import Array, Limits, Motion
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.search import search
+from zarm_planner.shorten import shorten
+from zarm_planner.stop import Stop
+from zarm_planner.timing import time_path
+from zarm_planner.verify import VerificationFailed, verify
+
+_DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
+"""How far (rad) a motion may leave the path at corners: first for speed, then ever closer to what the search found free."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A verified motion; `clearance` in m, `path_length` in rad."""
+
+    motion: Motion
+    clearance: float
+    path_length: float
+    timings: PlanTimings
+
+
+def plan(
+    model: RobotModel, snapshot: Snapshot, start: Array, goal: Goal, limits: Limits, seed: int, stop: Stop
+) -> Found:
+    """The motion from `start` (dof,) to the goal.
+
+    Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`) and what `stop` raises.
+    """
+    watch = _Watch()
+    with watch.stage("ik"):
+        begin = start_end(model, snapshot, start, seed, stop)
+        ends = goal_ends(model, snapshot, start, goal, seed, stop)
+    free = np.array([end.free for end in ends])
+    failure: VerificationFailed | None = None
+    attempt = seed
+    try:
+        while True:
+            with watch.stage("search"):
+                found = search(model, snapshot.world, begin.free, free, seed=attempt, stop=stop)
+            if found is None:
+                stop.check()
+                continue
+            with watch.stage("shorten"):
+                shorter = shorten(model, snapshot.world, found, seed=attempt, stop=stop)
+            end = ends[int(np.argmin(np.abs(free - shorter[-1]).max(axis=1)))]
+            path = np.concatenate([begin.edge, shorter, end.edge])
+            for deviation in _DEVIATIONS:
+                stop.check()
+                with watch.stage("timing"):
+                    motion = time_path(path, limits, model.robot.descriptor.interpolation_dt, deviation)
+                try:
+                    with watch.stage("verify"):
+                        clearance = verify(motion, start, end.asked, limits, snapshot.exact, stop.check)
+                except VerificationFailed as error:
+                    failure = error
+                    continue
+                length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+                return Found(motion, clearance, length, watch.timings())
+            attempt += 1
+    except DeadlineExceeded as late:
+        if failure is None:
+            raise
+        raise PlanningFailed(
+            f"every path that was found had to be given up: {failure}; ask for a larger margin or more time",
+            code="no_path",
+        ) from late
+
+
+@dataclass
+class _Watch:
+    """Seconds per stage."""
+
+    began: float = field(default_factory=time.perf_counter)
+    spent: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.spent[name] = self.spent.get(name, 0.0) + time.perf_counter() - began
+
+    def timings(self) -> PlanTimings:
+        stages = {name: self.spent.get(name, 0.0) for name in ("ik", "search", "shorten", "timing", "verify")}
+        return PlanTimings(**stages, total=time.perf_counter() - self.began)

@@ -1,0 +1,186 @@
+"""The scene: named objects, changed by whole edits, kept in a file that survives a crash at any moment."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from pathlib import Path
+from typing import Literal, assert_never
+
+from zarm_contract._model import Message
+from zarm_contract.codec import decode, encode
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import (
+    MAX_OBJECTS,
+    AddObjects,
+    ClearScene,
+    Cuboid,
+    LoadScene,
+    RemoveObjects,
+    Scene,
+    SceneEdit,
+    SceneObject,
+    Sphere,
+)
+
+log = logging.getLogger(__name__)
+
+_FARTHEST = 1e3
+_THINNEST = 1e-4
+
+
+class _File(Message):
+    format: Literal[1] = 1
+    scene: Scene
+
+
+class SceneStore:
+    """The scene of one robot, in `<folder>/scene.json`. Safe for use by any number of threads.
+
+    A file that cannot be read is put aside as `scene.json.broken`. From then on `lost` says so, until the first edit:
+    the objects that it held may still stand around the robot.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Raises Unavailable where the folder cannot be used, or holds the scene of a newer zarm."""
+        self._path = folder / "scene.json"
+        self._broken = folder / "scene.json.broken"
+        self._lock = threading.Lock()
+        self.lost: str | None = None
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._scene = self._read()
+        except OSError as error:
+            raise Unavailable(
+                f"cannot read the scene {self._path}: {error.strerror or error}; make the folder readable and writable, or "
+                "choose another with --state"
+            ) from error
+
+    @property
+    def scene(self) -> Scene:
+        """The present scene, which never changes; an edit makes a new one."""
+        return self._scene
+
+    def edit(self, request: SceneEdit) -> Scene:
+        """Apply an edit, save the result and return it.
+
+        Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved; then nothing has changed.
+        """
+        with self._lock:
+            objects = _edited({item.name: item for item in self._scene.objects}, request)
+            scene = Scene(revision=self._scene.revision + 1, objects=tuple(objects.values()))
+            try:
+                _replace(self._path, encode(_File(scene=scene)))
+            except OSError as error:
+                raise Unavailable(
+                    f"cannot save the scene to {self._path}: {error.strerror or error}; the edit was not applied. Make room "
+                    "or make the folder writable, then send it again"
+                ) from error
+            self._scene, self.lost = scene, None
+            return scene
+
+    def _read(self) -> Scene:
+        try:
+            payload = self._path.read_bytes()
+        except FileNotFoundError:
+            if not self._broken.exists():
+                return Scene(revision=0)
+        else:
+            try:
+                return decode(_File, payload).scene
+            except InvalidRequest as error:
+                if error.problem.field == "format":
+                    raise Unavailable(
+                        f"{self._path} was written by another version of zarm; use that one, or move the file away"
+                    ) from error
+                log.error("scene cannot be read path=%s reason=%s", self._path, error)
+                self._path.replace(self._broken)
+        self.lost = (
+            f"the saved scene could not be read and lies in {self._broken}; plans are refused until the scene is edited: "
+            "load or add what stands around the robot, or clear it if nothing does"
+        )
+        log.error("scene lost remedy=%s", self.lost)
+        # Plans made in the lost scene must not pass for plans made in this one. No scene has had this revision: that
+        # would have taken an edit every second since 1970.
+        return Scene(revision=int(time.time()))
+
+
+def _edited(objects: dict[str, SceneObject], request: SceneEdit) -> dict[str, SceneObject]:
+    """The objects after an edit, by name, in the order in which they came."""
+    match request.edit:
+        case ClearScene():
+            return {}
+        case RemoveObjects(names=names):
+            for index, name in enumerate(names):
+                if name not in objects:
+                    raise InvalidRequest(
+                        f"there is no object {name} in the scene; read the names from the scene first",
+                        field=f"edit.names.{index}",
+                    )
+            return {name: item for name, item in objects.items() if name not in names}
+        case LoadScene(objects=items):
+            return _added({}, items, replace=False)
+        case AddObjects(objects=items, replace=replace):
+            return _added(objects, items, replace)
+        case unknown:
+            assert_never(unknown)
+
+
+def _added(objects: dict[str, SceneObject], items: tuple[SceneObject, ...], replace: bool) -> dict[str, SceneObject]:
+    added: dict[str, SceneObject] = {}
+    for index, item in enumerate(items):
+        field = f"edit.objects.{index}"
+        if item.name in added:
+            raise InvalidRequest(
+                f"{item.name} stands twice in this edit; give each object one name", field=f"{field}.name"
+            )
+        if item.name in objects and not replace:
+            raise InvalidRequest(
+                f"there is already an object {item.name}; set replace, or choose another name", field=f"{field}.name"
+            )
+        _check_size(item, field)
+        added[item.name] = item
+    if len(objects | added) > MAX_OBJECTS:
+        raise InvalidRequest(
+            f"the scene would hold {len(objects | added)} objects, more than {MAX_OBJECTS}; remove some first",
+            field="edit.objects",
+        )
+    return objects | added
+
+
+def _check_size(item: SceneObject, field: str) -> None:
+    """Refuse what no robot meets and what distances cannot be computed with."""
+    if not all(abs(x) <= _FARTHEST for x in item.position):
+        raise InvalidRequest(
+            f"{item.name} is further than {_FARTHEST:g} m away; positions are in m, in the base frame",
+            field=f"{field}.position",
+        )
+    if isinstance(item, Cuboid):
+        sizes = {f"size.{i}": edge for i, edge in enumerate(item.size)}
+    elif isinstance(item, Sphere):
+        sizes = {"radius": item.radius}
+    else:
+        sizes = {"radius": item.radius, "length": item.length}
+    for name, size in sizes.items():
+        if not _THINNEST <= size <= _FARTHEST:
+            raise InvalidRequest(
+                f"{item.name}: {size:g} m is outside {_THINNEST:g} to {_FARTHEST:g} m; sizes are in m",
+                field=f"{field}.{name}",
+            )
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file so that after a crash at any moment it holds the old content or the new one, whole."""
+    fresh = path.with_name(path.name + ".new")
+    with fresh.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    fresh.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,0 +1,66 @@
+"""From a start to a goal: the first free path, and whether a given one is free."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zarm_planner.kernels.arrays import memory
+from zarm_planner.kernels.connect import connect
+from zarm_planner.kernels.edge import path_free
+from zarm_planner.kernels.trees import make_trees
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.stop import Stop
+from zarm_planner.world import World
+
+Array = NDArray[np.float64]
+
+
+def search(model: RobotModel, world: World, start: Array, goals: Array, *, seed: int, stop: Stop) -> Array | None:
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `stop` came first.
+
+    Start and goals are free and within the limits, the nearest goal stands first; straight lines are tried in that
+    order. The same seed gives the same path. Consecutive rows are joined by straight edges that are free to
+    `kernels.edge.RESOLUTION`.
+    """
+    goals = goals.reshape(-1, model.dof)
+    # A joint that turns further than once need not be sampled over all of its turns: within half a turn of the start and
+    # the goals every posture occurs.
+    ends = np.vstack((start, goals))
+    half_turn = np.where(model.revolute, np.pi, np.inf)
+    limits = np.array(
+        (
+            np.maximum(model.lower, ends.min(axis=0) - half_turn),
+            np.minimum(model.upper, ends.max(axis=0) + half_turn),
+        ),
+        np.float32,
+    )
+    found = connect(
+        model.arrays,
+        world.arrays,
+        memory(model.arrays),
+        make_trees(model.dof),
+        limits,
+        model.weight,
+        np.array(start, np.float32, order="C"),
+        np.array(goals, np.float32, order="C"),
+        np.array([seed], np.uint64),
+        stop.deadline,
+    )
+    if len(found) == 0:
+        return None
+    path = found.astype(np.float64)
+    # The kernels compute in float32; the ends are the caller's own, and nothing leaves the limits by rounding.
+    path = np.clip(path, model.lower, model.upper)
+    path[0] = start
+    path[-1] = goals[np.argmin(np.abs(goals - found[-1]).max(axis=1))]
+    return path
+
+
+def is_free(model: RobotModel, world: World, path: ArrayLike) -> bool:
+    """Whether a configuration (dof,) or every edge of a path (n, dof) is free of the world and of the robot itself.
+
+    In spheres and to `kernels.edge.RESOLUTION`.
+    """
+    rows = np.array(path, np.float32, order="C").reshape(-1, model.dof)
+    return path_free(model.arrays, world.arrays, memory(model.arrays), rows)

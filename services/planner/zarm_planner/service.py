@@ -1,0 +1,120 @@
+"""The planner process: wires the planner and its scene to the bus."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+from zarm_contract._model import Message
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import (
+    CancelPlan,
+    CheckRequest,
+    FkRequest,
+    IkRequest,
+    JointState,
+    Plan,
+    PlannerSettings,
+    PlanRequest,
+    Scene,
+    SceneEdit,
+    SceneEdited,
+    SettingsChange,
+)
+from zarm_contract.service import Service, run_service, service_parser
+from zarm_planner.joints import MeasuredJoints
+from zarm_planner.planner import Planner
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.scene import SceneStore
+
+Request = TypeVar("Request", bound=Message)
+
+PLANS_WAITING = 16
+"""Plan requests that may wait for their turn; each waits in a thread of its own, where it can be cancelled."""
+
+
+@contextmanager
+def start(service: Service) -> Iterator[None]:
+    """The planner, from warm-up until the last plan in hand is answered."""
+    bus, keys = service.bus, service.keys
+    model = RobotModel.of(service.robot)
+    store = SceneStore(service.options.state / keys.robot)
+    planner = Planner(model, keys.robot, store, MeasuredJoints(model, bus.latest(keys.joint_states, JointState)))
+    warm = False
+
+    def when_warm(handler: Callable[[Request], Message]) -> Callable[[Request], Message]:
+        def guarded(request: Request) -> Message:
+            if not warm:
+                raise Unavailable(f"the planner is {service.health().activity}; ask again when its health says ready")
+            return handler(request)
+
+        return guarded
+
+    plans = bus.latched(keys.plans, Plan)
+
+    def plan(request: PlanRequest) -> Plan:
+        answer = planner.plan(request)
+        plans.set(answer)
+        return answer
+
+    settings = bus.publisher(keys.settings, PlannerSettings)
+
+    def change_settings(change: SettingsChange) -> PlannerSettings:
+        answer = planner.change_settings(change)
+        if change != SettingsChange():
+            settings.put(answer)
+        return answer
+
+    try:
+        _serve_scene(service, store)
+        bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
+        bus.serve(keys.plan_cancel, CancelPlan, planner.cancel)
+        bus.serve(keys.plan, PlanRequest, when_warm(plan), workers=(os.cpu_count() or 1) + PLANS_WAITING, backlog=0)
+        bus.serve(keys.ik, IkRequest, when_warm(planner.ik))
+        bus.serve(keys.fk, FkRequest, when_warm(planner.fk))
+        bus.serve(keys.check, CheckRequest, when_warm(planner.check))
+        planner.warm_up(service.starting)
+        warm = True
+        service.ready()
+        yield
+    finally:
+        planner.close()
+
+
+def _serve_scene(service: Service, store: SceneStore) -> None:
+    """Answer for the scene and its objects, and publish every change."""
+    bus, keys = service.bus, service.keys
+    whole = bus.latched(keys.scene, Scene)
+    single = bus.latched(keys.scene_object("*"), Message)
+    shown = Scene(revision=0)
+
+    def show(scene: Scene) -> None:
+        nonlocal shown
+        before = {item.name: item for item in shown.objects}
+        for item in scene.objects:
+            if before.pop(item.name, None) != item:
+                single.set(item, key=keys.scene_object(item.name))
+        for name in before:
+            single.forget(keys.scene_object(name))
+        whole.set(scene)
+        shown = scene
+
+    def edit(request: SceneEdit) -> SceneEdited:
+        scene = store.edit(request)
+        show(scene)
+        return SceneEdited(revision=scene.revision, count=len(scene.objects))
+
+    show(store.scene)
+    bus.serve(keys.scene_edit, SceneEdit, edit, workers=1)
+
+
+def main() -> int:
+    """Run the planner of one robot until SIGTERM or SIGINT; the exit code."""
+    return run_service("planner", service_parser("planner"), start)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""When computing ends early: a deadline, and a cancel from another thread."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from zarm_contract.errors import Cancelled, DeadlineExceeded
+
+
+class Stop:
+    """A deadline `timeout` s from now that other threads may bring forward; kernels look at it all the time."""
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self.deadline = np.array([time.monotonic() + timeout])
+
+    def cancel(self) -> None:
+        """End whatever runs under this deadline now."""
+        self.deadline[0] = -math.inf
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether `cancel` was called."""
+        return bool(self.deadline[0] == -math.inf)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the deadline has passed or `cancel` was called."""
+        return bool(time.monotonic() > self.deadline[0])
+
+    def check(self) -> None:
+        """Raises Cancelled or DeadlineExceeded when it is time to end."""
+        if self.cancelled:
+            raise Cancelled("the planning was cancelled")
+        if self.passed:
+            raise DeadlineExceeded(f"no plan within {self._timeout:g} s; allow more time or simplify the scene")

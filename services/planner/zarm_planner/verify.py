@@ -1,0 +1,68 @@
+"""The last gate: a timed motion leaves the planner only if all that was asked of it holds, between its samples too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from zarm_planner.exact import RESOLUTION, ExactScene
+from zarm_planner.motion import TOLERANCE, Array, Limits, Motion
+
+_POSITION = 1e-6
+"""Rad by which a motion may miss its start and its goal."""
+_RANGE = 1e-4
+"""Rad by which a joint may be outside its range: rounding, and interpolation between samples."""
+
+
+class VerificationFailed(Exception):
+    """A timed motion breaks a promise; the message says which, where and by how much."""
+
+
+def verify(
+    motion: Motion, start: Array, goal: Array, limits: Limits, scene: ExactScene, stop: Callable[[], None]
+) -> float:
+    """The motion's smallest distance (m) to the scene and to the robot itself, at most 1.
+
+    Raises VerificationFailed unless the motion leads from `start` to `goal` (dof,), from rest to rest, inside the joints'
+    ranges and `limits`, and free of collision: between the configurations looked at no point of the robot moves further
+    than `RESOLUTION`. `stop` is called now and then and may raise.
+    """
+    model, joints = scene.model, scene.model.robot.descriptor.joints
+    for values, wanted, what in (
+        (motion.position[0], start, "starts away from the start"),
+        (motion.position[-1], goal, "ends away from the goal"),
+        (motion.velocity[0], 0.0, "does not start at rest"),
+        (motion.velocity[-1], 0.0, "does not end at rest"),
+    ):
+        if not np.all(np.abs(values - wanted) <= _POSITION):
+            raise VerificationFailed(f"the timed motion {what}")
+    if not (load := motion.load(limits)) <= 1 + 2 * TOLERANCE:
+        raise VerificationFailed(f"the timed motion needs {load:.2f} times the allowed speed")
+
+    times = _moments(motion, scene.reach)
+    position, _, _ = motion.at(times)
+    outside = np.maximum(model.lower - position, position - model.upper)
+    if not np.all(outside <= _RANGE):
+        sample, joint = np.unravel_index(int(np.argmax(outside)), outside.shape)
+        raise VerificationFailed(
+            f"the timed motion takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "
+            f"{times[sample]:.2f} s"
+        )
+    nearest = scene.nearest(position, stop)
+    if nearest.distance <= 0.0 and nearest.pair:
+        raise VerificationFailed(
+            f"{nearest.pair[0]} would be {-1e3 * nearest.distance:.1f} mm inside {nearest.pair[1]} at "
+            f"{times[nearest.sample]:.2f} s of the timed motion"
+        )
+    return nearest.distance
+
+
+def _moments(motion: Motion, reach: Array) -> Array:
+    """Times (k,) between which no point of the robot moves further than RESOLUTION, the samples' own among them."""
+    speed = np.abs(motion.velocity) @ reach
+    # Between two samples joints may be faster than at both, but not by more than they can speed up in the meantime.
+    h = np.diff(motion.time)
+    gain = (np.abs(motion.acceleration[:-1]) + np.abs(motion.acceleration[1:])) @ reach * h / 4
+    pieces = np.maximum(1, np.ceil((np.maximum(speed[:-1], speed[1:]) + gain) * h / RESOLUTION)).astype(int)
+    return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), motion.time)

@@ -1,0 +1,160 @@
+"""At least one example of every message class; together they set every field.
+
+`python tests/contract/examples.py` writes them to `golden/<Message>.json`, which hold the wire format. A change there is
+a change of the contract: other versions of zarm and other programs on the bus read these bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import groupby
+from pathlib import Path
+
+from zarm_contract import messages as m
+from zarm_contract._model import Message
+from zarm_contract.codec import encode
+from zarm_contract.errors import Problem
+
+GOLDEN = Path(__file__).parent / "golden"
+
+_POSE = m.Pose(position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
+_TRAJECTORY = m.Trajectory(
+    joint_names=("shoulder", "elbow"),
+    time=(0.0, 0.5, 1.25),
+    position=((0.0, 0.0), (0.1, -0.2), (0.3, -0.4)),
+    velocity=((0.0, 0.0), (0.3, -0.5), (0.0, 0.0)),
+    acceleration=((0.0, 0.0), (0.25, -0.125), (0.0, 0.0)),
+)
+_PROBLEM = Problem(
+    code="tolerance_violated",
+    message="elbow is 0.31 rad off its path, more than 0.2 rad; clear the way, then reset",
+    field="path_tolerance",
+    joint="elbow",
+)
+_TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shorten=0.004, timing=0.008, verify=0.016, total=0.032)
+_CUBOID = m.Cuboid(
+    kind="cuboid", name="table", position=(0.5, 0.0, -0.1), orientation=(0.0, 0.0, 0.6, 0.8), size=(1.0, 2.0, 0.2)
+)
+_SPHERE = m.Sphere(kind="sphere", name="ball.1", position=(0.1, 0.2, 0.3), radius=0.05)
+_CAPSULE = m.Capsule(
+    kind="capsule", name="pipe", position=(0.1, 0.2, 0.3), orientation=(0.6, 0.0, 0.0, 0.8), radius=0.02, length=0.5
+)
+_CYLINDER = m.Cylinder(
+    kind="cylinder", name="can", position=(0.3, 0.2, 0.1), orientation=(0.0, 0.0, 0.0, 1.0), radius=0.03, length=0.12
+)
+_OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER)
+_ADD = m.AddObjects(op="add", objects=_OBJECTS, replace=True)
+_REMOVE = m.RemoveObjects(op="remove", names=("table", "ball.1"))
+_CLEAR = m.ClearScene(op="clear")
+_LOAD = m.LoadScene(op="load", objects=(_SPHERE,))
+_POSE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
+_JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
+_EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
+_CHECKED = m.CheckResult(in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"))
+
+EXAMPLES: tuple[Message, ...] = (
+    _PROBLEM,
+    # motion
+    _POSE,
+    m.JointState(stamp=1.75e9, joint_names=("shoulder", "elbow"), position=(0.1, -0.2), velocity=(0.0, 0.05)),
+    _TRAJECTORY,
+    # planner
+    _POSE_GOAL,
+    _JOINT_GOAL,
+    m.PlanRequest(
+        goal=_POSE_GOAL,
+        start=(0.0, 0.0),
+        request_id="request-1",
+        timeout=2.5,
+        velocity_scale=0.5,
+        acceleration_scale=0.25,
+        seed=7,
+    ),
+    m.PlanRequest(goal=_JOINT_GOAL),
+    _TIMINGS,
+    m.Plan(
+        plan_id="plan-1",
+        robot="arm_2",
+        robot_hash="0123456789abcdef",
+        scene_revision=3,
+        trajectory=_TRAJECTORY,
+        tip=_POSE,
+        clearance=0.021,
+        path_length=0.5,
+        timings=_TIMINGS,
+    ),
+    m.CancelPlan(request_id="request-1"),
+    m.CancelledPlan(was_running=True),
+    m.IkRequest(poses=(_POSE, _POSE), near=(0.0, 0.0), max_solutions=4, collision_free=False, seed=9),
+    m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
+    m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4))),
+    m.FkPoses(poses=(_POSE,)),
+    m.CheckRequest(joints=((0.1, 0.2),)),
+    _CHECKED,
+    m.CheckResults(results=(_CHECKED,)),
+    m.PlannerSettings(timeout=3.0, velocity_scale=0.5, acceleration_scale=0.25, margin=0.01),
+    m.SettingsChange(timeout=3.0, velocity_scale=0.5, acceleration_scale=0.25, margin=0.01),
+    # scene
+    *_OBJECTS,
+    m.Scene(revision=12, objects=_OBJECTS),
+    _ADD,
+    _REMOVE,
+    _CLEAR,
+    _LOAD,
+    m.SceneEdit(edit=_ADD),
+    m.SceneEdit(edit=_REMOVE),
+    m.SceneEdit(edit=_CLEAR),
+    m.SceneEdit(edit=_LOAD),
+    m.SceneEdited(revision=13, count=4),
+    # executor
+    m.ExecuteRequest(plan_id="plan-1"),
+    m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=3),
+    m.Accepted(goal_id="goal-1"),
+    m.GoalState(
+        goal_id="goal-1",
+        plan_id="plan-1",
+        status="aborted",
+        progress=0.5,
+        elapsed=0.6,
+        duration=1.25,
+        joint_command=(0.1, -0.2),
+        problem=_PROBLEM,
+    ),
+    m.CancelRequest(goal_id="goal-1"),
+    m.ExecutorState(mode="fault", strategy="emulator", goal_id="goal-1", problem=_PROBLEM, missed_ticks=2),
+    _EMULATOR,
+    m.Strategies(active="emulator", strategies=(_EMULATOR,)),
+    m.StrategyRequest(strategy="joint_speed"),
+    # every service
+    m.Nothing(),
+    m.Health(
+        service="planner",
+        robot="arm_2",
+        instance="0a1b2c3d",
+        ready=False,
+        activity="compiling kernels",
+        version="0.1.0",
+        contract="v1",
+        robot_hash="0123456789abcdef",
+        uptime=1.5,
+        pid=4242,
+    ),
+)
+
+
+def golden_text(examples: tuple[Message, ...]) -> str:
+    """What a golden file holds: the payloads of one class's examples, laid out to be read in a diff."""
+    return json.dumps([json.loads(encode(example)) for example in examples], indent=2) + "\n"
+
+
+def by_class() -> dict[type[Message], tuple[Message, ...]]:
+    """The examples, class by class."""
+    ordered = sorted(EXAMPLES, key=lambda example: type(example).__name__)
+    return {cls: tuple(group) for cls, group in groupby(ordered, key=type)}
+
+
+if __name__ == "__main__":
+    for file in GOLDEN.glob("*.json"):
+        file.unlink()
+    for cls, examples in by_class().items():
+        (GOLDEN / f"{cls.__name__}.json").write_text(golden_text(examples))

@@ -1,0 +1,57 @@
+"""Logs: one line per event, the service first, whatever the event."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+LINE = re.compile(r"planner   \| \d\d:\d\d:\d\d level=[A-Z]+ \S.*")
+
+
+def logged(program: str, **environment: str) -> list[str]:
+    """What a process writes to standard error that logs as the planner does."""
+    prelude = "import logging; from zarm_contract.logs import setup_logging; setup_logging('planner'); log = logging.getLogger('x')\n"
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("ZARM_")}
+    done = subprocess.run(
+        [sys.executable, "-c", prelude + program], env=clean | environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == ""
+    return done.stderr.splitlines()
+
+
+def test_an_event_is_one_line_with_service_time_level_and_values() -> None:
+    (line,) = logged("log.info('planned goal_id=%s seconds=%.2f', 'g1', 0.25)")
+    assert LINE.fullmatch(line)
+    assert line.endswith(" level=INFO planned goal_id=g1 seconds=0.25")
+
+
+def test_every_line_of_a_trace_carries_the_service() -> None:
+    lines = logged("try:\n  1 / 0\nexcept ZeroDivisionError:\n  log.exception('failed key=%s', 'k')")
+    assert LINE.fullmatch(lines[0])
+    assert len(lines) > 2
+    assert all(line.startswith("planner   | ") for line in lines)
+    assert "ZeroDivisionError" in lines[-1]
+
+
+def test_the_level_comes_from_the_environment() -> None:
+    program = "log.debug('a'); log.info('b'); log.error('c')"
+    assert [line[-1] for line in logged(program)] == ["b", "c"]
+    assert [line[-1] for line in logged(program, ZARM_LOG="error")] == ["c"]
+    assert [line[-1] for line in logged(program, ZARM_LOG="DEBUG")] == ["a", "b", "c"]
+
+
+def test_an_unknown_level_is_said_and_info_is_used() -> None:
+    warning, line = logged("log.debug('a'); log.info('b')", ZARM_LOG="loud")
+    assert "level=WARNING" in warning
+    assert "ZARM_LOG=LOUD" in warning
+    assert line.endswith("level=INFO b")
+
+
+def test_colour_is_there_only_on_request() -> None:
+    (plain,) = logged("log.info('b')")
+    (coloured,) = logged("log.info('b')", ZARM_COLOUR="1")
+    assert "\x1b" not in plain
+    assert re.sub(r"\x1b\[\d+m", "", coloured)[:12] == plain[:12]
+    assert coloured.startswith("\x1b[36m")

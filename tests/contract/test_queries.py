@@ -1,0 +1,246 @@
+"""Requests over a real router: an answer, a typed problem, or `unavailable`; never silence, never a false success."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import get_args
+
+import pytest
+import zenoh
+from contract.examples import by_class
+from contract.wire import declared
+from harness import PATIENCE, eventually
+
+from zarm_contract import messages as m
+from zarm_contract._model import Message
+from zarm_contract.bus import Bus
+from zarm_contract.codec import MAX_BYTES, encode
+from zarm_contract.errors import (
+    Busy,
+    Code,
+    InternalError,
+    InvalidRequest,
+    Problem,
+    Unavailable,
+    from_problem,
+)
+from zarm_contract.keys import Keys
+
+KEYS = Keys("arm")
+REQUEST = m.FkRequest(joints=((0.1, 0.2),))
+(ANSWER,) = by_class()[m.FkPoses]
+
+
+def serve(bus: Bus, handler: Callable[[m.FkRequest], Message], *, workers: int = 2, backlog: int = 16) -> None:
+    bus.serve(KEYS.fk, m.FkRequest, handler, workers=workers, backlog=backlog)
+    declared(bus)
+
+
+def call(bus: Bus, timeout: float = PATIENCE) -> m.FkPoses:
+    return bus.call(KEYS.fk, REQUEST, m.FkPoses, timeout=timeout)
+
+
+# -- answers --
+
+
+def test_a_request_reaches_its_handler_and_the_answer_comes_back(bus: Bus, other: Bus) -> None:
+    seen: list[m.FkRequest] = []
+
+    def handler(request: m.FkRequest) -> m.FkPoses:
+        seen.append(request)
+        return ANSWER
+
+    serve(bus, handler)
+    assert call(other) == ANSWER
+    assert seen == [REQUEST]
+
+
+@pytest.mark.parametrize("code", get_args(Code))
+def test_a_problem_crosses_the_bus_as_its_exception(bus: Bus, other: Bus, code: Code) -> None:
+    problem = Problem(code=code, message="Something is wrong; do this.", field="joints.0", joint="elbow")
+
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        raise from_problem(problem)
+
+    serve(bus, handler)
+    with pytest.raises(type(from_problem(problem))) as refusal:
+        call(other)
+    assert refusal.value.problem == problem
+
+
+def test_an_exception_of_a_handler_becomes_internal_and_is_logged_with_its_trace(
+    bus: Bus, other: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        raise ZeroDivisionError("a fault of the handler")
+
+    serve(bus, handler)
+    with pytest.raises(InternalError, match="its log holds the trace"):
+        call(other)
+    (record,) = caplog.records
+    assert KEYS.fk in record.getMessage()
+    assert record.exc_info is not None
+    assert isinstance(record.exc_info[1], ZeroDivisionError)
+
+
+def test_a_handler_that_failed_serves_the_next_request(bus: Bus, other: Bus) -> None:
+    answers = iter([None, ANSWER])  # None is no message: a fault of the handler that shows as it is sent
+    serve(bus, lambda _: next(answers))
+    with pytest.raises(InternalError):
+        call(other)
+    assert call(other) == ANSWER
+
+
+def test_an_answer_that_cannot_be_read_is_a_fault_of_zarm(bus: Bus, other: Bus) -> None:
+    serve(bus, lambda _: m.Accepted(goal_id="goal-1"))
+    with pytest.raises(InternalError, match="same version"):
+        call(other)
+
+
+# -- refusals --
+
+
+def test_a_request_that_cannot_be_read_is_refused_with_its_field(bus: Bus, other: Bus) -> None:
+    serve(bus, lambda _: ANSWER)
+    with pytest.raises(InvalidRequest) as refusal:
+        other.call(KEYS.fk, m.CancelPlan(request_id="request-1"), m.FkPoses, timeout=PATIENCE)
+    assert refusal.value.problem.field == "joints"
+
+
+def test_a_request_over_the_limit_is_refused(bus: Bus, other: Bus) -> None:
+    bus.serve(KEYS.scene_edit, m.RemoveObjects, lambda _: m.SceneEdited(revision=1, count=0))
+    declared(bus)
+    names = ("n" * 64,) * (MAX_BYTES // 64)
+    with pytest.raises(InvalidRequest) as refusal:
+        other.call(KEYS.scene_edit, m.RemoveObjects(op="remove", names=names), m.SceneEdited, timeout=PATIENCE)
+    assert refusal.value.problem.field == "payload"
+
+
+def test_with_all_workers_taken_and_the_backlog_full_the_next_request_is_busy(bus: Bus, other: Bus) -> None:
+    entered, release = threading.Semaphore(0), threading.Event()
+
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        entered.release()
+        release.wait(PATIENCE)
+        return ANSWER
+
+    serve(bus, handler, workers=2, backlog=0)
+    with ThreadPoolExecutor(2) as callers:
+        taken: list[Future[m.FkPoses]] = [callers.submit(call, other) for _ in range(2)]
+        assert entered.acquire(timeout=PATIENCE)
+        assert entered.acquire(timeout=PATIENCE)
+        with pytest.raises(Busy, match="try again"):
+            call(other)
+        release.set()
+        assert [future.result(PATIENCE) for future in taken] == [ANSWER, ANSWER]
+    assert eventually(lambda: _answered(other), "there is room again") == ANSWER
+
+
+def _answered(bus: Bus) -> m.FkPoses | None:
+    try:
+        return call(bus)
+    except (Busy, Unavailable):
+        return None
+
+
+def test_where_nobody_serves_the_answer_is_unavailable(other: Bus) -> None:
+    with pytest.raises(Unavailable, match="nobody answered"):
+        call(other)
+
+
+def test_a_service_that_takes_too_long_is_unavailable(bus: Bus, other: Bus) -> None:
+    release = threading.Event()
+
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        release.wait(PATIENCE)
+        return ANSWER
+
+    serve(bus, handler)
+    with pytest.raises(Unavailable, match="nobody answered"):
+        call(other, timeout=0.05)
+    release.set()
+
+
+# -- any Zenoh client --
+
+
+def reply_to(session: zenoh.Session, selector: str, payload: bytes | None = None) -> list[bytes]:
+    """The payloads of all replies, errors as well, to a plain Zenoh query."""
+    return [
+        (reply.ok or reply.err).payload.to_bytes() for reply in session.get(selector, payload=payload, timeout=PATIENCE)
+    ]
+
+
+def test_a_request_without_an_encoding_is_served(bus: Bus, plain: zenoh.Session) -> None:
+    serve(bus, lambda _: ANSWER)
+    assert reply_to(plain, KEYS.fk, b'{"joints": [[0.1, 0.2]]}') == [encode(ANSWER)]
+
+
+def test_a_query_without_a_payload_is_an_empty_request(bus: Bus, plain: zenoh.Session) -> None:
+    bus.serve(KEYS.check, m.CheckRequest, lambda request: m.CancelledPlan(was_running=request == m.CheckRequest()))
+    declared(bus)
+    assert reply_to(plain, KEYS.check) == [encode(m.CancelledPlan(was_running=True))]
+
+
+def test_a_refusal_is_a_problem_for_any_client(bus: Bus, plain: zenoh.Session) -> None:
+    serve(bus, lambda _: ANSWER)
+    (payload,) = reply_to(plain, KEYS.fk, b'{"joints": [[0.1, NaN]]}')
+    problem = Problem.model_validate_json(payload)
+    assert (problem.code, problem.field) == ("invalid_request", "joints.0.1")
+
+
+def test_an_answer_says_what_it_is(bus: Bus, plain: zenoh.Session) -> None:
+    serve(bus, lambda _: ANSWER)
+    (reply,) = plain.get(KEYS.fk, payload=encode(REQUEST), timeout=PATIENCE)
+    assert reply.ok is not None
+    assert str(reply.ok.encoding) == "application/json;zarm.FkPoses.v1"
+
+
+def test_looking_around_sets_off_no_command(bus: Bus, plain: zenoh.Session) -> None:
+    """`zarm/**` matches `executor/execute`, whose empty request moves the robot along the last plan."""
+    moved: list[m.ExecuteRequest] = []
+
+    def execute(request: m.ExecuteRequest) -> m.Accepted:
+        moved.append(request)
+        return m.Accepted(goal_id="goal-1")
+
+    bus.serve(KEYS.execute, m.ExecuteRequest, execute)
+    declared(bus)
+    for selector in ("zarm/**", "zarm/*/executor/*", "**"):
+        assert reply_to(plain, selector) == []
+        assert reply_to(plain, selector, b"{}") == []
+    assert moved == []
+
+
+def test_looking_around_reads_what_is_readable_and_changes_nothing(bus: Bus, plain: zenoh.Session) -> None:
+    settings = m.PlannerSettings()
+    changes: list[m.SettingsChange] = []
+
+    def handler(change: m.SettingsChange) -> m.PlannerSettings:
+        changes.append(change)
+        return settings
+
+    bus.serve(KEYS.settings, m.SettingsChange, handler, readable=True)
+    declared(bus)
+    assert reply_to(plain, "zarm/**") == [encode(settings)]
+    assert reply_to(plain, "zarm/**", b'{"margin": 0.1}') == []
+    assert changes == [m.SettingsChange()]
+
+
+def test_the_zenoh_command_line_client_can_call_a_service(bus: Bus, endpoint: str) -> None:
+    serve(bus, lambda _: ANSWER)
+    zenoh_cli = Path(sys.executable).with_name("zenoh")
+    command = [zenoh_cli, "--mode", "client", "--connect", endpoint, "get", "--decoder", "text"]
+    done = subprocess.run(
+        [*command, "-s", KEYS.fk, "-v", '{"joints": [[0.1, 0.2]]}'],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=PATIENCE,
+    )
+    assert done.stdout.strip().encode() == encode(ANSWER)

@@ -1,0 +1,123 @@
+"""A client of the executor for tests: sends what a user sends, and keeps everything that it is told."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from harness import eventually
+from motions import KEYS, ROBOT
+
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
+from zarm_contract.messages import (
+    Accepted,
+    CancelRequest,
+    ExecuteRequest,
+    ExecutorState,
+    GoalState,
+    JointState,
+    Nothing,
+    Strategies,
+    StrategyRequest,
+    Trajectory,
+)
+from zarm_executor.follower import CATCH_UP
+from zarm_executor.path import Path
+
+ACCELERATION = np.array(ROBOT.descriptor.cspace.acceleration)
+
+
+class Client:
+    """Answers come back or raise; `goals`, `states` and `measured` hold what was published since it was made."""
+
+    def __init__(self, bus: Bus, keys: Keys = KEYS) -> None:
+        self.bus = bus
+        self.keys = keys
+        self.goals: list[GoalState] = []
+        self.states: list[ExecutorState] = []
+        self.measured: list[JointState] = []
+        bus.subscribe(keys.goal("*"), GoalState, lambda _, goal: self.goals.append(goal))
+        bus.subscribe(keys.executor_state, ExecutorState, lambda _, state: self.states.append(state))
+        bus.subscribe(keys.joint_states, JointState, lambda _, joints: self.measured.append(joints))
+
+    def execute(
+        self, trajectory: Trajectory | None = None, *, plan_id: str | None = None, scene_revision: int | None = None
+    ) -> str:
+        request = ExecuteRequest(trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision)
+        return self.bus.call(self.keys.execute, request, Accepted, timeout=10).goal_id
+
+    def cancel(self, goal_id: str | None = None) -> ExecutorState:
+        return self.bus.call(self.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=10)
+
+    def command(self, key: str) -> ExecutorState:
+        return self.bus.call(key, Nothing(), ExecutorState, timeout=10)
+
+    def strategy(self, name: str | None = None) -> Strategies:
+        return self.bus.call(self.keys.strategy, StrategyRequest(strategy=name), Strategies, timeout=20)
+
+    def state(self) -> ExecutorState:
+        """The executor's state as whoever comes late reads it."""
+        return self.bus.call(self.keys.executor_state, Nothing(), ExecutorState, timeout=10)
+
+    def goal(self, goal_id: str) -> GoalState:
+        """A goal's state as whoever comes late reads it."""
+        return self.bus.call(self.keys.goal(goal_id), Nothing(), GoalState, timeout=10)
+
+    def ended(self, goal_id: str) -> GoalState:
+        """Wait for the goal's end."""
+
+        def last() -> GoalState | None:
+            state = self.goal(goal_id)
+            return state if state.done else None
+
+        return eventually(last, f"{goal_id} has ended")
+
+    def under_way(self, goal_id: str, progress: float = 0.3) -> None:
+        """Wait until a goal is in the middle of its motion."""
+        eventually(lambda: self.goal(goal_id).progress > progress, f"{goal_id} is in motion")
+
+    def mode(self, mode: str) -> ExecutorState:
+        """Wait until the executor is in this mode."""
+
+        def reached() -> ExecutorState | None:
+            state = self.state()
+            return state if state.mode == mode else None
+
+        return eventually(reached, f"the executor is in the mode {mode}")
+
+    def position(self) -> np.ndarray:
+        """The next measured position."""
+        seen = len(self.measured)
+        eventually(lambda: len(self.measured) > seen, "the joints are measured")
+        return np.array(self.measured[-1].position)
+
+    def statuses(self, goal_id: str) -> list[str]:
+        """The statuses that a goal went through, in order."""
+        return [
+            status for status, _ in itertools.groupby(goal.status for goal in self.goals if goal.goal_id == goal_id)
+        ]
+
+    def stands(self, samples: int = 20) -> bool:
+        """Whether the next measured states are all the same and at rest."""
+        seen = len(self.measured)
+        eventually(lambda: len(self.measured) >= seen + samples, "the joints are measured")
+        states = self.measured[seen:]
+        return len({state.position for state in states}) == 1 and not any(any(state.velocity) for state in states)
+
+    def greatest_acceleration(self) -> float:
+        """Of all measured so far, as a share of the limit; gaps in which the robot was not commanded are passed over."""
+        return max(
+            float(
+                np.max(
+                    np.abs(np.subtract(after.velocity, before.velocity)) / (after.stamp - before.stamp) / ACCELERATION
+                )
+            )
+            for before, after in itertools.pairwise(self.measured)
+            if after.stamp - before.stamp <= CATCH_UP
+        )
+
+
+def distance_from(path: Path, position: np.ndarray) -> float:
+    """How far (rad, the worst joint) a position is from a path."""
+    return min(float(np.max(np.abs(path.at(time)[0] - position))) for time in np.linspace(0.0, path.duration, 5000))

@@ -1,0 +1,108 @@
+"""Real routers and real service processes for tests, on free loopback ports."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self, TypeVar
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Unavailable
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Health, Nothing
+from zarm_contract.session import open_router
+
+T = TypeVar("T")
+
+PATIENCE = 60.0
+"""Seconds until a test gives up waiting for an event; no promise about speed."""
+
+
+def free_endpoint() -> str:
+    """A loopback endpoint whose port was free a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@contextmanager
+def router() -> Iterator[str]:
+    """A router in this process; yields its endpoint."""
+    endpoint = free_endpoint()
+    session = open_router(endpoint)
+    try:
+        yield endpoint
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+
+
+def eventually(probe: Callable[[], T], what: str, patience: float = PATIENCE) -> T:
+    """The first truthy value of `probe()`; fails the test when there is none in time."""
+    deadline = time.monotonic() + patience
+    while not (value := probe()):
+        if time.monotonic() > deadline:
+            raise AssertionError(f"waited {patience:g} s in vain until {what}")
+        time.sleep(0.01)
+    return value
+
+
+@dataclass
+class ServiceProcess:
+    """One service of zarm as a process of its own; use it in `with`. Leaving stops it with SIGTERM and waits."""
+
+    service: str
+    endpoint: str
+    state: Path
+    robot: str = "doosan_m1013"
+    name: str | None = None
+    arguments: tuple[str, ...] = ()
+
+    def __enter__(self) -> Self:
+        command = [sys.executable, "-m", f"zarm_{self.service}.service", "--robot", self.robot, "--connect", self.endpoint]
+        command += ["--state", str(self.state), *(["--name", self.name] if self.name else []), *self.arguments]
+        self.log = self.state / f"{self.service}-{time.monotonic_ns()}.log"
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+        try:
+            self.process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            raise AssertionError(f"{self.service} did not end on SIGTERM; its log:\n{self.output()}") from None
+
+    def output(self) -> str:
+        """What the process has logged so far."""
+        return self.log.read_text(errors="replace")
+
+    def kill(self) -> None:
+        """End it as a crash does."""
+        os.kill(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def wait_ready(self, bus: Bus, keys: Keys) -> Health:
+        """Wait until this very process says that it is ready."""
+
+        def ready() -> Health | None:
+            if self.process.poll() is not None:
+                raise AssertionError(f"{self.service} ended with {self.process.returncode}; its log:\n{self.output()}")
+            try:
+                health = bus.call(keys.health(self.service), Nothing(), Health, timeout=5)
+            except Unavailable:
+                return None
+            return health if health.ready and health.pid == self.process.pid else None
+
+        return eventually(ready, f"{self.service} is ready")

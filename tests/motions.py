@@ -1,0 +1,70 @@
+"""Trajectories for tests of the executor: no planner needed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Plan, PlanTimings, Pose, Trajectory
+from zarm_contract.robot import Robot, load_robot
+
+ROBOT = load_robot("doosan_m1013")
+"""The robot that tests move."""
+KEYS = Keys(ROBOT.descriptor.name)
+HOME = np.array(ROBOT.descriptor.home)
+
+
+def rest_to_rest(
+    goal: np.ndarray, start: np.ndarray = HOME, *, robot: Robot = ROBOT, slower: float = 1.0, dt: float = 0.01
+) -> Trajectory:
+    """From rest to rest on a straight line in joint space, as fast as the limits allow, or `slower` times as long.
+
+    The minimum-jerk polynomial 10u^3 - 15u^4 + 6u^5 over the time T peaks at 15/8 d/T and 10/sqrt(3) d/T^2.
+    """
+    distance = goal - start
+    limits = robot.descriptor.cspace
+    duration = slower * max(
+        float(np.max(np.abs(distance) * 15 / 8 / limits.velocity)),
+        float(np.max(np.sqrt(np.abs(distance) * 10 / math.sqrt(3) / limits.acceleration))),
+        0.1,
+    )
+    time = np.linspace(0.0, duration, max(2, math.ceil(duration / dt) + 1))
+    u = time[:, None] / duration
+    return Trajectory(
+        joint_names=robot.descriptor.joints,
+        time=tuple(time.tolist()),
+        position=rows(start + distance * (10 * u**3 - 15 * u**4 + 6 * u**5)),
+        velocity=rows(distance * (30 * u**2 - 60 * u**3 + 30 * u**4) / duration),
+        acceleration=rows(distance * (60 * u - 180 * u**2 + 120 * u**3) / duration**2),
+    )
+
+
+def rows(array: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """A (N, J) array as a message holds it."""
+    return tuple(tuple(row) for row in array.tolist())
+
+
+def moved(*distances: float, start: np.ndarray = HOME) -> np.ndarray:
+    """`start` with the first joints moved by these distances (rad)."""
+    goal = start.copy()
+    goal[: len(distances)] += distances
+    return goal
+
+
+def plan(
+    plan_id: str, trajectory: Trajectory, *, revision: int = 0, robot: Robot = ROBOT, robot_hash: str = ""
+) -> Plan:
+    """A Plan as the planner publishes it."""
+    return Plan(
+        plan_id=plan_id,
+        robot=robot.descriptor.name,
+        robot_hash=robot_hash or robot.hash,
+        scene_revision=revision,
+        trajectory=trajectory,
+        tip=Pose(position=(0.0, 0.0, 0.0)),
+        clearance=1.0,
+        path_length=1.0,
+        timings=PlanTimings(ik=0.0, search=0.0, shorten=0.0, timing=0.0, verify=0.0, total=0.0),
+    )

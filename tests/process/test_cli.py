@@ -1,0 +1,439 @@
+"""Every command of `zarm`, run as a person runs it: what it does, what it prints, how it fails."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pty
+import signal
+import socket
+import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from harness import PATIENCE, eventually, free_endpoint
+from launched import HOME, KEYS, ROBOT, ZARM, Command, Up, environment, the_one_line, zarm
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import ClearScene, ExecutorState, GoalState, JointState, Nothing, SceneEdit, SceneEdited
+
+DOWN = "0,1,0,0"
+"""The orientation (x, y, z, w) of a tool that points down."""
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
+        yield stack
+
+
+@pytest.fixture(scope="module")
+def observer(up: Up) -> Iterator[Bus]:
+    with Bus(up.endpoint) as session:
+        yield session
+
+
+@pytest.fixture
+def empty_scene(observer: Bus) -> None:
+    observer.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), SceneEdited, timeout=5)
+
+
+def done(up: Up, *arguments: str) -> str:
+    """Standard output of a command that must succeed."""
+    result = zarm(*arguments, ZARM_CONNECT=up.endpoint)
+    assert result.returncode == 0, f"{arguments}: {result.stderr}"
+    return result.stdout
+
+
+def data(up: Up, *arguments: str) -> Any:
+    """What a command prints with --json."""
+    return json.loads(the_one_line(done(up, *arguments, "--json")))
+
+
+def refused(up: Up, *arguments: str, code: int = 1) -> str:
+    """The one line of a command that must fail with this exit code."""
+    result = zarm(*arguments, ZARM_CONNECT=up.endpoint)
+    assert result.returncode == code, f"{arguments}: {result.stdout}{result.stderr}"
+    return the_one_line(result.stderr)
+
+
+def vector(values: tuple[float, ...]) -> str:
+    return ",".join(f"{value:.6f}" for value in values)
+
+
+def near_home(first: float) -> str:
+    """Home with the first joint (rad) elsewhere."""
+    return vector((first, *HOME[1:]))
+
+
+# -- planning and moving --
+
+
+def test_plan_finds_a_motion_to_a_pose_with_negative_numbers(up: Up, empty_scene: None) -> None:
+    plan = data(up, "plan", "--to", f"-0.4,-0.4,0.5,{DOWN}", "--seed", "3")
+    assert plan["tip"]["position"] == pytest.approx([-0.4, -0.4, 0.5], abs=1e-3)
+    assert "clearance" in done(up, "plan", "--to", f"-0.4,-0.4,0.5,{DOWN}", "--seed", "3")
+
+
+def test_a_position_alone_keeps_the_orientation_of_the_tool(up: Up, empty_scene: None) -> None:
+    before = data(up, "fk")["poses"][0]["orientation"]
+    plan = data(up, "plan", "--to", "0.5,0.2,0.5")
+    cosine = abs(sum(a * b for a, b in zip(plan["tip"]["orientation"], before, strict=True)))
+    assert cosine == pytest.approx(1.0, abs=1e-4)
+
+
+def test_plan_takes_start_timeout_and_velocity_scale(up: Up, empty_scene: None) -> None:
+    arguments = ("plan", "--start", vector(HOME), "--joints", near_home(-0.4), "--timeout", "3")
+    fast, slow = data(up, *arguments), data(up, *arguments, "--velocity-scale", "0.2")
+    assert fast["trajectory"]["position"][0] == pytest.approx(HOME, abs=1e-5)
+    assert slow["trajectory"]["time"][-1] > fast["trajectory"]["time"][-1]
+
+
+def test_a_pose_out_of_reach_is_said_in_one_line(up: Up) -> None:
+    assert "unreachable" in refused(up, "plan", "--to", f"5,0,0.5,{DOWN}")
+
+
+def test_a_wrong_number_of_joints_is_refused_by_name(up: Up) -> None:
+    assert "invalid_request" in refused(up, "plan", "--joints", "0,0")
+
+
+def test_execute_moves_along_the_last_plan(up: Up, observer: Bus, empty_scene: None) -> None:
+    done(up, "plan", "--joints", near_home(0.2))
+    assert "succeeded" in done(up, "execute")
+    assert measured(observer)[0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_execute_plans_and_moves_in_one_go(up: Up, observer: Bus, empty_scene: None) -> None:
+    last = data(up, "execute", "--joints", near_home(-0.1), "--velocity-scale", "0.9")
+    assert last["status"] == "succeeded"
+    assert measured(observer)[0] == pytest.approx(-0.1, abs=0.01)
+    tip = data(up, "fk")["poses"][0]["position"]
+    goal = vector((tip[0], tip[1], tip[2] + 0.05))
+    assert data(up, "execute", "--to", goal)["status"] == "succeeded"
+    assert data(up, "fk")["poses"][0]["position"][2] == pytest.approx(tip[2] + 0.05, abs=0.002)
+
+
+def test_a_saved_plan_can_be_executed_later(up: Up, observer: Bus, empty_scene: None, tmp_path: Path) -> None:
+    done(up, "execute", "--joints", near_home(0.0))
+    file = tmp_path / "plan.json"
+    plan = data(up, "plan", "--joints", near_home(0.15), "--save", str(file))
+    assert json.loads(file.read_text())["plan_id"] == plan["plan_id"]
+    done(up, "plan", "--joints", near_home(-0.3))
+    done(up, "execute", "--plan", str(file))
+    assert measured(observer)[0] == pytest.approx(0.15, abs=0.01)
+
+
+def test_a_published_plan_can_be_executed_by_its_id(up: Up, observer: Bus, empty_scene: None) -> None:
+    done(up, "execute", "--joints", near_home(0.0))
+    first = data(up, "plan", "--joints", near_home(0.1))
+    done(up, "plan", "--joints", near_home(-0.3))
+    done(up, "execute", "--plan-id", first["plan_id"])
+    assert measured(observer)[0] == pytest.approx(0.1, abs=0.01)
+    assert "nosuchplan" in refused(up, "execute", "--plan-id", "nosuchplan")
+
+
+def test_a_plan_older_than_its_scene_does_not_move_the_robot(up: Up, empty_scene: None) -> None:
+    done(up, "plan", "--joints", near_home(0.4))
+    done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.05")
+    assert "stale_plan" in refused(up, "execute")
+
+
+def test_a_file_that_holds_no_plan_is_named(up: Up, tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    assert str(file) in refused(up, "execute", "--plan", str(file))
+    file.write_text("{}")
+    assert str(file) in refused(up, "execute", "--plan", str(file))
+
+
+def test_ctrl_c_during_execute_cancels_and_waits_until_the_robot_stands(
+    up: Up, observer: Bus, empty_scene: None, tmp_path: Path
+) -> None:
+    done(up, "execute", "--joints", near_home(0.0))
+    goals: list[GoalState] = []
+    observer.subscribe(KEYS.goal("*"), GoalState, lambda _, goal: goals.append(goal))
+    arguments = ("execute", "--joints", near_home(1.2), "--connect", up.endpoint)
+    with Command(*arguments, folder=tmp_path) as execute:
+        eventually(lambda: goals and goals[-1].progress > 0.2, "the robot is on its way")
+        execute.interrupt()
+        execute.interrupt()  # a second one changes nothing
+        assert execute.end() == 130
+        assert "the robot stands still" in the_one_line(execute.errors())
+    assert observer.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=5).mode == "idle"
+    assert 0.0 < measured(observer)[0] < 1.15
+    eventually(lambda: goals[-1].status == "cancelled", "the goal is reported as cancelled")
+
+
+def measured(bus: Bus) -> tuple[float, ...]:
+    """The next measured joints (rad)."""
+    state = bus.latest(KEYS.joint_states, JointState).wait(5)
+    assert state is not None
+    return state.position
+
+
+# -- the executor --
+
+
+def test_stop_cancel_pause_resume_and_reset_answer_with_the_state(up: Up) -> None:
+    for order in ("stop", "cancel", "pause", "resume", "reset"):
+        assert data(up, order)["mode"] == "idle"
+        assert done(up, order).startswith("idle")
+
+
+def test_pause_holds_a_motion_and_resume_ends_it(up: Up, observer: Bus, empty_scene: None, tmp_path: Path) -> None:
+    done(up, "execute", "--joints", near_home(0.0))
+    arguments = ("execute", "--joints", near_home(0.5), "--connect", up.endpoint)
+    with Command(*arguments, folder=tmp_path) as execute:
+        eventually(lambda: data(up, "status")["executor"]["mode"] == "running", "the robot moves")
+        done(up, "pause")
+        eventually(lambda: data(up, "status")["executor"]["mode"] == "paused", "the robot is held")
+        done(up, "resume")
+        assert execute.end() == 0
+    assert measured(observer)[0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_cancel_from_elsewhere_fails_the_command_that_executes(up: Up, empty_scene: None, tmp_path: Path) -> None:
+    done(up, "execute", "--joints", near_home(0.0))
+    with Command("execute", "--joints", near_home(1.2), "--connect", up.endpoint, folder=tmp_path) as execute:
+        eventually(lambda: data(up, "status")["executor"]["mode"] == "running", "the robot moves")
+        done(up, "cancel")
+        assert execute.end() == 1
+        assert the_one_line(execute.errors()).startswith("zarm: cancelled: ")
+
+
+def test_strategy_shows_and_switches(up: Up) -> None:
+    known = data(up, "strategy")
+    assert known["active"] == "emulator"
+    assert data(up, "strategy", "emulator")["active"] == "emulator"
+    assert "* emulator" in done(up, "strategy")
+    assert "telepathy" in refused(up, "strategy", "telepathy")
+
+
+# -- the scene --
+
+
+def test_every_kind_of_object_can_be_added_listed_and_removed(up: Up, empty_scene: None) -> None:
+    done(up, "scene", "add", "cuboid", "table", "--at", "0.9,-0.1,-0.3", "--size", "1,1,0.02")
+    done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1")
+    done(up, "scene", "add", "capsule", "pill", "--at", "0,1,0.2,0,1,0,0", "--radius", "0.1", "--length", "0.2")
+    added = data(up, "scene", "add", "cylinder", "post", "--at", "-1,0,0.2", "--radius", "0.1", "--length", "0.2")
+    assert added["count"] == 4
+    listed = data(up, "scene", "list")
+    assert {one["name"]: one["kind"] for one in listed["objects"]} == {
+        "table": "cuboid",
+        "ball": "sphere",
+        "pill": "capsule",
+        "post": "cylinder",
+    }
+    assert listed["revision"] == added["revision"]
+    assert "table" in done(up, "scene", "list")
+    done(up, "scene", "remove", "ball", "pill")
+    assert {one["name"] for one in data(up, "scene", "list")["objects"]} == {"table", "post"}
+    assert data(up, "scene", "clear")["count"] == 0
+    assert "empty" in done(up, "scene", "list")
+
+
+def test_a_name_that_exists_is_taken_only_with_replace(up: Up, empty_scene: None) -> None:
+    ball = ("scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius")
+    done(up, *ball, "0.1")
+    assert "ball" in refused(up, *ball, "0.2")
+    done(up, *ball, "0.3", "--replace")
+    assert data(up, "scene", "list")["objects"][0]["radius"] == 0.3
+
+
+def test_a_saved_scene_loads_as_it_was(up: Up, empty_scene: None, tmp_path: Path) -> None:
+    done(up, "scene", "add", "cuboid", "table", "--at", "0.9,-0.1,-0.3", "--size", "1,1,0.02")
+    done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1")
+    before = data(up, "scene", "list")["objects"]
+    file = tmp_path / "scene.yaml"
+    done(up, "scene", "save", str(file))
+    done(up, "scene", "clear")
+    assert data(up, "scene", "load", str(file))["count"] == 2
+    assert data(up, "scene", "list")["objects"] == before
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("objects: [a, b\n", "scene.yaml:2"),
+        ("- a\n", "objects"),
+        (yaml.safe_dump({"objects": [{"kind": "sphere", "name": "s", "position": [0, 0, 1]}]}), "objects.0.radius"),
+    ],
+)
+def test_a_scene_file_that_is_wrong_changes_nothing(
+    up: Up, empty_scene: None, tmp_path: Path, content: str, said: str
+) -> None:
+    before = data(up, "scene", "list")
+    file = tmp_path / "scene.yaml"
+    file.write_text(content)
+    line = refused(up, "scene", "load", str(file))
+    assert str(file) in line
+    assert said in line
+    assert data(up, "scene", "list") == before
+
+
+def test_an_object_without_its_dimensions_is_refused_by_field(up: Up) -> None:
+    assert "size" in refused(up, "scene", "add", "cuboid", "box", "--at", "1,0,0")
+    assert "radius" in refused(up, "scene", "add", "cuboid", "box", "--at", "1,0,0", "--size", "1,1,1", "--radius", "1")
+    assert "ghost" in refused(up, "scene", "remove", "ghost")
+
+
+# -- kinematics --
+
+
+def test_fk_and_ik_agree(up: Up, empty_scene: None) -> None:
+    tip = data(up, "fk", "--joints", vector(HOME))["poses"][0]
+    assert tip["position"] == pytest.approx([0.559, 0.0345, 0.651], abs=0.002)
+    pose = vector((*tip["position"], *tip["orientation"]))
+    solutions = data(up, "ik", "--to", pose, "--near", vector(HOME))["solutions"][0]
+    assert solutions[0] == pytest.approx(HOME, abs=1e-3)
+    assert len(done(up, "ik", "--to", pose, "--max-solutions", "2").splitlines()) <= 2
+    assert "0.559" in done(up, "fk", "--joints", vector(HOME))
+    assert "unreachable" in refused(up, "ik", "--to", f"5,0,0,{DOWN}")
+
+
+def test_check_tells_what_a_configuration_would_hit(up: Up, empty_scene: None) -> None:
+    assert data(up, "check", "--joints", vector(HOME))["results"][0]["in_collision"] is False
+    done(up, "scene", "add", "sphere", "ball", "--at", "0.559,0.034,0.651", "--radius", "0.1")
+    result = data(up, "check", "--joints", vector(HOME))["results"][0]
+    assert result["in_collision"] is True
+    assert "ball" in result["pair"]
+    assert "ball" in done(up, "check", "--joints", vector(HOME))
+
+
+# -- looking --
+
+
+def test_status_and_health_tell_what_runs(up: Up) -> None:
+    status = data(up, "status")
+    assert status["robot"] == ROBOT
+    assert all(status["services"][service]["ready"] for service in ("planner", "executor"))
+    assert status["executor"]["mode"] == "idle"
+    assert "planner" in done(up, "status")
+    assert data(up, "health", "planner")["service"] == "planner"
+    assert "ready" in done(up, "health", "executor")
+    assert "unavailable" in refused(up, "health", "nosuchservice", code=3)
+
+
+def test_watch_prints_what_the_robot_does_line_by_line(up: Up, tmp_path: Path) -> None:
+    with Command("watch", "--json", "--connect", up.endpoint, folder=tmp_path) as watch:
+        eventually(lambda: watch.output().count("\n") >= 3, "three lines are there")
+        watch.interrupt()
+        assert watch.end() == 130
+        look = json.loads(watch.output().splitlines()[2])
+    assert look["state"]["mode"] == "idle"
+    assert len(look["joints"]["position"]) == 6
+    assert math.hypot(*look["tip"]["position"]) > 0.1
+
+
+def test_watch_shows_a_picture_on_a_terminal(up: Up) -> None:
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([ZARM, "watch", "--connect", up.endpoint], env=environment(), stdout=theirs) as watch:
+        os.close(theirs)
+        shown = b""
+        while b"joint_6" not in shown:
+            shown += os.read(ours, 4096)
+        watch.send_signal(signal.SIGINT)
+        drain(ours)
+        assert watch.wait(PATIENCE) == 130
+    os.close(ours)
+    assert b"idle" in shown
+
+
+def drain(descriptor: int) -> None:
+    """Read a terminal until nobody is left who writes to it."""
+    with suppress(OSError):
+        while os.read(descriptor, 4096):
+            pass
+
+
+# -- robots --
+
+
+def test_every_robot_that_comes_with_zarm_passes_the_check() -> None:
+    robots = zarm("robot", "list").stdout.split()
+    assert ROBOT in robots
+    for robot in robots:
+        checked = zarm("robot", "check", robot)
+        assert checked.returncode == 0, checked.stderr
+        assert "home" in checked.stdout
+        assert json.loads(zarm("robot", "check", robot, "--json").stdout)["ok"] is True
+
+
+def test_a_descriptor_is_explained_fault_by_fault(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("name: Mine\nurdf: mine.urdf\nbase_link: base\ntip_link: tip\njoints: [a]\nhome: [zero]\n")
+    checked = zarm("robot", "check", str(file))
+    assert checked.returncode == 1
+    assert f"{file}:1: name" in checked.stderr
+    assert f"{file}:6: home" in checked.stderr
+    assert len(checked.stderr.splitlines()) > 2
+    faults = json.loads(zarm("robot", "check", str(file), "--json").stdout)
+    assert faults["ok"] is False
+    assert len(faults["faults"]) == len(checked.stderr.splitlines())
+
+
+# -- nothing there, and nonsense --
+
+
+def test_without_a_router_the_remedy_is_said() -> None:
+    alone = zarm("status", ZARM_CONNECT=free_endpoint())
+    assert alone.returncode == 3
+    assert "zarm up" in the_one_line(alone.stderr)
+
+
+def test_without_a_robot_on_the_bus_the_remedy_is_said(endpoint: str) -> None:
+    alone = zarm("plan", "--joints", "0", ZARM_CONNECT=endpoint)
+    assert alone.returncode == 3
+    assert "zarm up" in the_one_line(alone.stderr)
+
+
+def test_a_robot_that_is_not_there_is_unavailable(up: Up) -> None:
+    assert "unavailable" in refused(up, "stop", "--name", "nobody", code=3)
+    assert "--name" in refused(up, "stop", "--name", "No Name")
+    result = zarm("status", "--name", "nobody", ZARM_CONNECT=up.endpoint)
+    assert result.returncode == 3
+    assert "does not answer" in result.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("plan",),
+        ("plan", "--to", "0,0,0", "--joints", "0"),
+        ("plan", "--to", "0,0"),
+        ("plan", "--joints", "a,b"),
+        ("plan", "--warp", "9"),
+        ("execute", "--velocity-scale", "0.5"),
+        ("execute", "--plan-id", "p", "--joints", "0"),
+        ("scene", "add", "pyramid", "p", "--at", "0,0,0"),
+        ("nonsense",),
+    ],
+)
+def test_nonsense_is_a_usage_error_in_one_line(arguments: tuple[str, ...]) -> None:
+    result = zarm(*arguments)
+    assert result.returncode == 2
+    assert the_one_line(result.stderr).startswith("zarm: usage: ")
+
+
+def test_an_endpoint_that_is_none_is_refused() -> None:
+    result = zarm("status", "--connect", "7447")
+    assert result.returncode == 1
+    assert "tcp/" in the_one_line(result.stderr)
+
+
+def test_a_port_where_no_router_speaks_is_unavailable() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        result = zarm("status", "--connect", f"tcp/127.0.0.1:{mute.getsockname()[1]}")
+    assert result.returncode == 3
+
+
+def test_help_needs_no_bus() -> None:
+    result = zarm("--help", ZARM_CONNECT=free_endpoint())
+    assert result.returncode == 0
+    assert "execute" in result.stdout
+    assert zarm("scene", "--help").returncode == 0

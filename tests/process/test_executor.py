@@ -1,0 +1,426 @@
+"""The executor process as its clients meet it, over a real router; the test plays the planner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from executor_client import Client, distance_from
+from harness import PATIENCE, ServiceProcess, eventually
+from motions import HOME, KEYS, ROBOT, moved, plan, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.codec import MAX_BYTES, decode
+from zarm_contract.errors import (
+    Busy,
+    ExecutionRefused,
+    InvalidRequest,
+    Problem,
+    Unavailable,
+    ZarmError,
+)
+from zarm_contract.keys import Keys
+from zarm_contract.messages import GoalState, JointState, Plan, Scene, Strategies, Trajectory
+from zarm_contract.session import open_client
+from zarm_executor.path import Path as Motion
+from zarm_executor.reporter import FINISHED_GOALS
+
+FAR = rest_to_rest(moved(1.5, -0.5))
+SHORT = rest_to_rest(moved(0.01))
+
+
+@pytest.fixture
+def executor(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[ServiceProcess]:
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        yield process
+
+
+@pytest.fixture
+def client(executor: ServiceProcess, bus: Bus) -> Client:
+    return Client(bus)
+
+
+# --- motion ---
+
+
+def test_a_trajectory_is_followed_to_its_end(client: Client) -> None:
+    goal_id = client.execute(FAR)
+    end = client.ended(goal_id)
+    assert end.status == "succeeded"
+    assert end.progress == 1.0
+    assert end.problem is None
+    np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
+    assert client.stands()
+    assert client.statuses(goal_id) == ["accepted", "running", "succeeded"]
+    progress = [goal.progress for goal in client.goals]
+    assert progress == sorted(progress)
+    assert len(set(progress)) > 5
+    assert client.greatest_acceleration() <= 1.02
+
+
+def test_the_next_motion_starts_where_the_last_one_ended(client: Client) -> None:
+    client.ended(client.execute(SHORT))
+    client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+    np.testing.assert_allclose(client.position(), HOME, atol=1e-9)
+
+
+def test_the_joints_are_measured_at_100_hz_also_when_nothing_moves(client: Client) -> None:
+    client.stands(100)
+    stamps = np.array([joints.stamp for joints in client.measured])
+    np.testing.assert_allclose(np.diff(stamps) % 0.01, 0.005, atol=0.0051)
+    assert np.median(np.diff(stamps)) == pytest.approx(0.01, abs=1e-4)
+    assert client.measured[-1].joint_names == ROBOT.descriptor.joints
+
+
+@pytest.mark.parametrize("key", [KEYS.cancel, KEYS.stop])
+def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(client: Client, key: str) -> None:
+    goal_id = client.execute(FAR)
+    client.under_way(goal_id)
+    assert client.command(key).mode == "stopping"
+    end = client.ended(goal_id)
+    assert end.status == "cancelled"
+    assert end.problem is not None
+    assert end.problem.code == "cancelled"
+    assert client.stands()
+    np.testing.assert_allclose(client.position(), end.joint_command, atol=1e-9)
+    assert distance_from(Motion.of(FAR, ROBOT.descriptor.joints), client.position()) < 1e-3
+    assert 0.3 < end.progress < 1.0
+    assert client.greatest_acceleration() <= 1.02
+    assert client.state().mode == "idle"
+
+
+def test_cancelling_what_does_not_run_is_no_error_and_changes_nothing(client: Client) -> None:
+    assert client.cancel().mode == "idle"
+    finished = client.execute(SHORT)
+    client.ended(finished)
+    running = client.execute(rest_to_rest(moved(1.0), moved(0.01)))
+    for goal_id in (finished, "goal-nobody"):
+        assert client.cancel(goal_id).mode == "running"
+    assert client.ended(running).status == "succeeded"
+    assert client.goal(finished).status == "succeeded"
+
+
+def test_a_paused_goal_is_held_until_it_is_resumed(client: Client) -> None:
+    goal_id = client.execute(FAR)
+    client.under_way(goal_id)
+    for _ in range(2):
+        client.command(KEYS.pause)
+    client.mode("paused")
+    assert client.goal(goal_id).status == "paused"
+    assert client.stands()
+    for _ in range(2):
+        assert client.command(KEYS.resume).mode == "running"
+    assert client.ended(goal_id).status == "succeeded"
+    assert client.statuses(goal_id) == ["accepted", "running", "paused", "running", "succeeded"]
+    np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
+    assert client.greatest_acceleration() <= 1.02
+
+
+def test_a_robot_beside_the_start_is_led_to_it_without_a_jump(client: Client) -> None:
+    client.ended(client.execute(rest_to_rest(moved(1.0, start=moved(0.04)), moved(0.04))))
+    assert client.greatest_acceleration() <= 1.02
+    np.testing.assert_allclose(client.position(), moved(1.04), atol=1e-9)
+
+
+# --- refusals ---
+
+
+def test_while_a_goal_runs_another_one_is_refused(client: Client) -> None:
+    goal_id = client.execute(FAR)
+    with pytest.raises(Busy, match=goal_id):
+        client.execute(SHORT)
+    client.command(KEYS.pause)
+    with pytest.raises(Busy, match=goal_id):
+        client.execute(SHORT)
+    client.cancel()
+    client.ended(goal_id)
+
+
+def renamed(trajectory: Trajectory) -> Trajectory:
+    return trajectory.model_copy(update={"joint_names": ("a", *trajectory.joint_names[1:])})
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "code", "names"),
+    [
+        (rest_to_rest(moved(1.0), slower=0.8), "limit_violated", "joint_1"),
+        (rest_to_rest(moved(7.0)), "limit_violated", "joint_1"),
+        (rest_to_rest(moved(0.5, 0.3), moved(0.0, 0.3)), "start_state_mismatch", "joint_2"),
+        (renamed(SHORT), "invalid_request", "joint_names"),
+    ],
+    ids=["too fast", "out of range", "starts elsewhere", "other joints"],
+)
+def test_a_motion_that_must_not_be_is_refused_with_a_reason_and_nothing_moves(
+    client: Client, trajectory: Trajectory, code: str, names: str
+) -> None:
+    with pytest.raises(ZarmError) as refusal:
+        client.execute(trajectory)
+    assert refusal.value.code == code
+    assert names in (refusal.value.problem.joint or refusal.value.problem.field or "")
+    assert client.stands()
+    assert client.state().mode == "idle"
+    assert client.goals == []
+
+
+# --- plans and the scene ---
+
+
+def test_plans_are_executed_by_id_or_as_the_last_one(client: Client) -> None:
+    with pytest.raises(InvalidRequest, match="no plan"):
+        client.execute()
+    plans = client.bus.latched(KEYS.plans, Plan)
+    plans.set(plan("first", rest_to_rest(moved(0.02))))
+    plans.set(plan("second", SHORT))
+    goal_id = eventually(lambda: attempt(client, "second"), "the executor knows the second plan")
+    assert client.ended(goal_id).plan_id == "second"
+    with pytest.raises(ExecutionRefused):  # it starts at home
+        client.execute(rest_to_rest(moved(1.0), moved(0.5)))
+    with pytest.raises(InvalidRequest, match="third"):
+        client.execute(plan_id="third")
+    client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+    assert client.ended(client.execute()).plan_id == "second"
+    client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+    assert client.ended(client.execute(plan_id="first")).plan_id == "first"
+
+
+def attempt(client: Client, plan_id: str) -> str | None:
+    """Execute a plan that the executor may not have received yet."""
+    try:
+        return client.execute(plan_id=plan_id)
+    except InvalidRequest:
+        return None
+
+
+def test_a_plan_made_before_the_executor_started_can_be_executed(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    bus.latched(KEYS.plans, Plan).set(plan("early", SHORT))
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        client = Client(bus)
+        assert client.ended(client.execute()).plan_id == "early"
+
+
+def test_a_plan_older_than_the_scene_is_stale(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    scene = bus.latched(KEYS.scene, Scene)
+    scene.set(Scene(revision=3))
+    bus.latched(KEYS.plans, Plan).set(plan("made-in-3", SHORT, revision=3))
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        client = Client(bus)
+        with pytest.raises(ExecutionRefused) as refusal:
+            client.execute(SHORT, scene_revision=2)
+        assert refusal.value.code == "stale_plan"
+        client.ended(client.execute())
+        client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+        scene.set(Scene(revision=4))
+
+        def stale() -> ZarmError | None:
+            try:
+                client.ended(client.execute())
+                client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+            except ExecutionRefused as error:
+                return error
+            return None
+
+        assert eventually(stale, "the executor knows the new scene").code == "stale_plan"
+        assert client.stands()
+
+
+# --- the ghost ---
+
+
+@pytest.mark.parametrize("strategy", ["emulator", "ghost"])
+def test_every_plan_is_previewed_whatever_the_strategy_and_the_robot_stays(
+    endpoint: str, bus: Bus, tmp_path: Path, strategy: str
+) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path, arguments=("--strategy", strategy)) as process:
+        process.wait_ready(bus, KEYS)
+        client = Client(bus)
+        shown: list[Trajectory] = []
+        previews: list[JointState] = []
+        bus.subscribe(KEYS.preview_trajectory, Trajectory, lambda _, trajectory: shown.append(trajectory))
+        bus.subscribe(KEYS.preview_joint_states, JointState, lambda _, joints: previews.append(joints))
+        plans = bus.publisher(KEYS.plans, Plan)
+        slow = rest_to_rest(moved(1.5), slower=10)
+
+        def previewed() -> bool:
+            return len(previews) > 5 and previews[-1].position[0] > previews[0].position[0]
+
+        plans.put(plan("slow", slow))
+        eventually(previewed, "the ghost moves")
+        plans.put(plan("impossible", rest_to_rest(moved(1.0), slower=0.5)))
+        plans.put(plan("newer", rest_to_rest(moved(0.0, -0.3))))
+
+        def rests_at_the_end() -> bool:
+            return bool(np.allclose(previews[-1].position, moved(0.0, -0.3), atol=1e-9))
+
+        eventually(rests_at_the_end, "the ghost is at the end of the newer plan")
+        seen = len(previews)
+        eventually(lambda: len(previews) > seen + 10, "the ghost is still shown")
+        assert rests_at_the_end()
+        assert previews[-1].joint_names == ROBOT.descriptor.joints
+        assert shown == [slow, rest_to_rest(moved(0.0, -0.3))]
+        assert {joints.position for joints in client.measured} == {tuple(HOME.tolist())}
+        assert client.goals == []
+
+
+# --- strategies ---
+
+
+def test_a_switch_in_motion_brings_the_robot_to_rest_first(client: Client) -> None:
+    published: list[str] = []
+    client.bus.subscribe(KEYS.strategy, Strategies, lambda _, strategies: published.append(strategies.active))
+    assert client.strategy().active == "emulator"
+    goal_id = client.execute(FAR)
+    client.under_way(goal_id)
+    assert client.strategy("ghost").active == "ghost"
+    end = client.goal(goal_id)
+    assert end.status == "cancelled"
+    assert "switched" in end.problem.message
+    assert client.stands()
+    assert client.greatest_acceleration() <= 1.02
+    rested = client.position()
+    with pytest.raises(Unavailable, match="executor/strategy"):
+        client.execute(SHORT)
+    assert client.state().strategy == "ghost"
+    assert client.strategy("emulator").active == "emulator"
+    np.testing.assert_array_equal(client.position(), rested)
+    client.ended(client.execute(rest_to_rest(HOME, rested)))
+    np.testing.assert_allclose(client.position(), HOME, atol=1e-9)
+    eventually(lambda: published == ["ghost", "emulator"], "each switch was published")
+
+
+def test_an_unknown_strategy_is_refused_with_the_known_ones(client: Client) -> None:
+    with pytest.raises(InvalidRequest, match="emulator, ghost") as refusal:
+        client.strategy("telepathy")
+    assert refusal.value.problem.field == "strategy"
+    assert client.strategy().active == "emulator"
+
+
+def test_a_switch_that_fails_leaves_the_old_strategy_active(client: Client, tmp_path: Path) -> None:
+    client.strategy("ghost")
+    folder = tmp_path / KEYS.robot
+    folder.rename(tmp_path / "aside")
+    folder.write_text("a file where the folder should be")
+    with pytest.raises(Unavailable, match="ghost is active again"):
+        client.strategy("emulator")
+    assert client.strategy().active == "ghost"
+    folder.unlink()
+    assert client.strategy("emulator").active == "emulator"
+    assert client.ended(client.execute(SHORT)).status == "succeeded"
+
+
+# --- what late joiners see, and who else is there ---
+
+
+def test_a_late_joiner_sees_the_present_state_and_the_goals(client: Client, endpoint: str) -> None:
+    first = client.execute(SHORT)
+    client.ended(first)
+    running = client.execute(rest_to_rest(moved(1.5), moved(0.01)))
+    with Bus(endpoint) as late:
+        seen: dict[str, GoalState] = {}
+        late.watch(KEYS.goal("*"), GoalState, lambda _, goal: seen.__setitem__(goal.goal_id, goal))
+        assert seen[first].status == "succeeded"
+        assert not seen[running].done
+        assert Client(late).state().mode == "running"
+        assert Client(late).strategy().active == "emulator"
+        assert Client(late).ended(running).status == "succeeded"
+
+
+def test_the_last_finished_goals_stay_answerable_and_older_ones_are_forgotten(client: Client) -> None:
+    goals = []
+    for number in range(FINISHED_GOALS + 1):
+        start, goal = (HOME, moved(0.001)) if number % 2 == 0 else (moved(0.001), HOME)
+        goals.append(client.execute(rest_to_rest(goal, start)))
+        client.ended(goals[-1])
+    assert client.goal(goals[1]).status == "succeeded"
+    with pytest.raises(Unavailable):
+        client.goal(goals[0])
+
+
+def test_a_second_executor_for_the_robot_does_not_start(
+    executor: ServiceProcess, client: Client, endpoint: str, tmp_path: Path
+) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path) as second:
+        assert second.process.wait(PATIENCE) == 1
+        assert "already on this bus" in second.output()
+    assert client.ended(client.execute(SHORT)).status == "succeeded"
+
+
+def test_a_second_robot_of_a_kind_moves_alone(client: Client, endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path, name="other") as second:
+        second.wait_ready(client.bus, Keys("other"))
+        other = Client(client.bus, Keys("other"))
+        assert other.ended(other.execute(SHORT)).status == "succeeded"
+        np.testing.assert_array_equal(client.position(), HOME)
+
+
+def test_an_executor_that_cannot_start_says_why_in_one_line(endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path, arguments=("--strategy", "telepathy")) as process:
+        assert process.process.wait(PATIENCE) == 1
+        assert "emulator, ghost" in process.output()
+        assert "Traceback" not in process.output()
+
+
+def test_an_executor_without_a_place_for_its_state_does_not_start(endpoint: str, tmp_path: Path) -> None:
+    (tmp_path / KEYS.robot).write_text("a file where the folder should be")
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        assert process.process.wait(PATIENCE) == 1
+        assert "--state" in process.output()
+        assert "Traceback" not in process.output()
+
+
+# --- noise ---
+
+
+NOISE = [
+    b"{",
+    b"\xff\xfe\x00",
+    b"[]",
+    b"null",
+    b'"emulator"',
+    b'{"unknown": 1}',
+    b"[" * 100_000,
+    b'{"trajectory": {"joint_names": [], "time": [0, 1e999], "position": [], "velocity": [], "acceleration": []}}',
+    b'{"trajectory": {"joint_names": ["joint_1"], "time": [0, NaN], "position": [], "velocity": [], "acceleration": []}}',
+    b'{"plan_id": "' + b"x" * 1000 + b'"}',
+    b'{"goal_id": "../../etc"}',
+    b'{"strategy": 7}',
+    b" " * (MAX_BYTES + 1),
+]
+QUERYABLES: list[Callable[[Keys], str]] = [
+    lambda keys: keys.execute,
+    lambda keys: keys.cancel,
+    lambda keys: keys.stop,
+    lambda keys: keys.pause,
+    lambda keys: keys.resume,
+    lambda keys: keys.reset,
+    lambda keys: keys.strategy,
+    lambda keys: keys.health("executor"),
+]
+
+
+@pytest.mark.parametrize("key", [key(KEYS) for key in QUERYABLES])
+def test_noise_is_answered_with_a_problem_and_moves_nothing(client: Client, endpoint: str, key: str) -> None:
+    with open_client(endpoint) as session:
+        for noise in NOISE:
+            (reply,) = session.get(key, payload=noise, timeout=10.0, congestion_control=zenoh.CongestionControl.BLOCK)
+            assert reply.err is not None, noise[:80]
+            assert decode(Problem, reply.err.payload.to_bytes()).code == "invalid_request"
+    assert client.stands()
+    assert client.state().mode == "idle"
+    assert client.goals == []
+    assert client.ended(client.execute(SHORT)).status == "succeeded"
+
+
+def test_noise_on_the_keys_it_listens_to_does_no_harm(client: Client, endpoint: str) -> None:
+    with open_client(endpoint) as session:
+        for noise in NOISE:
+            for key in (KEYS.plans, KEYS.scene):
+                session.put(key, noise, congestion_control=zenoh.CongestionControl.BLOCK)
+    assert client.ended(client.execute(SHORT)).status == "succeeded"
+    with pytest.raises(InvalidRequest, match="no plan"):
+        client.execute()

@@ -1,0 +1,117 @@
+"""`zarm up`: one command that starts what a robot needs, says so, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from harness import eventually, free_endpoint
+from launched import ROBOT, SERVICES, Command, Up, the_one_line, zarm
+
+from zarm_contract.bus import Bus
+from zarm_contract.keys import ALL_ALIVE
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+    """A stack that no test here stops."""
+    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
+        yield stack
+
+
+def test_up_says_what_runs_where_and_what_to_try_next(up: Up) -> None:
+    assert ROBOT in up.output()
+    assert up.endpoint in up.output()
+    assert "emulator" in up.output()
+    words = next(line for line in up.output().splitlines() if "zarm execute" in line).split()
+    done = zarm(*words[words.index("zarm") + 1 :])
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_second_up_for_the_same_robot_is_refused_with_a_sentence(up: Up) -> None:
+    with Bus(up.endpoint) as bus:
+        before = bus.alive(ALL_ALIVE)
+        for where in ("--listen", "--connect"):
+            second = zarm("up", where, up.endpoint)
+            assert second.returncode == 1
+            assert f"the robot {ROBOT} is already up" in the_one_line(second.stderr)
+        assert bus.alive(ALL_ALIVE) == before
+
+
+def test_a_second_robot_joins_the_bus_under_another_name(up: Up, tmp_path: Path) -> None:
+    with Up(up.endpoint, tmp_path, joins=True, name="left"):
+        unclear = zarm("status", ZARM_CONNECT=up.endpoint)
+        assert unclear.returncode == 1
+        assert f"{ROBOT}, left" in the_one_line(unclear.stderr)
+        chosen = zarm("status", "--json", ZARM_CONNECT=up.endpoint, ZARM_NAME="left")
+        assert chosen.returncode == 0
+        assert json.loads(chosen.stdout)["robot"] == "left"
+
+
+def test_ctrl_c_stops_the_executor_then_the_planner_and_leaves_no_process(tmp_path: Path) -> None:
+    with Up(free_endpoint(), tmp_path) as up:
+        assert len(up.family()) > len(SERVICES)
+        up.interrupt()
+        up.interrupt()  # a second one changes nothing
+        assert up.end() == 0
+        assert up.family() == []
+        lines = [line for line in up.errors().splitlines() if line.endswith("stopping")]
+        assert [line.split()[0] for line in lines] == ["executor", "planner"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_before_anything_is_ready_leaves_no_process(tmp_path: Path, number: signal.Signals) -> None:
+    arguments = ("up", "--listen", free_endpoint(), "--state", str(tmp_path))
+    with Command(*arguments, folder=tmp_path) as up:
+        eventually(lambda: any("zarm_executor.service" in one for one in up.command_lines()), "the executor starts")
+        up.interrupt(number)
+        assert up.end() == 0
+        assert up.family() == []
+
+
+def test_a_taken_port_is_said_in_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        refused = zarm("up", "--listen", f"tcp/127.0.0.1:{taken.getsockname()[1]}", "--state", str(tmp_path))
+    assert refused.returncode == 3
+    assert "--listen" in the_one_line(refused.stderr)
+
+
+def test_joining_a_router_that_is_not_there_is_said_in_one_line(tmp_path: Path) -> None:
+    refused = zarm("up", "--connect", free_endpoint(), "--state", str(tmp_path))
+    assert refused.returncode == 3
+    assert "no Zenoh router" in the_one_line(refused.stderr)
+
+
+def test_an_unknown_robot_is_said_with_those_that_are_known() -> None:
+    refused = zarm("up", "--robot", "r2d2", "--listen", free_endpoint())
+    assert refused.returncode == 1
+    assert "r2d2" in the_one_line(refused.stderr)
+    assert ROBOT in refused.stderr
+
+
+def test_malformed_yaml_is_said_with_file_and_line(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("name: mine\njoints: [a, b\nhome: [0, 0]\n")
+    refused = zarm("up", "--robot", str(file), "--listen", free_endpoint())
+    assert refused.returncode == 1
+    assert f"{file}:3" in the_one_line(refused.stderr)
+
+
+def test_an_unknown_strategy_ends_the_whole_launch_with_its_reason(tmp_path: Path) -> None:
+    arguments = ("up", "--strategy", "telepathy", "--listen", free_endpoint(), "--state", str(tmp_path))
+    with Command(*arguments, folder=tmp_path) as up:
+        assert up.end() == 3
+        last = up.errors().splitlines()[-1]
+        assert last.startswith("zarm: unavailable: the executor cannot start: ")
+        assert "telepathy" in last
+        assert up.family() == []
+
+
+def test_listening_and_connecting_at_once_is_a_usage_error() -> None:
+    refused = zarm("up", "--listen", free_endpoint(), "--connect", free_endpoint())
+    assert refused.returncode == 2
+    assert "--listen" in the_one_line(refused.stderr)

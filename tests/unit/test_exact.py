@@ -1,0 +1,261 @@
+"""What the exact geometry promises: distances that hold against an independent computation, and nothing missed on the way."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from small_arm import small_arm
+
+from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
+from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere
+from zarm_planner.exact import FARTHEST, ExactScene
+from zarm_planner.frames import matrix, rotation_to
+from zarm_planner.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+FREE = np.array([0.0, 0.3, 0.4, 0.1])
+"""A configuration of the small arm that touches nothing of itself."""
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
+    return RobotModel.of(small_arm(tmp_path_factory.mktemp("robot")))
+
+
+def configuration(model: RobotModel, rng: np.random.Generator) -> Array:
+    return rng.uniform(np.maximum(model.lower, -3), np.minimum(model.upper, 3))
+
+
+def scene_object(rng: np.random.Generator, index: int, spread: float = 1.0) -> SceneObject:
+    name, position = f"thing{index}", tuple(rng.uniform(-spread, spread, 3).tolist())
+    q = rng.normal(size=4)
+    orientation = tuple((q / np.linalg.norm(q)).tolist())
+    radius, length = rng.uniform(0.01, 0.15), rng.uniform(0.01, 0.4)
+    size = tuple(rng.uniform(0.02, 0.4, 3).tolist())
+    kinds: list[SceneObject] = [
+        Cuboid(kind="cuboid", name=name, position=position, orientation=orientation, size=size),
+        Sphere(kind="sphere", name=name, position=position, radius=radius),
+        Capsule(kind="capsule", name=name, position=position, orientation=orientation, radius=radius, length=length),
+        Cylinder(kind="cylinder", name=name, position=position, orientation=orientation, radius=radius, length=length),
+    ]
+    return kinds[index % 4]
+
+
+class Solid:
+    """A convex solid that knows the nearest of its points: all that von Neumann's alternating projections need."""
+
+    def __init__(self, kind: str, pose: Array, half: Sequence[float], radius: float) -> None:
+        self.kind, self.pose, self.half, self.radius = kind, pose, np.array(half), radius
+
+    def project(self, point: Array) -> Array:
+        local = self.pose[:3, :3].T @ (point - self.pose[:3, 3])
+        if self.kind == "cylinder":
+            around = np.linalg.norm(local[:2])
+            local[:2] *= min(1.0, self.radius / max(float(around), 1e-300))
+            local[2] = np.clip(local[2], -self.half[2], self.half[2])
+        else:
+            core = np.clip(local, -self.half, self.half)
+            away = float(np.linalg.norm(local - core))
+            local = core + (local - core) * min(1.0, self.radius / max(away, 1e-300))
+        nearest: Array = self.pose[:3, :3] @ local + self.pose[:3, 3]
+        return nearest
+
+
+def solid_of_object(item: SceneObject) -> Solid:
+    if isinstance(item, Sphere):
+        return Solid("sphere", matrix(item.position), (0, 0, 0), item.radius)
+    pose = matrix(item.position, item.orientation)
+    if isinstance(item, Cuboid):
+        return Solid("cuboid", pose, [edge / 2 for edge in item.size], 0.0)
+    return Solid(item.kind, pose, (0, 0, item.length / 2), item.radius)
+
+
+def solid_of_link(item: CollisionPrimitive, link: Array) -> Solid:
+    if isinstance(item, CollisionSphere):
+        return Solid("sphere", link @ matrix(item.center), (0, 0, 0), item.radius)
+    if isinstance(item, CollisionCuboid):
+        return Solid("cuboid", link @ matrix(item.center, item.orientation), [edge / 2 for edge in item.size], 0.0)
+    a, b = np.array(item.a), np.array(item.b)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_to(b - a), (a + b) / 2
+    return Solid(item.kind, link @ pose, (0, 0, float(np.linalg.norm(b - a)) / 2), item.radius)
+
+
+def apart(one: Solid, other: Solid) -> float:
+    """The distance of two solids (Cheney and Goldstein, "Proximity maps for convex sets", 1959)."""
+    x, distance = one.pose[:3, 3], np.inf
+    while True:
+        y = other.project(x)
+        x = one.project(y)
+        if distance - (distance := float(np.linalg.norm(x - y))) < 1e-9:
+            return distance
+
+
+def truth(model: RobotModel, q: Array, objects: Sequence[SceneObject]) -> float:
+    """The smallest distance of one configuration, from first principles."""
+    collision = model.robot.descriptor.collision
+    frames = model.link_transforms(q)
+    solids = [[solid_of_link(item, frames[i]) for item in collision[link]] for i, link in enumerate(model.links)]
+    pairs = [(a, b) for i, j in model.pairs for a, b in itertools.product(solids[i], solids[j])]
+    for i, joint in enumerate(model.link_joint):
+        if joint >= 0:
+            pairs += itertools.product(solids[i], map(solid_of_object, objects))
+    return min([FARTHEST, *(apart(a, b) for a, b in pairs)])
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_distance_is_that_of_alternating_projections(model: RobotModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    objects = [scene_object(rng, i) for i in range(8)]
+    q = configuration(model, rng)
+    assert max(0.0, ExactScene(model, objects).nearest(q).distance) == pytest.approx(truth(model, q, objects), abs=2e-3)
+
+
+def test_clearance_names_the_link_and_the_object_nearest_to_it(model: RobotModel) -> None:
+    tip = model.fk_tip(FREE)[:3, 3]
+    ball = Sphere(kind="sphere", name="ball", position=(tip[0], tip[1], tip[2] + 0.08), radius=0.02)
+    nearest = ExactScene(model, [ball]).nearest(FREE)
+    assert nearest.pair == ("rod", "ball")
+    assert nearest.distance == pytest.approx(0.08 - 0.02 - 0.03)
+
+
+@pytest.mark.parametrize(
+    ("item", "depth"),
+    [
+        (Sphere(kind="sphere", name="x", position=(0, 0, 0.04), radius=0.02), 0.01),
+        (Cuboid(kind="cuboid", name="x", position=(0, 0, 0.06), size=(0.1, 0.1, 0.08)), 0.01),
+        (Capsule(kind="capsule", name="x", position=(0, 0, 0.06), radius=0.04, length=0.01), 0.015),
+        (Cylinder(kind="cylinder", name="x", position=(0, 0, 0.06), radius=0.05, length=0.08), 0.01),
+    ],
+)
+def test_collision_tells_the_depth_of_penetration(model: RobotModel, item: SceneObject, depth: float) -> None:
+    """The tip, a ball of 3 cm, reaches into what hangs above it; the rest of the arm is kept out of it by the slide."""
+    q = np.array([0.0, np.pi / 2 - 0.3, 0.3, 0.2])
+    offset = model.fk_tip(q)[:3, 3]
+    item = item.model_copy(update={"position": tuple((np.array(item.position) + offset).tolist())})
+    nearest = ExactScene(model, [item]).nearest(q)
+    assert nearest.pair == ("rod", "x")
+    assert nearest.distance == pytest.approx(-depth, abs=1e-5)
+
+
+def test_of_several_collisions_the_deepest_counts(model: RobotModel) -> None:
+    tip = tuple(model.fk_tip(FREE)[:3, 3].tolist())
+    balls = [Sphere(kind="sphere", name=f"ball{i}", position=tip, radius=0.01 * i) for i in range(1, 6)]
+    nearest = ExactScene(model, balls).nearest(FREE)
+    assert nearest.distance == pytest.approx(-(0.03 + 0.05), abs=1e-5)
+
+
+def test_the_fixed_base_may_stand_in_an_object(model: RobotModel) -> None:
+    table = Cuboid(kind="cuboid", name="table", position=(0.0, 0.0, 0.0), size=(2.0, 2.0, 0.1))
+    assert ExactScene(model, [table]).nearest(FREE).distance > 0.0
+
+
+def test_moving_links_meet_the_fixed_base(model: RobotModel) -> None:
+    nearest = ExactScene(model, []).nearest([np.pi, np.pi / 2, 0.0, 0.0])
+    assert nearest.distance < 0.0
+    assert nearest.pair is not None
+    assert nearest.pair[1] == "stand"
+
+
+def test_neighbours_that_may_touch_and_links_of_one_body_are_left_out(model: RobotModel) -> None:
+    """Fore arm, its cover and the rod overlap in every configuration."""
+    assert ExactScene(model, []).nearest(FREE).distance > 0.0
+
+
+def test_nothing_near_is_the_farthest_clearance_without_a_pair(model: RobotModel) -> None:
+    ball = Sphere(kind="sphere", name="ball", position=(9.0, 0.0, 0.0), radius=0.1)
+    scene = ExactScene(model, [ball])
+    nearest = scene.nearest(FREE)
+    assert nearest.pair is None or "ball" not in nearest.pair
+    assert nearest.distance <= FARTHEST
+
+
+def dense(a: Array, b: Array, scene: ExactScene) -> Array:
+    """From `a` to `b` in steps in which no point moves further than 5 mm."""
+    return np.linspace(a, b, int(np.abs(b - a) @ scene.reach / 0.005) + 2)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_motion_has_the_clearance_of_its_nearest_configuration(model: RobotModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = ExactScene(model, [scene_object(rng, i) for i in range(10)])
+    motion = dense(configuration(model, rng), configuration(model, rng), scene)
+    singly = [scene.nearest(q).distance for q in motion]
+    found = scene.nearest(motion)
+    if min(singly) <= 0.0:
+        assert found.distance <= 0.0
+        assert singly[found.sample] <= 0.0
+    else:
+        assert min(singly) - 1e-6 <= found.distance <= min(singly) + 0.003
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_sheet_of_5_mm_is_missed_on_the_way(model: RobotModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a = FREE.copy()
+    b = FREE + np.array([rng.choice([-1, 1]) * rng.uniform(1.0, 3.0), 0, 0, 0])
+    between = model.fk_tip(a + rng.uniform(0.3, 0.7) * (b - a))
+    across = between[:3, :3] @ (1.0, 0.0, 0.0)
+    turn = np.eye(3)
+    turn[:, 0], turn[:, 1] = (-across[1], across[0], 0.0), (across[0], across[1], 0.0)
+    sheet = Cuboid(
+        kind="cuboid",
+        name="sheet",
+        position=tuple(between[:3, 3].tolist()),
+        orientation=(0.0, 0.0, *_half_turn(turn)),
+        size=(0.005, 0.1, 0.1),
+    )
+    scene = ExactScene(model, [sheet])
+    assert scene.nearest(a).distance > 0.0
+    assert scene.nearest(b).distance > 0.0
+    assert scene.nearest(dense(a, b, scene)).distance <= 0.0
+
+
+def _half_turn(turn: Array) -> tuple[float, float]:
+    angle = float(np.arctan2(turn[1, 0], turn[0, 0])) / 2
+    return float(np.sin(angle)), float(np.cos(angle))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_point_moves_further_than_its_reach(model: RobotModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = ExactScene(model, [])
+    q = configuration(model, rng)
+    step = rng.normal(size=model.dof) * rng.uniform(1e-4, 0.3)
+    before, after = model.link_transforms(q), model.link_transforms(q + step)
+    for i, link in enumerate(model.links):
+        for item in model.robot.descriptor.collision[link]:
+            solid = solid_of_link(item, np.eye(4))
+            points = np.array([solid.project(p) for p in rng.normal(size=(20, 3)) * 10])
+            moved = points @ (after[i] - before[i])[:3, :3].T + (after[i] - before[i])[:3, 3]
+            assert np.linalg.norm(moved, axis=1).max() <= np.abs(step) @ scene.reach + 1e-9
+
+
+def test_thousands_of_objects_give_the_distance_of_the_nearest(model: RobotModel) -> None:
+    rng = np.random.default_rng(1)
+    far = [scene_object(rng, i, spread=40.0) for i in range(5000)]
+    far = [item for item in far if np.linalg.norm(item.position) > 3.0]
+    near = [Sphere(kind="sphere", name="near", position=(0.5, 0.5, 0.9), radius=0.05)]
+    alone, crowded = ExactScene(model, near), ExactScene(model, [*far, *near])
+    motion = dense(FREE - (0.5, 0, 0, 0), FREE + (0.5, 0, 0, 0), alone)
+    assert crowded.nearest(motion) == alone.nearest(motion)
+
+
+def test_a_stop_ends_the_look_along_a_motion(model: RobotModel) -> None:
+    def stop() -> None:
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        ExactScene(model, []).nearest(np.linspace(FREE, FREE + 0.1, 100), stop)

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import logging
+from pathlib import Path as Folder
+
+import numpy as np
+import pytest
+from harness import eventually
+from motions import HOME, ROBOT, moved, rest_to_rest
+
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import JointState
+from zarm_executor.follower import TICK
+from zarm_executor.path import Path
+from zarm_executor.state_file import StateFile
+from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
+
+JOINTS = ROBOT.descriptor.joints
+
+
+def saved_in(folder: Folder) -> StateFile[JointState]:
+    return StateFile(folder / "emulated_robot.json", JointState)
+
+
+def emulator_in(folder: Folder) -> Emulator:
+    return Emulator(EmulatedRobot(ROBOT.descriptor, saved_in(folder)), np.array(ROBOT.descriptor.cspace.acceleration))
+
+
+def position(emulator: Emulator) -> np.ndarray:
+    measured = emulator.joint_state()
+    assert measured is not None
+    return measured.position
+
+
+def play(emulator: Emulator, seconds: float, now: float = 0.0) -> None:
+    for tick in range(round(seconds / TICK)):
+        emulator.tick(now + tick * TICK, TICK)
+
+
+def test_a_new_robot_is_at_home_and_at_rest(tmp_path: Folder) -> None:
+    emulator = emulator_in(tmp_path)
+    emulator.tick(5.0, TICK)
+    measured = emulator.joint_state()
+    assert measured is not None
+    np.testing.assert_array_equal(measured.position, HOME)
+    np.testing.assert_array_equal(measured.velocity, np.zeros(6))
+    assert measured.time == 5.0
+
+
+def test_it_is_measured_anew_with_every_tick_also_when_nothing_moves(tmp_path: Folder) -> None:
+    emulator = emulator_in(tmp_path)
+    emulator.start(Path.of(rest_to_rest(moved(0.1)), JOINTS))
+    play(emulator, 2.0)
+    for now in (5.0, 6.0, 7.0):
+        emulator.tick(now, TICK)
+        measured = emulator.joint_state()
+        assert measured is not None
+        assert measured.time == now
+
+
+def test_it_stops_where_it_is_told_and_stays_there_from_one_process_to_the_next(tmp_path: Folder) -> None:
+    first = emulator_in(tmp_path)
+    first.open()
+    first.start(Path.of(rest_to_rest(moved(1.0)), JOINTS))
+    play(first, 0.7)
+    first.stop()
+    play(first, 3.0)
+    first.close()
+    assert 0.1 < position(first)[0] < 0.9
+    np.testing.assert_array_equal(position(emulator_in(tmp_path)), position(first))
+
+
+def test_the_position_is_saved_while_it_moves(tmp_path: Folder) -> None:
+    emulator = emulator_in(tmp_path)
+    emulator.open()
+    try:
+        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS))
+        play(emulator, 0.7)
+        eventually(lambda: np.array_equal(position(emulator_in(tmp_path)), position(emulator)), "the position is saved")
+    finally:
+        emulator.close()
+
+
+def test_a_saved_position_that_cannot_be_read_is_ignored_with_a_warning(
+    tmp_path: Folder, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "emulated_robot.json").write_text('{"stamp": 1')
+    np.testing.assert_array_equal(position(emulator_in(tmp_path)), HOME)
+    assert "emulated_robot.json" in caplog.text
+
+
+def test_a_saved_position_of_other_joints_is_ignored_with_a_warning(
+    tmp_path: Folder, caplog: pytest.LogCaptureFixture
+) -> None:
+    saved_in(tmp_path).save(JointState(stamp=0.0, joint_names=("a",), position=(1.0,), velocity=(0.0,)))
+    np.testing.assert_array_equal(position(emulator_in(tmp_path)), HOME)
+    assert "starts at home" in caplog.text
+
+
+def test_it_does_not_open_where_its_position_cannot_be_kept(tmp_path: Folder) -> None:
+    (tmp_path / "state").write_text("a file where the folder should be")
+    with pytest.raises(Unavailable, match="--state"):
+        emulator_in(tmp_path / "state").open()
+
+
+def test_losing_the_folder_in_motion_costs_a_warning_and_not_the_motion(
+    tmp_path: Folder, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING)
+    emulator = emulator_in(tmp_path / "state")
+    emulator.open()
+    try:
+        (tmp_path / "state" / "emulated_robot.json").unlink()
+        (tmp_path / "state").rmdir()
+        (tmp_path / "state").write_text("a file where the folder should be")
+        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS))
+        play(emulator, 4.0)
+        eventually(lambda: "not saved" in caplog.text, "a warning is logged")
+        np.testing.assert_allclose(position(emulator), moved(1.0), atol=1e-9)
+    finally:
+        emulator.close()

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motions import HOME, ROBOT, moved, rest_to_rest
+
+from zarm_executor.follower import CATCH_UP, TICK, Follower
+from zarm_executor.path import Array, Path
+
+LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
+ROUNDING = 1.005
+"""The path bends within a tick; what the follower looks ahead leaves this much at most."""
+
+
+def curved_path(seed: int, samples: int = 200) -> Path:
+    """Joints that swing to and fro on their way from rest to rest, one of them at its limit at least once."""
+    random = np.random.default_rng(seed)
+    u = np.polynomial.Polynomial([0.0, 1.0])
+    bell = 64 * u**3 * (1 - u) ** 3
+    line = 10 * u**3 - 15 * u**4 + 6 * u**5
+    curves = []
+    for start in HOME:
+        wave = np.polynomial.Chebyshev(random.uniform(-1.0, 1.0, 6), domain=[0.0, 1.0]).convert(
+            kind=np.polynomial.Polynomial
+        )
+        curves.append(start + random.uniform(-1.0, 1.0) * line + bell * wave)
+    grid = np.linspace(0.0, 1.0, samples)
+    position, velocity, acceleration = (
+        np.array([curve.deriv(order)(grid) if order else curve(grid) for curve in curves]).T for order in range(3)
+    )
+    duration = float(np.sqrt(np.max(np.abs(acceleration) / LIMIT)))
+    return Path(grid * duration, position, velocity / duration, acceleration / duration**2)
+
+
+def followed(follower: Follower) -> Array:
+    """Commanded positions, tick by tick, until nothing changes any more; from rest and to rest."""
+    positions = [follower.position, follower.position]
+    while not follower.settled:
+        follower.advance(TICK)
+        positions.append(follower.position)
+    return np.array([*positions, follower.position])
+
+
+def accelerations(positions: Array) -> Array:
+    return np.diff(positions, 2, axis=0) / TICK**2
+
+
+def distance_from(path: Path, positions: Array) -> float:
+    """Greatest distance (rad, any joint) of positions from the path, found on a fine grid of it."""
+    grid = np.array([path.at(time)[0] for time in np.arange(0.0, path.duration, TICK / 10)])
+    return max(float(np.min(np.max(np.abs(grid - position), axis=1))) for position in positions)
+
+
+def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
+    path = curved_path(1)
+    follower = Follower(path, LIMIT)
+    for tick in range(1, 50):
+        follower.advance(TICK)
+        np.testing.assert_allclose(follower.position, path.at(tick * TICK)[0], atol=1e-12)
+        np.testing.assert_allclose(follower.velocity, path.at(tick * TICK)[1], atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), when=st.floats(0.0, 1.0))
+def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_path(seed: int, when: float) -> None:
+    path = curved_path(seed)
+    follower = Follower(path, LIMIT)
+    while follower.time < when * path.duration:
+        follower.advance(TICK)
+    before = follower.position - follower.velocity * TICK
+    follower.target = 0.0
+    braking = np.vstack((before, followed(follower)[1:]))
+    assert follower.at_rest
+    assert np.all(np.abs(accelerations(braking)[1:]) <= LIMIT * ROUNDING)
+    assert distance_from(path, braking[1::10]) < 2e-3
+    follower.target = 1.0
+    going_on = followed(follower)
+    assert follower.finished
+    assert np.all(np.abs(accelerations(going_on)) <= LIMIT * ROUNDING)
+    np.testing.assert_allclose(going_on[-1], path.end, atol=1e-9)
+
+
+def test_braking_is_as_strong_as_the_limits_allow() -> None:
+    path = Path.of(rest_to_rest(moved(2.0)), ROBOT.descriptor.joints)
+    follower = Follower(path, LIMIT)
+    while follower.time < path.duration / 2:
+        follower.advance(TICK)
+    speed = follower.velocity[0]
+    follower.target = 0.0
+    needed = (len(followed(follower)) - 3) * TICK
+    assert needed <= speed / LIMIT[0] * 1.05 + TICK
+
+
+def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
+    path = curved_path(3)
+    follower = Follower(path, LIMIT)
+    positions = [follower.position]
+    for tick in range(400):
+        follower.target = 0.0 if tick % 20 < 7 else 1.0
+        follower.advance(TICK)
+        positions.append(follower.position)
+    assert np.all(np.abs(accelerations(np.array(positions))) <= LIMIT * ROUNDING)
+
+
+def test_a_short_pause_between_ticks_is_caught_up_with() -> None:
+    path = curved_path(4)
+    late, on_time = Follower(path, LIMIT), Follower(path, LIMIT)
+    late.advance(CATCH_UP)
+    for _ in range(round(CATCH_UP / TICK)):
+        on_time.advance(TICK)
+    np.testing.assert_allclose(late.position, on_time.position, atol=1e-12)
+
+
+def test_after_a_long_pause_between_ticks_the_robot_goes_on_from_rest_where_it_stood() -> None:
+    path = curved_path(5)
+    follower = Follower(path, LIMIT)
+    while follower.time < path.duration / 2:
+        follower.advance(TICK)
+    stood = follower.position.copy()
+    follower.advance(CATCH_UP + TICK)
+    np.testing.assert_array_equal(follower.position, stood)
+    np.testing.assert_array_equal(follower.velocity, np.zeros(6))
+    going_on = followed(follower)
+    assert np.all(np.abs(accelerations(going_on)) <= LIMIT * ROUNDING)
+    np.testing.assert_allclose(going_on[-1], path.end, atol=1e-9)

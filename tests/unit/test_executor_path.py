@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from motions import HOME, ROBOT, moved, rest_to_rest, rows
+
+from zarm_contract.errors import InvalidRequest
+from zarm_executor.path import Path
+
+JOINTS = ROBOT.descriptor.joints
+VELOCITY = np.array(ROBOT.descriptor.cspace.velocity)
+ACCELERATION = np.array(ROBOT.descriptor.cspace.acceleration)
+
+
+def test_the_path_meets_position_velocity_and_acceleration_of_every_sample() -> None:
+    trajectory = rest_to_rest(moved(0.7, -0.3, 0.2))
+    path = Path.of(trajectory, JOINTS)
+    for index, time in enumerate(trajectory.time):
+        expected = (trajectory.position[index], trajectory.velocity[index], trajectory.acceleration[index])
+        np.testing.assert_allclose(path.at(time), expected, atol=1e-9)
+
+
+def test_between_two_samples_the_path_is_the_quintic_through_both() -> None:
+    ends = Path.of(rest_to_rest(moved(0.7, -0.3, 0.2), dt=100.0), JOINTS)  # first and last sample only
+    samples = rest_to_rest(moved(0.7, -0.3, 0.2))
+    assert len(ends.time) == 2
+    for index, time in enumerate(samples.time):
+        expected = (samples.position[index], samples.velocity[index], samples.acceleration[index])
+        np.testing.assert_allclose(ends.at(time), expected, atol=1e-9)
+
+
+def test_before_its_start_and_after_its_end_the_path_is_at_that_end() -> None:
+    path = Path.of(rest_to_rest(moved(0.5)), JOINTS)
+    np.testing.assert_allclose(path.at(-1.0)[0], HOME, atol=1e-12)
+    np.testing.assert_allclose(path.at(path.duration + 1.0)[0], moved(0.5), atol=1e-12)
+
+
+def test_joints_may_come_in_any_order() -> None:
+    trajectory = rest_to_rest(moved(0.1, 0.2, 0.3, 0.4))
+    backwards = trajectory.model_copy(
+        update={
+            "joint_names": trajectory.joint_names[::-1],
+            **{
+                name: rows(np.array(getattr(trajectory, name))[:, ::-1])
+                for name in ("position", "velocity", "acceleration")
+            },
+        }
+    )
+    np.testing.assert_array_equal(Path.of(backwards, JOINTS).position, Path.of(trajectory, JOINTS).position)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [(*JOINTS[:-1], "joint_7"), JOINTS[:-1] + JOINTS[:1]],
+    ids=["a foreign joint", "a joint twice"],
+)
+def test_a_trajectory_of_other_joints_is_refused(names: tuple[str, ...]) -> None:
+    trajectory = rest_to_rest(moved(0.1)).model_copy(update={"joint_names": names})
+    with pytest.raises(InvalidRequest, match="needs each of joint_1") as refusal:
+        Path.of(trajectory, JOINTS)
+    assert refusal.value.problem.field == "trajectory.joint_names"
+
+
+def test_samples_too_close_in_time_to_divide_by_are_refused() -> None:
+    trajectory = rest_to_rest(moved(0.1), dt=100.0).model_copy(update={"time": (0.0, 5e-324)})
+    with pytest.raises(InvalidRequest) as refusal:
+        Path.of(trajectory, JOINTS)
+    assert refusal.value.problem.field == "trajectory.time"
+
+
+def test_a_robot_beside_the_start_is_led_to_it_inside_every_limit() -> None:
+    stands = moved(0.04, -0.02)
+    path = Path.of(rest_to_rest(moved(1.0)), JOINTS)
+    whole = path.approached_from(stands, VELOCITY, ACCELERATION)
+    lead = whole.duration - path.duration
+    np.testing.assert_allclose(whole.at(0.0), (stands, np.zeros(6), np.zeros(6)), atol=1e-12)
+    np.testing.assert_allclose(whole.at(lead)[0], HOME, atol=1e-9)
+    np.testing.assert_allclose(whole.at(lead + 0.5), path.at(0.5), atol=1e-9)
+    motion = np.array([whole.at(time) for time in np.linspace(0.0, lead, 200)])
+    assert np.all(np.abs(motion[:, 1]) <= VELOCITY * 1.0001)
+    assert np.all(np.abs(motion[:, 2]) <= ACCELERATION * 1.0001)
+
+
+def test_a_robot_at_the_start_is_led_nowhere() -> None:
+    path = Path.of(rest_to_rest(moved(1.0)), JOINTS)
+    assert path.approached_from(HOME, VELOCITY, ACCELERATION) is path

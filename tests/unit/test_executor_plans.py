@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import pytest
+from motions import ROBOT, moved, plan, rest_to_rest
+
+from zarm_contract.codec import decode, encode
+from zarm_contract.errors import ExecutionRefused, InvalidRequest
+from zarm_contract.messages import Cuboid, ExecuteRequest, Scene
+from zarm_executor.plans import REMEMBERED, Plans, SceneRevision
+
+TRAJECTORY = rest_to_rest(moved(0.1))
+
+
+@pytest.fixture
+def plans() -> Plans:
+    return Plans(ROBOT.hash)
+
+
+def test_an_empty_request_means_the_last_plan(plans: Plans) -> None:
+    for name in ("a", "b", "a"):
+        plans.add("", plan(name, TRAJECTORY))
+    assert plans.chosen(ExecuteRequest())[0] == "a"
+
+
+def test_before_the_first_plan_an_empty_request_is_refused(plans: Plans) -> None:
+    with pytest.raises(InvalidRequest, match="planner/plan"):
+        plans.chosen(ExecuteRequest())
+
+
+def test_the_last_plans_are_known_by_their_id_and_older_ones_are_forgotten(plans: Plans) -> None:
+    for number in range(REMEMBERED + 1):
+        plans.add("", plan(f"plan-{number}", TRAJECTORY))
+    assert plans.chosen(ExecuteRequest(plan_id="plan-1"))[0] == "plan-1"
+    with pytest.raises(InvalidRequest, match="plan-0") as refusal:
+        plans.chosen(ExecuteRequest(plan_id="plan-0"))
+    assert refusal.value.problem.field == "plan_id"
+
+
+def test_a_plan_older_than_the_scene_is_stale(plans: Plans) -> None:
+    plans.add("", plan("old", TRAJECTORY, revision=3))
+    plans.set_scene("", SceneRevision(revision=3))
+    plans.chosen(ExecuteRequest())
+    plans.set_scene("", SceneRevision(revision=4))
+    with pytest.raises(ExecutionRefused, match="revision 3 of the scene, which is at 4 now") as refusal:
+        plans.chosen(ExecuteRequest(plan_id="old"))
+    assert refusal.value.problem.code == "stale_plan"
+
+
+def test_a_trajectory_that_names_its_scene_is_stale_like_a_plan(plans: Plans) -> None:
+    plans.set_scene("", SceneRevision(revision=4))
+    plans.chosen(ExecuteRequest(trajectory=TRAJECTORY))
+    plans.chosen(ExecuteRequest(trajectory=TRAJECTORY, scene_revision=4))
+    with pytest.raises(ExecutionRefused) as refusal:
+        plans.chosen(ExecuteRequest(trajectory=TRAJECTORY, scene_revision=3))
+    assert refusal.value.problem.code == "stale_plan"
+
+
+def test_a_plan_for_another_description_of_the_robot_is_stale(plans: Plans) -> None:
+    plans.add("", plan("foreign", TRAJECTORY, robot_hash="0123456789abcdef"))
+    with pytest.raises(ExecutionRefused, match="same descriptor") as refusal:
+        plans.chosen(ExecuteRequest())
+    assert refusal.value.problem.code == "stale_plan"
+
+
+def test_the_revision_is_read_from_a_whole_scene() -> None:
+    box = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 0.0), size=(1.0, 1.0, 1.0))
+    assert decode(SceneRevision, encode(Scene(revision=7, objects=(box,)))).revision == 7

@@ -1,0 +1,192 @@
+"""Whoever edits a robot's files is told what is wrong, in which line, and what to write instead."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from covers import contains
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.robot import ROBOTS, CSpace, Execution, RobotDescriptor, load_robot
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    """A copy of a real descriptor and its URDF, to be edited."""
+    for suffix in (".yaml", ".urdf"):
+        shutil.copy(ROBOTS / f"doosan_m1013{suffix}", tmp_path / f"doosan_m1013{suffix}")
+    return tmp_path / "doosan_m1013.yaml"
+
+
+def edit(file: Path, old: str, new: str) -> int:
+    """Replace the only place where `old` stands; the line of it."""
+    text = file.read_text()
+    assert text.count(old) == 1, f"{text.count(old)} places have {old!r}"
+    file.write_text(text.replace(old, new))
+    return text[: text.index(old)].count("\n") + 1
+
+
+def faults(descriptor: Path) -> list[str]:
+    with pytest.raises(InvalidRequest) as error:
+        load_robot(str(descriptor))
+    return error.value.problem.message.splitlines()
+
+
+JOINTS = "joints: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]"
+HOME = "home: [0.0, 0.0, 1.570796, 0.0, 1.570796, 0.0]"
+LINKS = "base_link, link_1, link_2, link_3, link_4, link_5, link_6"
+LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "at", "fault"),
+    [
+        ("tip_link: link_6", "tip_link: [link_6", "joints:", "not valid YAML: expected ',' or ']', but got ':'"),
+        ("interpolation_dt", "interpolation_time", "", "interpolation_time: Extra inputs are not permitted; did you mean interpolation_dt?"),
+        ("strategy: emulator", "colour: white", "", "colour: Extra inputs are not permitted; robots/README.md lists the keys"),
+        ("strategy: emulator", HOME, "", "home: stands in line {home} too; keep one"),
+        ("name: doosan_m1013", "name: M1013", "", "name: String should match pattern '^[a-z][a-z0-9_]{0,63}$'; use small letters, digits and _, a letter first"),
+        (HOME, "home: [0.0, 0.0, 1.57]", "", "home: 3 values for 6 joints"),
+        (HOME, "home: 0.0", "", "home: Input should be a valid tuple; write a list: [0.1, 0.2, 0.3]"),
+        (HOME, "home: [0.0, 0.0, 3.1, 0.0, 1.57, 0.0]", "", "home.2: 3.1 is outside the limits of joint_3: -2.7925 to 2.7925"),
+        (HOME, "home: [0.0, 0.0, .nan, 0.0, 1.57, 0.0]", "", "home.2: Input should be a finite number"),
+        ("  velocity: [1.2, ", "  velocity: [-1.2, ", "", "cspace.velocity.0: Input should be greater than 0"),
+        ("tip_link: link_6", "tip_link: flange", "", f"tip_link: the link flange is not in doosan_m1013.urdf; the links there are {LINKS}"),
+        ("base_link: base_link\n", "base_link: link_6\n", "joints:", "joints: the moving joints from base_link to tip_link are []; list them in this order"),
+        (JOINTS, JOINTS.replace("1, joint_2", "2, joint_1"), "", "joints: the moving joints from base_link to tip_link are ['joint_1', 'joint_2', 'joint_3', 'joint_4', 'joint_5', 'joint_6']; list them in this order"),
+        (JOINTS, JOINTS.replace("joint_2", "joint_1"), "", "joints: a name stands twice"),
+        ("  link_6: *link_6\n", "", "spheres:", "spheres: the link link_6 has collision geometry but no sphere that covers it"),
+        ("  - [link_4, link_6]", "  - [link_4, tool]", "", f"self_collision_ignore.12.1: the link tool is not in doosan_m1013.urdf; the links there are {LINKS}"),
+        ("  - [link_4, link_6]", "  - [link_4]", "", "self_collision_ignore.12.1: Field required; robots/README.md explains what to write here"),
+        (LINK_6, LINK_6.replace("sphere", "ball"), "", "collision.link_6.0: Input tag 'ball' found using 'kind' does not match any of the expected tags: 'sphere', 'capsule', 'cylinder', 'cuboid'"),
+        (LINK_6, LINK_6.replace("kind: sphere, ", ""), "", "collision.link_6.0: Unable to extract tag using discriminator 'kind'; write kind: sphere, capsule, cylinder or cuboid"),
+        ("urdf: doosan_m1013.urdf", "urdf: m1013.urdf", "", "urdf: cannot read the URDF {folder}/m1013.urdf: no such file; the path is relative to the descriptor's folder"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_the_descriptor_has_its_line_and_a_remedy(
+    arm: Path, old: str, new: str, at: str, fault: str
+) -> None:
+    home = arm.read_text().split("\nhome: ")[0].count("\n") + 2
+    line = edit(arm, old, new)
+    if at:
+        (line,) = (number for number, text in enumerate(arm.read_text().splitlines(), 1) if text.startswith(at))
+    assert f"{arm}:{line}: {fault.replace('{folder}', str(arm.parent)).replace('{home}', str(home))}" in faults(arm)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ('  <link name="link_6"/>', '  <link name="link_6">', "not well-formed XML: mismatched tag"),
+        ('<origin xyz="0 0 0.1525"', '<mimic joint="joint_2"/><origin xyz="0 0 0.1525"', "joint joint_1 mimics another; make it fixed at the position it is used in"),
+        ('xyz="0 -0.121 0"', 'xyz="0 -0.121"', "joint joint_6: xyz='0 -0.121' must be three finite numbers"),
+        ('xyz="0 -0.121 0"', 'xyz="0 ${d6} 0"', "joint joint_6: xyz='0 ${d6} 0' must be three finite numbers; this is a xacro file: expand it first with `xacro`"),
+        ('lower="-2.7925"', 'lower="2.8"', "joint joint_3 has its lower limit 2.8 above its upper limit 2.7925"),
+        ('lower="-2.7925" upper="2.7925"', "", "joint joint_3 cannot move: both limits are 0.0; give a range or make it fixed"),
+        ('name="joint_6" type="revolute"', 'name="joint_6" type="hinge"', "joint joint_6 has the type hinge; known are revolute, continuous, prismatic, fixed"),
+        ('<robot name="doosan_m1013">', "<sdf>", "not well-formed XML: mismatched tag"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_the_urdf_has_its_line_and_a_remedy(arm: Path, old: str, new: str, fault: str) -> None:
+    urdf = arm.with_suffix(".urdf")
+    line = edit(urdf, old, new)
+    if "mismatched" in fault:  # noticed where the tags end that do not match
+        line = urdf.read_text().count("\n")
+    assert faults(arm) == [f"{urdf}:{line}: {fault}"]
+
+
+def test_a_file_that_is_no_urdf_is_said(arm: Path) -> None:
+    urdf = arm.with_suffix(".urdf")
+    urdf.write_text("<sdf version='1.7'/>")
+    assert faults(arm) == [f"{urdf}:1: a URDF starts with <robot>; this file starts with <sdf>"]
+
+
+def test_several_faults_of_a_descriptor_are_reported_together(arm: Path) -> None:
+    lines = [
+        edit(arm, "  velocity: [1.2, ", "  velocity: [fast, "),
+        edit(arm, "strategy: emulator", "stratgey: emulator"),
+        edit(arm, "name: doosan_m1013", "name: 3"),
+    ]
+    assert sorted(int(fault.removeprefix(f"{arm}:").split(":")[0]) for fault in faults(arm)) == sorted(lines)
+
+
+def test_wrong_counts_are_reported_together(arm: Path) -> None:
+    edit(arm, JOINTS, JOINTS.replace(", joint_6", ""))
+    said = [re.sub(r"^.*?:\d+: ", "", fault) for fault in faults(arm)]
+    keys = ("home", "cspace.velocity", "cspace.acceleration", "cspace.jerk")
+    assert said == [f"{key}: 6 values for 5 joints" for key in keys]
+
+
+def test_several_faults_of_a_urdf_are_reported_together(arm: Path) -> None:
+    urdf = arm.with_suffix(".urdf")
+    lines = [
+        edit(urdf, 'name="joint_2" type="revolute"', 'name="joint_2" type="screw"'),
+        edit(urdf, 'xyz="0.62 0 0"', 'xyz="620 mm"'),
+    ]
+    assert [fault.split(": ")[0] for fault in faults(arm)] == [f"{urdf}:{line}" for line in lines]
+
+
+def test_geometry_that_the_joints_do_not_carry_is_refused(arm: Path) -> None:
+    urdf = arm.with_suffix(".urdf")
+    edit(
+        urdf,
+        "</robot>",
+        '<link name="finger"/><joint name="slide" type="prismatic"><parent link="link_6"/><child link="finger"/>'
+        '<limit lower="0" upper="0.04"/></joint></robot>',
+    )
+    edit(arm, "  link_6: &link_6\n", "  finger: &finger\n" + LINK_6 + "\n  link_6: &link_6\n")
+    edit(arm, "  link_6: *link_6", "  finger: *finger\n  link_6: *link_6")
+    (fault,) = faults(arm)
+    assert fault.endswith(
+        'collision.finger: it hangs on slide, which is none of the robot\'s joints; give that joint type="fixed" in the URDF'
+    )
+    edit(urdf, 'name="slide" type="prismatic"', 'name="slide" type="fixed"')
+    assert "finger" in load_robot(str(arm)).descriptor.collision
+
+
+def test_a_descriptor_may_refer_to_what_it_wrote_before(arm: Path) -> None:
+    descriptor = load_robot(str(arm)).descriptor
+    covers = [(one.center, one.radius) for one in descriptor.spheres["link_6"]]
+    assert covers == [(one.center, one.radius) for one in descriptor.collision["link_6"] if one.kind == "sphere"]
+
+
+def test_a_list_that_contains_itself_is_refused(arm: Path) -> None:
+    line = edit(arm, HOME, "home: &home [0.0, *home]")
+    assert all(fault.startswith(f"{arm}:{line}: home") for fault in faults(arm))
+
+
+# -- robots/README.md --
+
+
+def keys_of(table_after: str) -> list[str]:
+    """Every `key` in the first column of the first table after a heading."""
+    section = (ROBOTS / "README.md").read_text().split(f"## {table_after}\n")[1]
+    table = section.split("\n|---")[1].split("\n\n")[0]
+    return [key for row in table.splitlines()[1:] for key in re.findall(r"`([^`]+)`", row.split("|")[1])]
+
+
+def test_the_readme_explains_every_key() -> None:
+    def under(section: str, model: type[CSpace | Execution]) -> list[str]:
+        return [f"{section}.{key}" for key in model.model_fields]
+
+    fields = [key for key in RobotDescriptor.model_fields if key not in ("cspace", "execution")]
+    assert sorted(keys_of("The keys")) == sorted(fields + under("cspace", CSpace) + under("execution", Execution))
+
+
+def test_the_readme_lists_every_robot() -> None:
+    assert sorted(keys_of("The robots")) == sorted(file.stem for file in ROBOTS.glob("*.yaml"))
+
+
+def example(fence: str) -> str:
+    (block,) = re.findall(rf"```{fence}\n(.*?)```", (ROBOTS / "README.md").read_text(), re.DOTALL)
+    return str(block)
+
+
+def test_the_example_of_the_readme_is_a_robot(tmp_path: Path) -> None:
+    (tmp_path / "my_arm.yaml").write_text(example("yaml"))
+    (tmp_path / "my_arm.urdf").write_text(example("xml"))
+    descriptor = load_robot(str(tmp_path / "my_arm.yaml")).descriptor
+    for link, primitives in descriptor.collision.items():
+        assert all(contains(descriptor.spheres[link], primitive) for primitive in primitives), link

@@ -1,0 +1,205 @@
+"""What search and shortening promise: free paths between the ends asked for, the same for the same seed, and an end in time."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from pathlib import Path
+
+import motion_bench
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from small_arm import small_arm
+from sphere_model import clearances
+
+from zarm_contract.errors import Cancelled, DeadlineExceeded
+from zarm_contract.messages import Cuboid, SceneObject, Sphere
+from zarm_contract.robot import load_robot
+from zarm_planner.kernels.edge import RESOLUTION
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.search import is_free, search
+from zarm_planner.shorten import shorten
+from zarm_planner.stop import Stop
+from zarm_planner.world import World
+
+Array = NDArray[np.float64]
+
+WALL = (Cuboid(kind="cuboid", name="wall", position=(0.6, 0.0, 0.3), size=(0.8, 0.02, 0.6)),)
+"""Stands in front of the robot, so that it must go over it from one side to the other."""
+
+
+@pytest.fixture(scope="module")
+def model() -> RobotModel:
+    return RobotModel.of(load_robot("panda"))
+
+
+@pytest.fixture(scope="module")
+def sides() -> tuple[Array, Array]:
+    """The hand of the Panda to the left and to the right of the wall."""
+    left = np.array([0.6, 0.6, 0.0, -1.8, 0.0, 2.4, 0.785])
+    return left, left * [-1, 1, 1, 1, 1, 1, 1]
+
+
+def length(path: Array) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def dense(path: Array) -> Array:
+    """The path's configurations in steps of 0.01 rad at most."""
+    parts = [np.linspace(a, b, 2 + int(np.abs(b - a).max() / 0.01)) for a, b in itertools.pairwise(path)]
+    return np.concatenate(parts)
+
+
+def assert_free(model: RobotModel, objects: tuple[SceneObject, ...], path: Array) -> None:
+    """To half the resolution, as edges promise; a part of a free edge is as free."""
+    assert clearances(model, objects, dense(path)).min() > -RESOLUTION / 2
+    assert np.all((path >= model.lower) & (path <= model.upper))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_path_leads_from_the_start_to_the_goal_around_what_is_in_between(
+    model: RobotModel, sides: tuple[Array, Array], seed: int
+) -> None:
+    start, goal = sides
+    world = World(WALL, 0.0)
+    assert not is_free(model, world, np.array(sides))
+    path = search(model, world, start, goal[None], seed=seed, stop=Stop(30.0))
+    assert path is not None
+    np.testing.assert_array_equal(path[0], start)
+    np.testing.assert_array_equal(path[-1], goal)
+    assert_free(model, WALL, path)
+
+
+def test_with_a_margin_of_half_the_resolution_no_sphere_touches_anything(
+    model: RobotModel, sides: tuple[Array, Array]
+) -> None:
+    world = World(WALL, RESOLUTION / 2)
+    path = search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0))
+    assert path is not None
+    path = shorten(model, world, path, seed=0, stop=Stop(30.0))
+    assert clearances(model, WALL, dense(path)).min() > -1e-6
+
+
+def test_a_free_straight_line_is_the_path(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    path = search(model, World((), 0.0), sides[0], sides[1][None], seed=0, stop=Stop(30.0))
+    np.testing.assert_array_equal(path, np.array(sides))
+
+
+def test_of_several_goals_one_that_can_be_reached_is(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    start, goal = sides
+    caged = goal.copy()
+    caged[0] -= 0.9
+    x, y, z = model.fk_tip(caged)[:3, 3].tolist()
+    lump = Sphere(kind="sphere", name="lump", position=(x, y, z), radius=0.1)
+    objects = (*WALL, lump)
+    path = search(model, World(objects, 0.0), start, np.array((caged, goal)), seed=0, stop=Stop(30.0))
+    assert path is not None
+    np.testing.assert_array_equal(path[-1], goal)
+    assert_free(model, objects, path)
+
+
+def test_the_same_seed_gives_the_same_path_and_another_seed_another(
+    model: RobotModel, sides: tuple[Array, Array]
+) -> None:
+    world = World(WALL, 0.005)
+    paths = [search(model, world, sides[0], sides[1][None], seed=seed, stop=Stop(30.0)) for seed in (1, 1, 2)]
+    first, same, other = (path for path in paths if path is not None)
+    np.testing.assert_array_equal(first, same)
+    assert not np.array_equal(first, other)
+    short, same_short = (shorten(model, world, first, seed=3, stop=Stop(30.0)) for _ in range(2))
+    np.testing.assert_array_equal(short, same_short)
+
+
+def hopeless(model: RobotModel, goal: Array) -> World:
+    """A world in which the goal collides, so that no edge ever reaches it."""
+    x, y, z = model.fk_tip(goal)[:3, 3].tolist()
+    return World((Sphere(kind="sphere", name="lump", position=(x, y, z), radius=0.1),), 0.0)
+
+
+def test_a_hopeless_search_ends_with_its_deadline(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    start, goal = sides
+    stop = Stop(0.2)
+    assert search(model, hopeless(model, goal), start, goal[None], seed=0, stop=stop) is None
+    assert stop.passed
+    assert not stop.cancelled
+    with pytest.raises(DeadlineExceeded, match=r"0\.2 s"):
+        stop.check()
+
+
+def test_a_hopeless_search_ends_when_another_thread_cancels_it(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    start, goal = sides
+    stop = Stop(60.0)
+    canceller = threading.Timer(0.1, stop.cancel)
+    canceller.start()
+    assert search(model, hopeless(model, goal), start, goal[None], seed=0, stop=stop) is None
+    canceller.join()
+    with pytest.raises(Cancelled):
+        stop.check()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_shortened_path_is_free_keeps_its_ends_and_is_no_longer(
+    model: RobotModel, sides: tuple[Array, Array], seed: int
+) -> None:
+    world = World(WALL, 0.0)
+    path = search(model, world, sides[0], sides[1][None], seed=seed, stop=Stop(30.0))
+    assert path is not None
+    shorter = shorten(model, world, path, seed=seed, stop=Stop(30.0))
+    assert length(shorter) < length(path)
+    np.testing.assert_array_equal(shorter[[0, -1]], path[[0, -1]])
+    assert np.all(np.abs(np.diff(shorter, axis=0)).max(axis=1) > 0.0)
+    assert_free(model, WALL, shorter)
+
+
+def test_a_detour_without_a_reason_becomes_a_straight_line(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    detour = np.array((sides[0], model.robot.descriptor.home, sides[0] + 0.1, sides[1], sides[1]))
+    np.testing.assert_array_equal(shorten(model, World((), 0.0), detour, seed=0, stop=Stop(30.0)), np.array(sides))
+
+
+def test_shortening_after_a_cancel_still_gives_a_free_path(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    world = World(WALL, 0.0)
+    path = search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0))
+    assert path is not None
+    stop = Stop(30.0)
+    stop.cancel()
+    shorter = shorten(model, world, path, seed=0, stop=stop)
+    assert length(shorter) <= length(path)
+    assert_free(model, WALL, shorter)
+
+
+def test_an_arm_that_slides_and_turns_without_end_finds_its_way(tmp_path: Path) -> None:
+    arm = RobotModel.of(small_arm(tmp_path))
+    plate = (Cuboid(kind="cuboid", name="plate", position=(0.0, 0.6, 0.5), size=(0.01, 0.8, 1.0)),)
+    start, goal = np.array([-3.0, 1.2, 0.3, 0.2]), np.array([3.0, 1.2, 0.3, 0.2])
+    path = search(arm, World(plate, 0.0), start, goal[None], seed=0, stop=Stop(30.0))
+    assert path is not None
+    assert_free(arm, plate, path)
+
+
+@pytest.mark.skipif(not motion_bench.AVAILABLE, reason="MotionBenchMaker's problems are not beside the repository")
+@pytest.mark.parametrize("name", motion_bench.ROBOTS)
+@pytest.mark.parametrize("scene", motion_bench.SCENES)
+def test_every_problem_of_motion_bench_maker_is_solved(name: str, scene: str, tmp_path: Path) -> None:
+    model = RobotModel.of(motion_bench.robot(name, tmp_path))
+    problems = motion_bench.problems(name, scene)
+    assert problems
+    for problem in problems:
+        world = World(problem.objects, 0.0)
+        start, goals = np.array(problem.start), np.array(problem.goals)
+        path = search(model, world, start, goals, seed=0, stop=Stop(30.0))
+        assert path is not None, problem.index
+        path = shorten(model, world, path, seed=0, stop=Stop(30.0))
+        np.testing.assert_array_equal(path[0], start)
+        np.testing.assert_array_equal(path[-1], goals[0])
+        if problem.index % 10 == 1:  # the independent check is a thousand times slower
+            assert_free(model, problem.objects, path)
+
+
+@pytest.mark.skipif(not motion_bench.AVAILABLE, reason="MotionBenchMaker's problems are not beside the repository")
+@pytest.mark.parametrize("name", motion_bench.ROBOTS)
+def test_the_goal_poses_of_motion_bench_maker_are_where_its_goals_are(name: str, tmp_path: Path) -> None:
+    model = RobotModel.of(motion_bench.robot(name, tmp_path))
+    for problem in motion_bench.problems(name, "box"):
+        for goal, pose in zip(problem.goals, problem.goal_poses, strict=True):
+            np.testing.assert_allclose(model.fk_tip(np.array(goal))[:3, 3], pose.position, atol=1e-6)
