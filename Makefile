@@ -49,7 +49,7 @@ define WARM_UP
 from zarm_contract.robot import load_robot
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.warm_up import warm_up
-warm_up(RobotModel(load_robot("doosan_m1013")), lambda step: print("  " + step, flush=True))
+warm_up(RobotModel.of(load_robot("doosan_m1013")), lambda step: print("  " + step, flush=True))
 endef
 export WARM_UP
 

@@ -120,11 +120,13 @@ class Command:
 class Up(Command):
     """`zarm up`, ready on entry; leaving ends it with Ctrl-C."""
 
-    def __init__(self, endpoint: str, folder: Path, *arguments: str, joins: bool = False, name: str = ROBOT) -> None:
+    def __init__(
+        self, endpoint: str, folder: Path, *arguments: str, joins: bool = False, name: str = ROBOT, **variables: str
+    ) -> None:
         self.endpoint = endpoint
         self.keys = Keys(name)
         where = ("--connect" if joins else "--listen", endpoint, "--state", str(folder / "state"), "--name", name)
-        super().__init__("up", *where, *arguments, folder=folder)
+        super().__init__("up", *where, *arguments, folder=folder, **variables)
 
     def __enter__(self) -> Self:
         super().__enter__()

@@ -13,6 +13,7 @@ from contract.wire import declared
 from harness import PATIENCE, eventually
 
 from zarm_contract import messages as m
+from zarm_contract._model import Message
 from zarm_contract.bus import Bus
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InternalError
@@ -84,6 +85,19 @@ def test_a_family_answers_for_one_member_or_for_all(bus: Bus, plain: zenoh.Sessi
     assert read(KEYS.goal("goal-4")) == {}
     goals.forget(KEYS.goal("goal-2"))
     assert set(read(KEYS.goal("*"))) == {KEYS.goal("goal-1"), KEYS.goal("goal-3")}
+
+
+def test_each_member_of_a_family_says_what_it_is(bus: Bus, plain: zenoh.Session) -> None:
+    objects = bus.latched(KEYS.scene_object("*"), Message)
+    for (example,) in (by_class()[m.Sphere], by_class()[m.Cuboid]):
+        objects.set(example, key=KEYS.scene_object(example.name))
+    declared(bus)
+    replies = [reply.ok for reply in plain.get(KEYS.scene_object("*"), timeout=PATIENCE)]
+    encodings = {str(ok.key_expr): str(ok.encoding) for ok in replies if ok is not None}
+    assert encodings == {
+        KEYS.scene_object("ball.1"): "application/json;zarm.Sphere.v1",
+        KEYS.scene_object("table"): "application/json;zarm.Cuboid.v1",
+    }
 
 
 def test_a_watcher_of_a_family_sees_every_member_and_new_ones(bus: Bus, other: Bus) -> None:

@@ -91,7 +91,7 @@ def test_frozen_in_motion_it_stops_without_a_jump_and_is_in_fault_until_reset(
     goal_id = client.execute(SLOW)
     client.under_way(goal_id)
     os.kill(executor.process.pid, signal.SIGSTOP)
-    time.sleep(4 * STALL_LIMIT)  # how long it is frozen is what is tested
+    time.sleep(2 * STALL_LIMIT)  # how long it is frozen is what is tested
     os.kill(executor.process.pid, signal.SIGCONT)
     state = client.mode("fault")
     assert state.problem is not None

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import zenoh
 from executor_client import Client, distance_from
 from harness import PATIENCE, ServiceProcess, eventually
 from motions import HOME, KEYS, ROBOT, moved, plan, rest_to_rest
 
 from zarm_contract.bus import Bus
-from zarm_contract.codec import MAX_BYTES, decode
 from zarm_contract.errors import (
     Busy,
     ExecutionRefused,
     InvalidRequest,
-    Problem,
     Unavailable,
     ZarmError,
 )
 from zarm_contract.keys import Keys
 from zarm_contract.messages import GoalState, JointState, Plan, Scene, Strategies, Trajectory
-from zarm_contract.session import open_client
 from zarm_executor.path import Path as Motion
 from zarm_executor.reporter import FINISHED_GOALS
 
@@ -371,56 +367,3 @@ def test_an_executor_without_a_place_for_its_state_does_not_start(endpoint: str,
         assert process.process.wait(PATIENCE) == 1
         assert "--state" in process.output()
         assert "Traceback" not in process.output()
-
-
-# --- noise ---
-
-
-NOISE = [
-    b"{",
-    b"\xff\xfe\x00",
-    b"[]",
-    b"null",
-    b'"emulator"',
-    b'{"unknown": 1}',
-    b"[" * 100_000,
-    b'{"trajectory": {"joint_names": [], "time": [0, 1e999], "position": [], "velocity": [], "acceleration": []}}',
-    b'{"trajectory": {"joint_names": ["joint_1"], "time": [0, NaN], "position": [], "velocity": [], "acceleration": []}}',
-    b'{"plan_id": "' + b"x" * 1000 + b'"}',
-    b'{"goal_id": "../../etc"}',
-    b'{"strategy": 7}',
-    b" " * (MAX_BYTES + 1),
-]
-QUERYABLES: list[Callable[[Keys], str]] = [
-    lambda keys: keys.execute,
-    lambda keys: keys.cancel,
-    lambda keys: keys.stop,
-    lambda keys: keys.pause,
-    lambda keys: keys.resume,
-    lambda keys: keys.reset,
-    lambda keys: keys.strategy,
-    lambda keys: keys.health("executor"),
-]
-
-
-@pytest.mark.parametrize("key", [key(KEYS) for key in QUERYABLES])
-def test_noise_is_answered_with_a_problem_and_moves_nothing(client: Client, endpoint: str, key: str) -> None:
-    with open_client(endpoint) as session:
-        for noise in NOISE:
-            (reply,) = session.get(key, payload=noise, timeout=10.0, congestion_control=zenoh.CongestionControl.BLOCK)
-            assert reply.err is not None, noise[:80]
-            assert decode(Problem, reply.err.payload.to_bytes()).code == "invalid_request"
-    assert client.stands()
-    assert client.state().mode == "idle"
-    assert client.goals == []
-    assert client.ended(client.execute(SHORT)).status == "succeeded"
-
-
-def test_noise_on_the_keys_it_listens_to_does_no_harm(client: Client, endpoint: str) -> None:
-    with open_client(endpoint) as session:
-        for noise in NOISE:
-            for key in (KEYS.plans, KEYS.scene):
-                session.put(key, noise, congestion_control=zenoh.CongestionControl.BLOCK)
-    assert client.ended(client.execute(SHORT)).status == "succeeded"
-    with pytest.raises(InvalidRequest, match="no plan"):
-        client.execute()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -189,7 +188,8 @@ def dense(a: Array, b: Array, scene: ExactScene) -> Array:
 def test_a_motion_has_the_clearance_of_its_nearest_configuration(model: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = ExactScene(model, [scene_object(rng, i) for i in range(10)])
-    motion = dense(configuration(model, rng), configuration(model, rng), scene)
+    start = configuration(model, rng)
+    motion = dense(start, start + rng.uniform(-0.4, 0.4, model.dof) * (1, 1, 1, 0.2), scene)
     singly = [scene.nearest(q).distance for q in motion]
     found = scene.nearest(motion)
     if min(singly) <= 0.0:

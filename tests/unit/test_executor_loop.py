@@ -50,6 +50,16 @@ def test_a_loop_ends_with_its_block() -> None:
     assert not any(thread.name == "test" for thread in threading.enumerate())
 
 
+def test_a_loop_may_be_started_again() -> None:
+    calls: list[float] = []
+    loop = Loop("test", PERIOD, calls.append)
+    for _ in range(2):
+        calls.clear()
+        loop.start()
+        eventually(lambda: calls, "there was a call")
+        loop.stop()
+
+
 def test_an_exception_in_a_loop_ends_the_process_and_leaves_its_trace() -> None:
     program = (
         "import threading\n"

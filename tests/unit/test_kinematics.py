@@ -95,7 +95,7 @@ def test_no_sphere_moves_further_than_the_model_says(model: RobotModel) -> None:
         centers = np.array([[*ball.center, 1.0] for ball in balls[name]]).T
         moved = (model.link_transforms(before + step)[:, link] - model.link_transforms(before)[:, link]) @ centers
         farthest = np.linalg.norm(moved[:, :3], axis=1).max(axis=1)
-        assert np.all(farthest <= np.abs(step) @ model.arrays.reach[link] + 1e-6)
+        assert np.all(farthest <= np.abs(step) @ model.arrays.reach[:, link] + 1e-6)
 
 
 def reached(model: RobotModel, q: Array, pose: Array) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import motion_bench
@@ -16,7 +17,7 @@ from sphere_model import clearances
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner.kernels.edge import RESOLUTION
+from zarm_planner.kernels.collision import RESOLUTION
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free, search
 from zarm_planner.shorten import shorten
@@ -136,6 +137,20 @@ def test_a_hopeless_search_ends_when_another_thread_cancels_it(model: RobotModel
     canceller.join()
     with pytest.raises(Cancelled):
         stop.check()
+
+
+def test_searches_in_several_threads_do_not_disturb_each_other(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    world = World(WALL, 0.0)
+
+    def find(seed: int) -> Array:
+        path = search(model, world, sides[0], sides[1][None], seed=seed, stop=Stop(30.0))
+        assert path is not None
+        return shorten(model, world, path, seed=seed, stop=Stop(30.0))
+
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(find, range(40)))
+    for seed, path in enumerate(together):
+        np.testing.assert_array_equal(path, find(seed))
 
 
 @pytest.mark.parametrize("seed", range(5))

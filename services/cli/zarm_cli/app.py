@@ -1,55 +1,21 @@
-"""The `zarm` command: its sub-commands, exit codes and one-line errors."""
+"""The `zarm` command."""
 
 from __future__ import annotations
 
 import sys
 
-import typer
-
-from zarm_cli import demo, execution, kinematics, launcher, planning, robot, scene, status
 from zarm_cli.interrupts import interrupt_once
-from zarm_cli.output import err, error_line
-from zarm_contract.errors import Unavailable, ZarmError
 
-REFUSED, USAGE, UNAVAILABLE, INTERRUPTED = 1, 2, 3, 130
-
-app = typer.Typer(
-    name="zarm",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help="Motion for robot arms. Start with `zarm demo`, or `zarm up` and then `zarm status` in a second terminal.",
-)
-for command in (
-    launcher.up,
-    demo.demo,
-    status.status,
-    status.watch,
-    status.health,
-    planning.plan,
-    execution.execute,
-    execution.cancel,
-    execution.strategy,
-    kinematics.fk,
-    kinematics.ik,
-    kinematics.check,
-):
-    app.command()(command)
-for name, order in execution.ORDERS.items():
-    app.command(name)(order)
-app.add_typer(scene.app, name="scene")
-app.add_typer(robot.app, name="robot")
+INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line and exit: 0 done, 1 refused, 2 usage, 3 unavailable, 130 interrupted."""
+    """Run the command line and exit with its code."""
     interrupt_once()
     try:
-        code = app(standalone_mode=False)
-    except ZarmError as error:
-        err.print(error_line(error), soft_wrap=True)
-        sys.exit(UNAVAILABLE if isinstance(error, Unavailable) else REFUSED)
-    except typer.TyperException as error:
-        if text := error.format_message():  # empty where the help was shown instead
-            err.print(f"zarm: usage: {text} (`--help` shows how)", soft_wrap=True)
-        sys.exit(USAGE)
-    sys.exit(code or 0)
+        from zarm_cli.commands import run  # takes a third of a second, in which Ctrl-C ends in order already
+
+        code = run()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    sys.exit(code)

@@ -22,6 +22,7 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     GoalState,
+    Plan,
     Strategies,
     StrategyRequest,
 )
@@ -48,19 +49,24 @@ def execute(
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
     if velocity_scale is not None and goal is None:
         raise typer.BadParameter("belongs to --to or --joints", param_hint="--velocity-scale")
-    saved = None if plan is None else read_plan(plan)
+    request = message(ExecuteRequest, plan_id=plan_id) if plan is None else along(read_plan(plan))
     with connected(connect, name) as client:
         if goal is not None:
-            plan_id = request_plan(client, goal, velocity_scale=velocity_scale).plan_id
-        request = message(ExecuteRequest, plan_id=plan_id)
-        if saved is not None:
-            request = ExecuteRequest(trajectory=saved.trajectory, scene_revision=saved.scene_revision)
+            request = along(request_plan(client, goal, velocity_scale=velocity_scale))
         last = run_goal(client, request)
     if as_json:
         print_json(last)
     demand_success(last)
     if not as_json:
         out.print(f"{last.status} after {last.elapsed:.2f} s in motion (goal {last.goal_id})")
+
+
+def along(plan: Plan) -> ExecuteRequest:
+    """The request to move along a plan at hand.
+
+    It carries the motion itself: a plan that was just made may be known to its client before it is to the executor.
+    """
+    return ExecuteRequest(trajectory=plan.trajectory, scene_revision=plan.scene_revision)
 
 
 def demand_success(last: GoalState) -> None:

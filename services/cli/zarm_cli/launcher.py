@@ -168,7 +168,8 @@ def _say_ready(stack: Stack) -> None:
             ("robot", client.keys.robot),
             ("endpoint", client.endpoint),
             ("strategy", client.ask(client.keys.strategy, Strategies).active),
-            ("try", f"zarm execute --joints {numbers([first + 0.5, *rest]).replace(' ', '')}{where}"),
-            ("stop", "Ctrl-C"),
         )
     )
+    move = numbers([first + 0.5, *rest]).replace(" ", "")
+    out.print(f"Try in another terminal: zarm execute --joints {move}{where}", soft_wrap=True)
+    out.print("Ctrl-C stops everything.")

@@ -28,7 +28,7 @@ from supervisor.xmlrpc import SupervisorTransport
 from zarm_cli.interrupts import uninterrupted
 from zarm_contract.errors import InternalError
 
-_STOP_SECONDS = 10  # for one process, deceleration included; then it is killed
+_STOP_SECONDS = 15  # for one process, deceleration included; then it is killed
 _RETRIES = 6  # starts that fail in a row, with 1 s, 2 s, ... between them
 
 _HEAD = """\
@@ -75,7 +75,7 @@ class Supervisor:
     def __init__(self, programs: Mapping[str, tuple[str, Sequence[str]]], environment: Mapping[str, str]) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="zarm-")
         folder = Path(self._folder.name)
-        config = _HEAD.format(folder=folder)
+        config = _HEAD.format(folder=self._folder.name.replace("%", "%%"))
         for priority, (name, (module, arguments)) in enumerate(programs.items(), start=1):
             command = shlex.join(_command(module, arguments)).replace("%", "%%")
             config += _PROGRAM.format(
@@ -116,12 +116,12 @@ class Supervisor:
             self._folder.cleanup()
 
     def fallen(self) -> list[str]:
-        """Names of the programs that ended by themselves in their first seconds and wait for their next start."""
-        return self._in_state(ProcessStates.BACKOFF, ProcessStates.FATAL)
+        """Names of the programs that have ended by themselves at least once, whether they run again or not."""
+        return [process["name"] for process in self._processes() if process["stop"]]
 
     def given_up(self) -> list[str]:
         """Names of the programs that ended too often in a row and are not started again."""
-        return self._in_state(ProcessStates.FATAL)
+        return [process["name"] for process in self._processes() if process["state"] == ProcessStates.FATAL]
 
     def last_words(self, name: str) -> str:
         """Why a program ended: the reason in its log (as `zarm_contract.service` writes it), else the last line of all."""
@@ -131,15 +131,14 @@ class Supervisor:
                 return line.partition("reason=")[2]
         return self._last_lines[-1] if self._last_lines else "it printed nothing"
 
-    def _in_state(self, *states: int) -> list[str]:
+    def _processes(self) -> Any:
         if self._process.poll() is not None:
             raise InternalError(f"supervisord ended with {self._process.returncode}; its last lines are above")
         try:
             with self._server() as server:
-                processes = server.supervisor.getAllProcessInfo()
+                return server.supervisor.getAllProcessInfo()
         except (FileNotFoundError, ConnectionError):  # it does not listen yet, or is about to end
             return []
-        return [process["name"] for process in processes if process["state"] in states]
 
     def _server(self) -> Any:
         return ServerProxy("http://localhost", transport=SupervisorTransport(None, None, f"unix://{self._socket}"))

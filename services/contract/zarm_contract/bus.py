@@ -154,9 +154,8 @@ class Bus:
         """A value that is published on every change and answered to whoever asks for it.
 
         `key` may end in `/*`: then it is a family of values, each under a key of its own; `model` may be a class that they
-        have in common. A key that takes requests
-        as well (settings, strategy) is not latched but served and published: `serve` answers whoever asks, and one key
-        has one queryable.
+        have in common. A key that takes requests as well (settings, strategy) is not latched but served and published:
+        `serve` answers whoever asks, and one key has one queryable.
         """
         latched: Latched[M] = Latched(self._session, key)
         self._entities.append(latched)

@@ -29,14 +29,17 @@ class Loop:
     """
 
     def __init__(self, name: str, period: float, work: Callable[[float], object], *, realtime: bool = False) -> None:
+        self._name = name
         self._period = period
-        self._realtime = realtime
         self._work = work
+        self._realtime = realtime
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread = threading.Thread()
 
     def start(self) -> None:
-        """Begin; the first call comes at once."""
+        """Begin; the first call comes at once. A loop that was stopped may be started again."""
+        self._ended.clear()
+        self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -56,7 +59,7 @@ class Loop:
     def _run(self) -> None:
         try:
             if self._realtime:
-                _ask_for_realtime(self._thread.name)
+                _ask_for_realtime(self._name)
             deadline = time.monotonic()
             while not self._ended.is_set():
                 time.sleep(max(0.0, deadline - time.monotonic()))
@@ -65,7 +68,7 @@ class Loop:
                 self._work(deadline)
                 deadline += self._period
         except Exception:
-            log.critical("the loop %s failed; the process ends", self._thread.name, exc_info=True)
+            log.critical("the loop %s failed; the process ends", self._name, exc_info=True)
             os._exit(1)
 
 

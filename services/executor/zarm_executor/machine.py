@@ -22,7 +22,7 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.path import Path
 from zarm_executor.strategies.base import Measured, Strategy
 
-STALL_LIMIT = 0.5
+STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
 
 

@@ -79,6 +79,7 @@ def start(service: Service) -> Iterator[None]:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState))
             reporter.report_interrupted()
+            reporter.publish()
             plans, ghost = Plans(robot.hash), Ghost(bus, keys, robot)
             executor = Executor(robot, machine, reporter, plans, strategies, bus.publisher(keys.strategy, Strategies))
             with (

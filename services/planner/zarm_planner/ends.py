@@ -97,8 +97,10 @@ def goal_ends(model: RobotModel, snapshot: Snapshot, start: Array, goal: Goal, s
     obstacles = []
     for q in candidates:
         nearest = snapshot.exact.nearest(q)
-        open_to = nearest.distance > 0.0 and not _within_margin(nearest, snapshot.world)
-        if open_to and (end := _end(model, snapshot, q, seed, stop)):
+        to_objects = snapshot.exact.nearest(q, itself=False)
+        if nearest.distance > 0.0 and to_objects.distance <= snapshot.world.margin:
+            obstacles.append(to_objects)
+        elif nearest.distance > 0.0 and (end := _end(model, snapshot, q, seed, stop)):
             ends.append(end)
         else:
             obstacles.append(nearest)
@@ -128,10 +130,6 @@ def _end(model: RobotModel, snapshot: Snapshot, q: Array, seed: int, stop: Stop)
                 if snapshot.exact.nearest(np.linspace(q, near, steps)).distance > 0.0:
                     return End(q, near)
     return None
-
-
-def _within_margin(nearest: Nearest, world: World) -> bool:
-    return nearest.pair is not None and nearest.pair[1] in world.names and nearest.distance < world.margin
 
 
 def _overlap(nearest: Nearest) -> str:

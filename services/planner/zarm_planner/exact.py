@@ -31,6 +31,8 @@ _RELIED = 0.98
 (mostly below 1 um) too long, and only where the shapes were far apart."""
 _DOUBT = 0.02
 """A bound within so much (m) of the best distance is replaced by the exact distance."""
+_BLOCK = 8192
+"""So many pairs are bounded at a time, for the sake of memory."""
 _DISTANCE = fcl.DistanceRequest()
 _IGNORED = fcl.DistanceResult(-math.inf)
 """Where FCL's bindings find nothing to improve, so that nearest points are not copied."""
@@ -73,38 +75,51 @@ class ExactScene:
         most = max(len(centers) for centers, _ in covers)
         self.balls = np.array([np.pad(centers, ((0, most - len(centers)), (0, 0)), "edge") for centers, _ in covers])
         self.ball_radius = np.array([radius for _, radius in covers])
-        fixed = self.pose[self.parts :]
-        grown = (np.abs(fixed[:, :3, :3]) @ self.half[self.parts :, :, None])[..., 0] + self.rounding[
-            self.parts :, None
-        ]
-        self.boxes = np.stack([fixed[:, :3, 3] - grown, fixed[:, :3, 3] + grown], axis=1)
+        grown = (np.abs(self.pose[:, :3, :3]) @ self.half[:, :, None])[..., 0] + self.rounding[:, None]
+        boxes = np.stack([self.pose[:, :3, 3] - grown, self.pose[:, :3, 3] + grown], axis=1)
+        self.boxes = boxes[self.parts :]
+        # Between a ball and a rounded box the bound that balls give is the distance.
+        self.is_ball = np.array([not shape.half.any() for _, shape in parts])
+        self.is_box = np.array([shape.disc == 0.0 for shape in self.shapes])
 
-        joint = model.link_joint[self.link]
-        meet = {(int(a), int(b)) for a, b in model.pairs}
-        self.pairs = np.array(
+        # By link: a sphere around it, and how far it travels with each joint; then the same travel for the pairs of links
+        # that can meet, of the outer one as seen from the inner one.
+        links = range(len(model.links))
+        box_of = [boxes[: self.parts][self.link == link] for link in links]
+        self.centers = np.array([(box[:, 0].min(axis=0) + box[:, 1].max(axis=0)) / 2 for box in box_of])
+        self.radii = np.array(
             [
-                (outer, inner)
-                for inner in range(self.parts)
-                for outer in range(inner + 1, self.parts)
-                if (int(self.link[inner]), int(self.link[outer])) in meet
-            ],
-            np.intp,
-        ).reshape(-1, 2)
-        self.movable = np.flatnonzero(joint >= 0)
+                np.linalg.norm(np.abs(box - center).max(axis=1), axis=1).max()
+                for box, center in zip(box_of, self.centers, strict=True)
+            ]
+        )
         reach = _reach(model, [shape for _, shape in parts], self.link)
-        # Each part as seen from the world, then the outer part of each pair as seen from the inner one.
-        between = np.arange(model.dof) > joint[self.pairs[:, 1], None]
-        self.travel_per_joint = np.concatenate([reach, reach[self.pairs[:, 0]] * between])
+        by_link = np.array([reach[self.link == link].max(axis=0) for link in links])
+        between = np.arange(model.dof) > model.link_joint[model.pairs[:, 0], None]
+        self.travel_per_joint = np.concatenate([by_link, by_link[model.pairs[:, 1]] * between])
         self.reach = reach.max(axis=0)
         """(dof,): how far (m) a point of the robot moves at most per rad (m where prismatic) of each joint."""
 
-    def nearest(self, q: ArrayLike, stop: Callable[[], None] = lambda: None) -> Nearest:
+        # Parts against the world, and each other: outer part, inner part, column of travel.
+        self.movable = np.flatnonzero(model.link_joint[self.link] >= 0)
+        self.pairs = np.array(
+            [
+                (outer, inner, len(links) + pair)
+                for pair, (a, b) in enumerate(model.pairs.tolist())
+                for inner in np.flatnonzero(self.link == a)
+                for outer in np.flatnonzero(self.link == b)
+            ],
+            np.intp,
+        ).reshape(-1, 3)
+
+    def nearest(self, q: ArrayLike, stop: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
         """The smallest distance over configurations `q` (n, dof) that follow each other closely, or over one (dof,).
 
-        The search ends at the first collisions it finds; so the deepest is sure for a single configuration only. Links
-        fixed to the base are not checked against the world. `stop` is called now and then and may raise.
+        To objects and, if `itself`, of the robot's links to each other. The search ends at the first collisions that it
+        finds; so the deepest is sure for a single configuration only. Links fixed to the base are not checked against the
+        world. `stop` is called now and then and may raise.
         """
-        return _Sweep(self, np.atleast_2d(np.asarray(q, np.float64))).nearest(stop)
+        return _Sweep(self, np.atleast_2d(np.asarray(q, np.float64))).nearest(stop, itself)
 
 
 class _Sweep:
@@ -117,9 +132,9 @@ class _Sweep:
         np.cumsum(np.abs(np.diff(q, axis=0)) @ scene.travel_per_joint.T, axis=0, out=self._travel[1:])
         self._parts = [fcl.CollisionObject(shape.geometry) for shape in scene.shapes[: scene.parts]]
 
-    def nearest(self, stop: Callable[[], None]) -> Nearest:
+    def nearest(self, stop: Callable[[], None], itself: bool) -> Nearest:
         shapes, travel = self._scene.shapes, self._travel
-        a, b, row, best = self._candidates()
+        a, b, row, best = self._candidates(itself)
         # Stretches low <= k < high of each pair's samples, of which the middle one is looked at.
         low, high = np.zeros(len(a), np.intp), np.full(len(a), len(travel))
         while len(a):
@@ -127,13 +142,15 @@ class _Sweep:
             k = (low + high) // 2
             spread = np.maximum(travel[k, row] - travel[low, row], travel[high - 1, row] - travel[k, row])
             distance = self._lower_bounds(a, b, k)
+            known = self._scene.is_ball[a] & self._scene.is_box[b] & (distance > 0.0)
             for i in np.argsort(distance, kind="stable").tolist():
                 above = distance[i] - max(best.distance, 0.0)
                 if above >= _DOUBT:
                     break
                 if above >= 0.0 and not above < spread[i] < _DOUBT:
                     continue  # the exact distance would settle nothing
-                distance[i] = self._distance(int(a[i]), int(b[i]), int(k[i]))
+                if not known[i]:
+                    distance[i] = self._distance(int(a[i]), int(b[i]), int(k[i]))
                 if distance[i] < best.distance:
                     best = Nearest(float(distance[i]), (shapes[a[i]].name, shapes[b[i]].name), int(k[i]))
             if best.distance <= 0.0:
@@ -144,37 +161,42 @@ class _Sweep:
             a, b, row, low, high = (x[low < high] for x in (a, b, row, low, high))
         return best
 
-    def _candidates(self) -> tuple[Index, Index, Index, Nearest]:
+    def _candidates(self, itself: bool) -> tuple[Index, Index, Index, Nearest]:
         """Pairs of shapes that may come near, with their column of travel, and a first distance to beat.
 
-        Spheres around the robot's parts, boxes around all of their places, against boxes around the obstacles.
+        Boxes around all places of the spheres around links, against boxes around obstacles.
         """
-        scene, parts, movable = self._scene, self._scene.parts, self._scene.movable
-        links = self._links[:, scene.link[movable], :3]
-        places = np.einsum("npij,pj->npi", links[..., :3], scene.pose[movable, :3, 3]) + links[..., 3]
-        radius = (np.linalg.norm(scene.half[movable], axis=1) + scene.rounding[movable])[:, None]
+        scene, movable = self._scene, self._scene.movable
+        places = np.einsum("nlij,lj->nli", self._links[:, :, :3, :3], scene.centers) + self._links[:, :, :3, 3]
         gap = np.maximum(
-            (places.min(axis=0) - radius)[:, None] - scene.boxes[:, 1],
-            scene.boxes[:, 0] - (places.max(axis=0) + radius)[:, None],
+            (places.min(axis=0) - scene.radii[:, None])[:, None] - scene.boxes[:, 1],
+            scene.boxes[:, 0] - (places.max(axis=0) + scene.radii[:, None])[:, None],
         ).clip(0.0)
-        apart = np.sqrt(np.einsum("poi,poi->po", gap, gap))
+        apart = np.sqrt(np.einsum("loi,loi->lo", gap, gap))[scene.link[movable]]
         best = Nearest(FARTHEST, None, 0)
-        for flat in np.argsort(apart, axis=None)[:8]:
-            row, column = divmod(int(flat), apart.shape[1])
-            a, b = int(movable[row]), parts + column
+        for flat in np.argsort(apart, axis=None, kind="stable")[:8].tolist():
+            row, column = divmod(flat, apart.shape[1])
+            a, b = int(movable[row]), scene.parts + column
             if (distance := self._distance(a, b, 0)) < best.distance:
                 best = Nearest(distance, (scene.shapes[a].name, scene.shapes[b].name), 0)
         rows, columns = np.nonzero(apart < max(best.distance, 0.0) + _DOUBT)
+        part, obstacle = movable[rows], scene.parts + columns
+        if not itself:
+            return part, obstacle, scene.link[part], best
+        outer, inner, row_of_pair = scene.pairs.T
         return (
-            np.concatenate([movable[rows], scene.pairs[:, 0]]),
-            np.concatenate([parts + columns, scene.pairs[:, 1]]),
-            np.concatenate([movable[rows], parts + np.arange(len(scene.pairs))]),
+            np.append(part, outer),
+            np.append(obstacle, inner),
+            np.append(scene.link[part], row_of_pair),
             best,
         )
 
     def _lower_bounds(self, a: Index, b: Index, k: Index) -> Array:
         """Distances (m,) that parts `a` keep at least to shapes `b` at samples `k`: balls against rounded boxes."""
         scene = self._scene
+        if len(a) > _BLOCK:
+            blocks = range(0, len(a), _BLOCK)
+            return np.concatenate([self._lower_bounds(*(x[i : i + _BLOCK] for x in (a, b, k))) for i in blocks])
         own = self._links[k, scene.link[a]] @ scene.pose[a]
         other = scene.pose[b]
         moving = b < scene.parts

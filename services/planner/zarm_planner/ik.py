@@ -78,6 +78,8 @@ _NOTHING = World((), 0.0)
 def _with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:
     """The `most` nearest among solutions and all that differ from them by full turns; each is its own nearest turn."""
     rows = _nearest_first(solutions, near)
+    if most == 1:
+        return rows
     for k in np.flatnonzero(model.revolute & (model.upper - model.lower >= TURN)):
         # What is not among the nearest after one joint will not be after a further joint has turned away too.
         turns = np.arange(-((model.upper[k] - model.lower[k]) // TURN), (model.upper[k] - model.lower[k]) // TURN + 1)

@@ -21,7 +21,7 @@ def search(model: RobotModel, world: World, start: Array, goals: Array, *, seed:
 
     Start and goals are free and within the limits, the nearest goal stands first; straight lines are tried in that
     order. The same seed gives the same path. Consecutive rows are joined by straight edges that are free to
-    `kernels.edge.RESOLUTION`.
+    `kernels.collision.RESOLUTION`.
     """
     goals = goals.reshape(-1, model.dof)
     # A joint that turns further than once need not be sampled over all of its turns: within half a turn of the start and
@@ -60,7 +60,7 @@ def search(model: RobotModel, world: World, start: Array, goals: Array, *, seed:
 def is_free(model: RobotModel, world: World, path: ArrayLike) -> bool:
     """Whether a configuration (dof,) or every edge of a path (n, dof) is free of the world and of the robot itself.
 
-    In spheres and to `kernels.edge.RESOLUTION`.
+    In spheres and to `kernels.collision.RESOLUTION`.
     """
     rows = np.array(path, np.float32, order="C").reshape(-1, model.dof)
     return path_free(model.arrays, world.arrays, memory(model.arrays), rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from zarm_contract._model import Message
-from zarm_contract.errors import Unavailable
+from zarm_contract.errors import Unavailable, ZarmError
 from zarm_contract.messages import (
     CancelPlan,
     CheckRequest,
@@ -29,6 +30,8 @@ from zarm_planner.joints import MeasuredJoints
 from zarm_planner.planner import Planner
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
+
+log = logging.getLogger(__name__)
 
 Request = TypeVar("Request", bound=Message)
 
@@ -56,8 +59,20 @@ def start(service: Service) -> Iterator[None]:
     plans = bus.latched(keys.plans, Plan)
 
     def plan(request: PlanRequest) -> Plan:
-        answer = planner.plan(request)
+        try:
+            answer = planner.plan(request)
+        except ZarmError as error:
+            log.info("no plan request=%s code=%s reason=%s", request.request_id, error.code, error)
+            raise
         plans.set(answer)
+        log.info(
+            "planned request=%s plan=%s seconds=%.3f clearance=%.4f duration=%.2f",
+            request.request_id,
+            answer.plan_id,
+            answer.timings.total,
+            answer.clearance,
+            answer.trajectory.duration,
+        )
         return answer
 
     settings = bus.publisher(keys.settings, PlannerSettings)

@@ -17,7 +17,7 @@ from zarm_planner.frames import matrix, rotation_to
 
 Array = NDArray[np.float64]
 
-_BALLS = 12
+_BALLS = 6
 """At most so many balls cover one shape."""
 
 

@@ -13,10 +13,14 @@ from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 
+_SAME = 1e-6
+"""Rows nearer to each other (rad) differ by the rounding of float32."""
+
 
 def shorten(model: RobotModel, world: World, path: Array, *, seed: int, stop: Stop) -> Array:
     """A free path (m, dof) between the ends of the free `path` (n, dof) that is no longer, without repeated rows.
 
+    Where both ends are one configuration the path can be one row.
     The same seed gives the same path. `stop` only makes it end sooner: the path so far is a good one.
     """
     room = np.empty((len(path) + MOST, model.dof), np.float32)
@@ -30,7 +34,10 @@ def shorten(model: RobotModel, world: World, path: Array, *, seed: int, stop: St
         np.array([seed], np.uint64),
         stop.deadline,
     )
-    shorter = np.clip(room[:rows].astype(np.float64), model.lower, model.upper)
-    shorter[0], shorter[-1] = path[0], path[-1]
-    moves = np.any(np.diff(shorter, axis=0) != 0.0, axis=1)
-    return shorter[np.concatenate(([True], moves))]
+    shorter = [path[0]]
+    for row in np.clip(room[1 : rows - 1].astype(np.float64), model.lower, model.upper):
+        if min(np.abs(row - shorter[-1]).max(), np.abs(row - path[-1]).max()) > _SAME:
+            shorter.append(row)
+    if np.any(path[-1] != shorter[-1]):
+        shorter.append(path[-1])
+    return np.array(shorter)

@@ -75,7 +75,6 @@ class Emulator(Strategy):
     def open(self) -> None:
         """Begin to save the position; fails where it cannot be written."""
         self._robot.save()
-        self._saver = Loop("emulated robot", SAVE_PERIOD, self._save)
         self._saver.start()
 
     def close(self) -> None:
@@ -84,7 +83,7 @@ class Emulator(Strategy):
         self._save()
 
     def admit(self) -> None:
-        """Always."""
+        """An emulated robot can always move."""
 
     def start(self, path: Path) -> None:
         """Begin at the start of `path`."""

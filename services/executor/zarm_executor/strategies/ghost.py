@@ -23,14 +23,14 @@ class GhostOnly(Strategy):
         """Nothing was held."""
 
     def admit(self) -> None:
-        """Never."""
+        """Refuse: nothing moves."""
         raise Unavailable(
             "the active strategy is ghost, under which nothing moves the robot; switch to another one first "
             '(executor/strategy with {"strategy": "emulator"})'
         )
 
     def start(self, path: Path) -> None:
-        """Never."""
+        """Refuse: nothing moves."""
         self.admit()
 
     def stop(self) -> None:
@@ -48,5 +48,5 @@ class GhostOnly(Strategy):
         return self._robot.measured
 
     def progress(self) -> Progress:
-        """None."""
+        """No motion: at its end from the beginning."""
         return Progress(time=0.0, speed=0.0, command=self._robot.measured.position, finished=True)

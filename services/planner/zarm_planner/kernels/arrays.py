@@ -25,8 +25,9 @@ class RobotArrays(NamedTuple):
     `origin` (dof, 3, 4): frame of each joint in the one before, its axis along z; `revolute` (dof,).
     `link_joint` (links,): the joint that carries the link, -1 for the base; `link_first` (links + 1,): where its spheres
     start. `spheres` (n, 4): x, y, z, radius in the frame of that joint; `bounds` (links, 4): one sphere around them all.
-    `pairs` (m, 2): links that can meet, the one nearer to the base first. `reach` (links, dof): how far (m) a sphere
-    centre of the link moves at most when the joint moves by 1 rad (by 1 m where prismatic).
+    `pairs` (m, 2): links that can meet, the one nearer to the base first. `reach` (dof, balls): how far (m) a ball's centre
+    moves at most when the joint moves by 1 rad (by 1 m where prismatic); the balls are the bounding spheres of the links,
+    then the spheres, then zeros up to a multiple of 16.
     """
 
     origin: Single
@@ -58,15 +59,15 @@ class WorldArrays(NamedTuple):
 class Space(NamedTuple):
     """Robot, world and working memory as counts and pointers, for the inner loops.
 
-    Of the edge in hand: `start` and `step` (dof,); how far each link moves along it, `motion` (links,), and the two links
-    of each pair against each other, `pair_motion` (pairs,). `centers` ((links + n) * 48,): of the links' bounding spheres,
-    then of the spheres, each as x, y, z in 16 lanes. `middle` and `half` (65 * 16,): stretches of the edge, 16 in hand and
-    then a stack of those that are still to be checked.
+    Of the edge in hand: `start` and `step` (dof,); `motion` (dof + 1, balls): how far each ball moves along it at most, by
+    the joints from this row's on. `centers` (balls, 48): x, y and z in 16 lanes. `middle` and `half` (65 * 16,): stretches
+    of the edge, 16 in hand and then a stack of those that are still to be checked.
     """
 
     dof: int
     links: int
     pairs: int
+    balls: int
     nodes: int
     origin: Pointer
     revolute: Pointer
@@ -83,7 +84,6 @@ class Space(NamedTuple):
     start: Pointer
     step: Pointer
     motion: Pointer
-    pair_motion: Pointer
     centers: Pointer
     middle: Pointer
     half: Pointer
@@ -95,7 +95,6 @@ class Memory(NamedTuple):
     start: Single
     step: Single
     motion: Single
-    pair_motion: Single
     centers: Single
     middle: Single
     half: Single
@@ -103,8 +102,8 @@ class Memory(NamedTuple):
 
 def memory(robot: RobotArrays) -> Memory:
     """Working memory for one call of a kernel for this robot."""
-    dof, links = len(robot.origin), len(robot.link_joint)
-    sizes = (dof, dof, links, len(robot.pairs), (links + len(robot.spheres)) * 3 * LANES, 65 * LANES, 65 * LANES)
+    dof, balls = robot.reach.shape
+    sizes = (dof, dof, (dof + 1) * balls, balls * 3 * LANES, 65 * LANES, 65 * LANES)
     return Memory(*(np.empty(size, np.float32) for size in sizes))
 
 
@@ -115,6 +114,7 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         robot.origin.shape[0],
         robot.link_joint.shape[0],
         robot.pairs.shape[0],
+        robot.reach.shape[1],
         world.boxes.shape[0],
         pointer(robot.origin),
         pointer(robot.revolute),
@@ -131,7 +131,6 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(memory.start),
         pointer(memory.step),
         pointer(memory.motion),
-        pointer(memory.pair_motion),
         pointer(memory.centers),
         pointer(memory.middle),
         pointer(memory.half),

@@ -8,6 +8,10 @@ from zarm_planner.kernels.arrays import SHAPE, Pointer, Space
 from zarm_planner.kernels.compiled import inlined
 from zarm_planner.kernels.lanes import LANES, Lanes, Mask, below, larger, load, magnitude, nearest, root, splat, store
 
+RESOLUTION = 0.01
+"""No sphere centre moves further (m) between two checked configurations of an edge than this, unless it is proven free
+there. So what lies between is at most half of it away from what was checked: within the default margin of 0.005 m."""
+
 
 @inlined
 def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
@@ -43,12 +47,12 @@ def squared_distance(shape: Pointer, i: int, x: Lanes, y: Lanes, z: Lanes) -> La
 
 
 @inlined
-def meets_world(space: Space, link: int, slack: Lanes) -> tuple[Mask, Mask]:
-    """Lanes in which a link touches an obstacle (the first such found), and in which one is within `slack` of it."""
-    zero = splat(0.0)
+def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
+    """Lanes in which a link touches an obstacle (the first such found), and in which one is near enough to matter."""
+    zero, fine = splat(0.0), splat(0.5 * RESOLUTION)
     at = link * 3 * LANES
     x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
-    wide = slack + space.bounds[4 * link + 3]
+    wide = half * space.motion[link] + space.bounds[4 * link + 3]
     wide_squared = wide * wide
     near = np.uint32(0)
     node = 0
@@ -68,15 +72,17 @@ def meets_world(space: Space, link: int, slack: Lanes) -> tuple[Mask, Mask]:
         reach = wide + rounding
         if below(squared_distance(space.shapes, shape, x, y, z), reach * reach) == 0:
             continue
-        for ball in range(space.link_first[link], space.link_first[link + 1]):
-            at = (space.links + ball) * 3 * LANES
+        for sphere in range(space.link_first[link], space.link_first[link + 1]):
+            ball = space.links + sphere
+            at = ball * 3 * LANES
             bx, by, bz = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
             apart = squared_distance(space.shapes, shape, bx, by, bz)
-            radius = space.spheres[4 * ball + 3] + rounding
+            radius = space.spheres[4 * sphere + 3] + rounding
+            slack = half * space.motion[ball]
             reach = slack + radius
             close = below(apart, reach * reach)
             if close != 0:
-                near |= close
+                near |= close & below(fine, slack)
                 hit = below(apart, splat(radius * radius))
                 if hit != 0:
                     return hit, near
@@ -84,35 +90,39 @@ def meets_world(space: Space, link: int, slack: Lanes) -> tuple[Mask, Mask]:
 
 
 @inlined
-def meet(space: Space, a: int, b: int, slack: Lanes) -> tuple[Mask, Mask]:
-    """Lanes in which two links touch, and in which they are within `slack` of each other."""
-    near = np.uint32(0)
+def meet(space: Space, a: int, b: int, half: Lanes) -> tuple[Mask, Mask]:
+    """Lanes in which two links touch, and in which they are near enough to each other to matter."""
+    near, fine = np.uint32(0), splat(0.5 * RESOLUTION)
+    motion = (space.link_joint[a] + 1) * space.balls  # the joints up to that of `a` move both links as one
     i = a * 3 * LANES
     ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
     j = b * 3 * LANES
     bx, by, bz = load(space.centers, j), load(space.centers, j + LANES), load(space.centers, j + 2 * LANES)
     x, y, z = ax - bx, ay - by, az - bz
-    reach = slack + (space.bounds[4 * a + 3] + space.bounds[4 * b + 3])
+    wide = half * space.motion[motion + b] + space.bounds[4 * b + 3]
+    reach = wide + space.bounds[4 * a + 3]
     if below(x * x + y * y + z * z, reach * reach) == 0:
         return near, near
     for first in range(space.link_first[a], space.link_first[a + 1]):
         i = (space.links + first) * 3 * LANES
         ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
         x, y, z = ax - bx, ay - by, az - bz
-        reach = slack + (space.spheres[4 * first + 3] + space.bounds[4 * b + 3])
+        reach = wide + space.spheres[4 * first + 3]
         if below(x * x + y * y + z * z, reach * reach) == 0:
             continue
         for second in range(space.link_first[b], space.link_first[b + 1]):
-            j = (space.links + second) * 3 * LANES
+            ball = space.links + second
+            j = ball * 3 * LANES
             x = ax - load(space.centers, j)
             y = ay - load(space.centers, j + LANES)
             z = az - load(space.centers, j + 2 * LANES)
             apart = x * x + y * y + z * z
             radii = space.spheres[4 * first + 3] + space.spheres[4 * second + 3]
+            slack = half * space.motion[motion + ball]
             reach = slack + radii
             close = below(apart, reach * reach)
             if close != 0:
-                near |= close
+                near |= close & below(fine, slack)
                 hit = below(apart, splat(radii * radii))
                 if hit != 0:
                     return hit, near
@@ -124,7 +134,7 @@ def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
     """Check the edge's configurations at `t` (0..1), each standing for the stretch from `t - half` to `t + half`.
 
     Returns one bit per lane: those that collide (of the first contact found, then the rest is left out; so only a 0 is
-    about all lanes), and those where something is so near that the stretch is not proven free.
+    about all lanes), and those where something is so near that the stretch is not proven free and has to be divided.
     """
     zero, one = splat(0.0), splat(1.0)
     xx, xy, xz = one, zero, zero
@@ -176,13 +186,13 @@ def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
                 store(space.centers, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
                 store(space.centers, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
             if k >= 0:
-                hit, close = meets_world(space, link, half * space.motion[link])
+                hit, close = meets_world(space, link, half)
                 near |= close
                 if hit != 0:
                     return hit, near
             link += 1
     for pair in range(space.pairs):
-        hit, close = meet(space, space.pair[2 * pair], space.pair[2 * pair + 1], half * space.pair_motion[pair])
+        hit, close = meet(space, space.pair[2 * pair], space.pair[2 * pair + 1], half)
         near |= close
         if hit != 0:
             return hit, near

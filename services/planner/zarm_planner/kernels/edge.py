@@ -9,38 +9,28 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
-from zarm_planner.kernels.collision import check
+from zarm_planner.kernels.collision import RESOLUTION, check
 from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.lanes import LANES, load
-
-RESOLUTION = 0.01
-"""No sphere centre moves further (m) between two checked configurations of an edge than this, unless it is proven free
-there. So what lies between is at most half of it away from what was checked: within the default margin of 0.005 m."""
+from zarm_planner.kernels.lanes import LANES, load, splat, store
 
 
 @inlined
 def set_edge(space: Space, start: Single, end: Single) -> float:
-    """Make an edge the one in hand; returns how far (m) any sphere centre moves along it at most."""
-    farthest = np.float32(0.0)
+    """Make an edge the one in hand; returns how far (m) any ball moves along it at most."""
     for k in range(space.dof):
         space.start[k] = start[k]
         space.step[k] = end[k] - start[k]
+    for ball in range(0, space.balls, LANES):
+        moved = splat(0.0)
+        store(space.motion, space.dof * space.balls + ball, moved)
+        for k in range(space.dof - 1, -1, -1):
+            moved = moved + abs(space.step[k]) * load(space.reach, k * space.balls + ball)
+            store(space.motion, k * space.balls + ball, moved)
+    farthest = 0.0
     for link in range(space.links):
-        motion = np.float32(0.0)
-        for k in range(space.dof):
-            motion += space.reach[space.dof * link + k] * abs(space.step[k])
-        space.motion[link] = motion
-        farthest = max(farthest, motion)
-    for pair in range(space.pairs):
-        a, b = space.pair[2 * pair], space.pair[2 * pair + 1]
-        motion = np.float32(0.0)
-        for k in range(space.link_joint[a] + 1, space.dof):  # the joints before move both links as one
-            motion += space.reach[space.dof * b + k] * abs(space.step[k])
-        space.pair_motion[pair] = motion
-    return float(farthest)
+        farthest = max(farthest, space.motion[link])
+    return farthest
 
 
 @kernel

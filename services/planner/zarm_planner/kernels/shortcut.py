@@ -21,12 +21,14 @@ GAIN = 0.005
 
 
 @inlined
-def skip_vertices(checks: Space, path: Single, count: int) -> int:
+def skip_vertices(
+    checks: Space, path: Single, count: int, deadline: NDArray[np.float64], now: NDArray[np.int64]
+) -> int:
     """From each vertex that stays go straight to the farthest one possible, in place; returns how many stay."""
     kept, i = 1, 0
     while i < count - 1:
         j = count - 1
-        while j > i + 1 and not edge_free(checks, path[kept - 1], path[j]):
+        while j > i + 1 and (passed(deadline, now) or not edge_free(checks, path[kept - 1], path[j])):
             j -= 1
         copy(path[j], path[kept])
         kept, i = kept + 1, j
@@ -48,7 +50,7 @@ def shortcut(
     dof = path.shape[1]
     now = np.empty(2, np.int64)
     a, b = np.empty(dof, np.float32), np.empty(dof, np.float32)
-    count = skip_vertices(checks, path, count)
+    count = skip_vertices(checks, path, count, deadline, now)
     failed = tried = 0
     while count > 2 and failed < PATIENCE and tried < MOST and not passed(deadline, now):
         tried += 1
@@ -90,4 +92,4 @@ def shortcut(
         copy(a, path[i + 1])
         copy(b, path[i + 2])
         count += moved
-    return skip_vertices(checks, path, count)
+    return skip_vertices(checks, path, count, deadline, now)

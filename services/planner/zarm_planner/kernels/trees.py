@@ -46,6 +46,9 @@ def add(trees: Trees, tree: int, q: Single, parent: int) -> int:
     """Add a node; returns its index."""
     i = int(trees.size[tree])
     for k in range(q.shape[0]):
+        if i % LANES == 0:  # whole blocks are computed with, so let them be numbers
+            for lane in range(LANES):
+                trees.nodes[tree, i // LANES, k, lane] = 0.0
         trees.nodes[tree, i // LANES, k, i % LANES] = q[k]
     trees.parent[tree, i] = parent
     trees.domain[tree, i] = EVERYWHERE

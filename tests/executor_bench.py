@@ -1,0 +1,113 @@
+"""The executor's state machine on a bench: an arm that may misbehave, and a clock that only the test turns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from motions import HOME, ROBOT, moved, rest_to_rest
+
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import GoalState
+from zarm_executor.follower import TICK, Follower
+from zarm_executor.machine import Goal, Machine
+from zarm_executor.monitor import Monitor
+from zarm_executor.path import Array, Path
+from zarm_executor.strategies.base import Measured, Progress, Strategy
+
+LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
+EXECUTION = ROBOT.descriptor.execution
+
+Disturbance = Callable[[Measured], Measured | None]
+
+
+class Arm(Strategy):
+    """Follows exactly what is commanded, until `disturb` makes something else of what is measured."""
+
+    name = "arm"
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.follower = Follower(Path.standing(HOME), LIMIT)
+        self.exact = Measured(HOME, np.zeros(6), 0.0)
+        self.disturb: Disturbance = lambda measured: measured
+        self.played = 1.0
+        self.failure: Unavailable | None = None
+
+    def open(self) -> None:
+        self.calls.append("open")
+        if self.failure is not None:
+            raise self.failure
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+    def admit(self) -> None:
+        pass
+
+    def start(self, path: Path) -> None:
+        self.follower = Follower(path, LIMIT)
+
+    def stop(self) -> None:
+        self.follower.target = 0.0
+
+    def resume(self) -> None:
+        self.follower.target = 1.0
+
+    def tick(self, now: float, dt: float) -> None:
+        if self.follower.settled:
+            self.exact = Measured(self.exact.position, np.zeros(6), now)
+        else:
+            self.follower.advance(dt * self.played)
+            self.exact = Measured(self.follower.position, self.follower.velocity, now)
+
+    def joint_state(self) -> Measured | None:
+        return self.disturb(self.exact)
+
+    def progress(self) -> Progress:
+        return Progress(self.follower.time, self.follower.speed, self.follower.position, self.follower.finished)
+
+
+@dataclass
+class Bench:
+    """A machine with an arm, and a clock that only tests turn."""
+
+    arm: Arm = field(default_factory=Arm)
+    now: float = 100.0
+
+    def __post_init__(self) -> None:
+        self.machine = Machine(self.arm)
+        self.positions: list[Array] = []
+        self.machine.tick(self.now)
+
+    def tick(self, dt: float = TICK) -> None:
+        self.now += dt
+        self.machine.tick(self.now)
+        self.positions.append(self.arm.exact.position)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / TICK)):
+            self.tick()
+
+    def until(self, mode: str, patience: float = 20.0) -> None:
+        for _ in range(round(patience / TICK)):
+            if self.machine.state().mode == mode:
+                return
+            self.tick()
+        raise AssertionError(f"{self.machine.state()} does not become {mode}")
+
+    def execute(self, goal_id: str = "goal-1") -> Path:
+        path = Path.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
+        self.machine.start(Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor.joints, EXECUTION)))
+        return path
+
+    def statuses(self) -> list[str]:
+        return [change.status for change in self.machine.changes]
+
+    def last(self) -> GoalState:
+        return self.machine.changes[-1]
+
+    def greatest_acceleration(self) -> float:
+        """Of all ticks so far, as a share of the limit."""
+        return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)) / TICK**2 / LIMIT))

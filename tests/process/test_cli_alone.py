@@ -1,0 +1,90 @@
+"""What `zarm` does without a robot on the bus, and how it meets nonsense."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+from harness import free_endpoint
+from launched import ROBOT, the_one_line, zarm
+
+# -- robots --
+
+
+def test_every_robot_that_comes_with_zarm_passes_the_check() -> None:
+    robots = zarm("robot", "list").stdout.split()
+    assert ROBOT in robots
+    for robot in robots:
+        checked = zarm("robot", "check", robot)
+        assert checked.returncode == 0, checked.stderr
+        assert "home" in checked.stdout
+        assert json.loads(zarm("robot", "check", robot, "--json").stdout)["ok"] is True
+
+
+def test_a_descriptor_is_explained_fault_by_fault(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("name: Mine\nurdf: mine.urdf\nbase_link: base\ntip_link: tip\njoints: [a]\nhome: [zero]\n")
+    checked = zarm("robot", "check", str(file))
+    assert checked.returncode == 1
+    assert f"{file}:1: name" in checked.stderr
+    assert f"{file}:6: home" in checked.stderr
+    assert len(checked.stderr.splitlines()) > 2
+    faults = json.loads(zarm("robot", "check", str(file), "--json").stdout)
+    assert faults["ok"] is False
+    assert len(faults["faults"]) == len(checked.stderr.splitlines())
+
+
+# -- nothing there, and nonsense --
+
+
+def test_without_a_router_the_remedy_is_said() -> None:
+    alone = zarm("status", ZARM_CONNECT=free_endpoint())
+    assert alone.returncode == 3
+    assert "zarm up" in the_one_line(alone.stderr)
+
+
+def test_without_a_robot_on_the_bus_the_remedy_is_said(endpoint: str) -> None:
+    alone = zarm("plan", "--joints", "0", ZARM_CONNECT=endpoint)
+    assert alone.returncode == 3
+    assert "zarm up" in the_one_line(alone.stderr)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("plan",),
+        ("plan", "--to", "0,0,0", "--joints", "0"),
+        ("plan", "--to", "0,0"),
+        ("plan", "--joints", "a,b"),
+        ("plan", "--warp", "9"),
+        ("execute", "--velocity-scale", "0.5"),
+        ("execute", "--plan-id", "p", "--joints", "0"),
+        ("scene", "add", "pyramid", "p", "--at", "0,0,0"),
+        ("nonsense",),
+    ],
+)
+def test_nonsense_is_a_usage_error_in_one_line(arguments: tuple[str, ...]) -> None:
+    result = zarm(*arguments)
+    assert result.returncode == 2
+    assert the_one_line(result.stderr).startswith("zarm: usage: ")
+
+
+def test_an_endpoint_that_is_none_is_refused() -> None:
+    result = zarm("status", "--connect", "7447")
+    assert result.returncode == 1
+    assert "tcp/" in the_one_line(result.stderr)
+
+
+def test_a_port_where_no_router_speaks_is_unavailable() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        result = zarm("status", "--connect", f"tcp/127.0.0.1:{mute.getsockname()[1]}")
+    assert result.returncode == 3
+
+
+def test_help_needs_no_bus() -> None:
+    result = zarm("--help", ZARM_CONNECT=free_endpoint())
+    assert result.returncode == 0
+    assert "execute" in result.stdout
+    assert zarm("scene", "--help").returncode == 0

@@ -1,0 +1,76 @@
+"""Whatever is sent to the executor: a typed problem comes back, nothing moves, and it goes on serving."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+from executor_client import Client
+from harness import ServiceProcess
+from motions import KEYS, moved, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.codec import MAX_BYTES, decode
+from zarm_contract.errors import InvalidRequest, Problem
+from zarm_contract.session import open_client
+
+SHORT = rest_to_rest(moved(0.01))
+
+
+@pytest.fixture
+def client(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[Client]:
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        yield Client(bus)
+
+
+NOISE = [
+    b"{",
+    b"\xff\xfe\x00",
+    b"[]",
+    b"null",
+    b'"emulator"',
+    b'{"unknown": 1}',
+    b"[" * 100_000,
+    b'{"trajectory": {"joint_names": [], "time": [0, 1e999], "position": [], "velocity": [], "acceleration": []}}',
+    b'{"trajectory": {"joint_names": ["joint_1"], "time": [0, NaN], "position": [], "velocity": [], "acceleration": []}}',
+    b'{"plan_id": "' + b"x" * 1000 + b'"}',
+    b'{"goal_id": "../../etc"}',
+    b'{"strategy": 7}',
+    b" " * (MAX_BYTES + 1),
+]
+QUERYABLES = [
+    KEYS.execute,
+    KEYS.cancel,
+    KEYS.stop,
+    KEYS.pause,
+    KEYS.resume,
+    KEYS.reset,
+    KEYS.strategy,
+    KEYS.health("executor"),
+]
+
+
+@pytest.mark.parametrize("key", QUERYABLES)
+def test_noise_is_answered_with_a_problem_and_moves_nothing(client: Client, endpoint: str, key: str) -> None:
+    with open_client(endpoint) as session:
+        for noise in NOISE:
+            (reply,) = session.get(key, payload=noise, timeout=10.0, congestion_control=zenoh.CongestionControl.BLOCK)
+            assert reply.err is not None, noise[:80]
+            assert decode(Problem, reply.err.payload.to_bytes()).code == "invalid_request"
+    assert client.stands()
+    assert client.state().mode == "idle"
+    assert client.goals == []
+    assert client.ended(client.execute(SHORT)).status == "succeeded"
+
+
+def test_noise_on_the_keys_it_listens_to_does_no_harm(client: Client, endpoint: str) -> None:
+    with open_client(endpoint) as session:
+        for noise in NOISE:
+            for key in (KEYS.plans, KEYS.scene):
+                session.put(key, noise, congestion_control=zenoh.CongestionControl.BLOCK)
+    assert client.ended(client.execute(SHORT)).status == "succeeded"
+    with pytest.raises(InvalidRequest, match="no plan"):
+        client.execute()

@@ -1,0 +1,147 @@
+"""A second opinion on planned motions: forward kinematics from the URDF and FCL's yes or no, nothing of the planner's."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import fcl
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zarm_contract.messages import Cuboid, Cylinder, Quaternion, SceneObject, Sphere
+from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere, Robot
+from zarm_contract.urdf import Joint
+
+Array = NDArray[np.float64]
+
+
+def link_pose(robot: Robot, link: str, q: ArrayLike) -> Array:
+    """The pose (4, 4) of any link in the base frame."""
+    pose = np.eye(4)
+    position = dict(zip(robot.descriptor.joints, np.asarray(q), strict=True))
+    for joint in robot.urdf.chain(robot.descriptor.base_link, link):
+        pose = pose @ _origin(joint) @ _motion(joint, position.get(joint.name, 0.0))
+    return pose
+
+
+def tip_error(robot: Robot, q: ArrayLike, position: Sequence[float], orientation: Quaternion) -> tuple[float, float]:
+    """How far the tip is from a pose: m and rad."""
+    tip = link_pose(robot, robot.descriptor.tip_link, q)
+    turn = tip[:3, :3].T @ _rotation(orientation)
+    angle = math.acos(min(1.0, max(-1.0, (float(np.trace(turn)) - 1) / 2)))
+    return float(np.linalg.norm(tip[:3, 3] - position)), angle
+
+
+class Collisions:
+    """Whether the robot's exact geometry touches an object or itself, as the descriptor demands."""
+
+    def __init__(self, robot: Robot, objects: Sequence[SceneObject]) -> None:
+        descriptor = robot.descriptor
+        self._robot = robot
+        self._links = {
+            link: [(pose, fcl.CollisionObject(geometry)) for geometry, pose in map(_link_shape, items)]
+            for link, items in descriptor.collision.items()
+        }
+        self._objects = [_placed(*_object_shape(item)) for item in objects]
+        moving = set(descriptor.joints)
+        self._movable = {
+            link
+            for link in self._links
+            if moving & {joint.name for joint in robot.urdf.chain(descriptor.base_link, link)}
+        }
+        ignored = {frozenset(pair) for pair in descriptor.self_collision_ignore}
+        self._pairs = [pair for pair in itertools.combinations(self._links, 2) if frozenset(pair) not in ignored]
+
+    def at(self, q: ArrayLike) -> bool:
+        """Whether there is one at the configuration `q`."""
+        for link, shapes in self._links.items():
+            frame = link_pose(self._robot, link, q)
+            for pose, shape in shapes:
+                shape.setTransform(_transform(frame @ pose))
+        return any(self._touch(self._links[link], self._objects) for link in self._movable) or any(
+            self._touch(self._links[a], [shape for _, shape in self._links[b]]) for a, b in self._pairs
+        )
+
+    @staticmethod
+    def _touch(shapes: list[tuple[Array, fcl.CollisionObject]], others: list[fcl.CollisionObject]) -> bool:
+        return any(
+            fcl.collide(shape, other, _REQUEST, fcl.CollisionResult()) for _, shape in shapes for other in others
+        )
+
+
+_REQUEST = fcl.CollisionRequest()
+
+
+def _link_shape(item: CollisionPrimitive) -> tuple[object, Array]:
+    if isinstance(item, CollisionSphere):
+        return fcl.Sphere(item.radius), _pose(np.eye(3), item.center)
+    if isinstance(item, CollisionCuboid):
+        return fcl.Box(*item.size), _pose(_rotation(item.orientation), item.center)
+    a, b = np.array(item.a), np.array(item.b)
+    length = float(np.linalg.norm(b - a))
+    turn = _turn_z_to((b - a) / length) if length else np.eye(3)
+    return (fcl.Capsule if isinstance(item, CollisionCapsule) else fcl.Cylinder)(item.radius, length), _pose(
+        turn, (a + b) / 2
+    )
+
+
+def _object_shape(item: SceneObject) -> tuple[object, Array]:
+    if isinstance(item, Sphere):
+        return fcl.Sphere(item.radius), _pose(np.eye(3), item.position)
+    pose = _pose(_rotation(item.orientation), item.position)
+    if isinstance(item, Cuboid):
+        return fcl.Box(*item.size), pose
+    return (fcl.Cylinder if isinstance(item, Cylinder) else fcl.Capsule)(item.radius, item.length), pose
+
+
+def _placed(geometry: object, pose: Array) -> fcl.CollisionObject:
+    return fcl.CollisionObject(geometry, _transform(pose))
+
+
+def _transform(pose: Array) -> fcl.Transform:
+    return fcl.Transform(pose[:3, :3], pose[:3, 3])
+
+
+def _pose(turn: Array, center: ArrayLike) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, center
+    return pose
+
+
+def _origin(joint: Joint) -> Array:
+    roll, pitch, yaw = joint.rpy
+    pose = np.eye(4)
+    pose[:3, :3] = _about((0, 0, 1), yaw) @ _about((0, 1, 0), pitch) @ _about((1, 0, 0), roll)
+    pose[:3, 3] = joint.xyz
+    return pose
+
+
+def _motion(joint: Joint, q: float) -> Array:
+    pose = np.eye(4)
+    if joint.type == "prismatic":
+        pose[:3, 3] = np.array(joint.axis) * q
+    elif joint.type != "fixed":
+        pose[:3, :3] = _about(joint.axis, q)
+    return pose
+
+
+def _about(axis: Sequence[float], angle: float) -> Array:
+    """Rodrigues' formula."""
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turn: Array = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    return turn
+
+
+def _rotation(q: Quaternion) -> Array:
+    angle = 2 * math.atan2(math.hypot(*q[:3]), q[3])
+    return _about(q[:3], angle) if angle else np.eye(3)
+
+
+def _turn_z_to(axis: Array) -> Array:
+    across = np.cross((0.0, 0.0, 1.0), axis)
+    if not across.any():
+        return np.eye(3) if axis[2] > 0 else _about((1, 0, 0), math.pi)
+    return _about(across, math.atan2(float(np.linalg.norm(across)), float(axis[2])))

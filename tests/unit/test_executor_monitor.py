@@ -1,0 +1,205 @@
+"""What goes wrong while a robot moves ends at rest, in fault, with the goal aborted and the reason named."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from executor_bench import EXECUTION, Bench, Disturbance
+from motions import HOME, moved
+
+from zarm_contract.errors import Unavailable
+from zarm_executor.follower import TICK
+from zarm_executor.machine import STALL_LIMIT
+from zarm_executor.strategies.base import Measured
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def lag(behind: float) -> Disturbance:
+    return lambda measured: dataclasses.replace(measured, position=measured.position - moved(0.0, 0.0, behind) + HOME)
+
+
+def freeze(measured: Measured) -> Disturbance:
+    return lambda _: measured
+
+
+def fails(bench: Bench, code: str, match: str) -> None:
+    """Hold what a violation leads to: rest, an aborted goal, a fault that only reset clears."""
+    bench.until("fault")
+    assert bench.statuses()[-2:] == ["stopping", "aborted"]
+    problem = bench.machine.state().problem
+    assert problem is not None
+    assert problem == bench.last().problem
+    assert problem.code == code
+    assert match in problem.message
+    assert bench.arm.follower.at_rest
+    rested = bench.arm.exact.position
+    bench.run(1.0)
+    np.testing.assert_array_equal(bench.arm.exact.position, rested)
+    with pytest.raises(Unavailable, match="executor/reset"):
+        bench.machine.admit()
+    bench.machine.cancel(None, "no way out")
+    bench.machine.resume()
+    assert bench.machine.state().mode == "fault"
+    bench.machine.reset()
+    assert bench.machine.state().mode == "idle"
+    assert bench.machine.state().problem is None
+    bench.machine.admit()
+
+
+def test_a_robot_that_leaves_the_path_is_stopped_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = lag(EXECUTION.path_tolerance * 1.1)
+    fails(bench, "tolerance_violated", "joint_3 left the commanded path by 0.2200 rad")
+
+
+def test_a_robot_that_jumps_is_stopped_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = lambda measured: dataclasses.replace(measured, position=measured.position + 1.0)
+    bench.tick()
+    bench.arm.disturb = lambda measured: measured
+    fails(bench, "tolerance_violated", "left the commanded path by 1.0000 rad")
+
+
+def test_a_robot_that_stands_in_motion_is_stopped_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    stood = bench.arm.exact
+    bench.arm.disturb = lambda measured: dataclasses.replace(stood, velocity=np.zeros(6), time=measured.time)
+    fails(bench, "tolerance_violated", "left the commanded path")
+
+
+def test_a_robot_that_no_longer_reports_is_stopped_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = freeze(bench.arm.exact)
+    fails(bench, "driver_stalled", "has not reported its joints")
+
+
+def test_a_robot_that_never_reported_is_stopped_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.arm.disturb = lambda _: None
+    fails(bench, "driver_stalled", "has not reported its joints")
+
+
+def test_a_robot_that_stops_reporting_while_paused_is_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.pause()
+    bench.until("paused")
+    bench.arm.disturb = freeze(bench.arm.exact)
+    fails(bench, "driver_stalled", "has not reported its joints")
+
+
+def test_a_motion_that_takes_too_long_is_stopped_in_fault(bench: Bench) -> None:
+    bench.arm.played = 0.3
+    bench.execute()
+    fails(bench, "driver_stalled", "more than allowed")
+
+
+def test_pauses_do_not_count_towards_the_allowed_duration(bench: Bench) -> None:
+    bench.execute()
+    for _ in range(10):
+        bench.run(0.15)
+        bench.machine.pause()
+        bench.until("paused")
+        bench.run(3.0)
+        bench.machine.resume()
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
+def test_a_robot_that_ends_beside_the_goal_is_in_fault_after_the_settle_time(bench: Bench) -> None:
+    path = bench.execute()
+    bench.arm.disturb = lag(EXECUTION.goal_tolerance * 2)
+    bench.run(path.duration + EXECUTION.settle_time * 0.9)
+    assert bench.machine.state().mode == "running"
+    fails(bench, "tolerance_violated", "joint_3 missed the end of the motion by 0.0200 rad")
+
+
+def test_a_robot_that_settles_in_time_has_succeeded(bench: Bench) -> None:
+    path = bench.execute()
+    bench.arm.disturb = lag(EXECUTION.goal_tolerance * 2)
+    bench.run(path.duration + EXECUTION.settle_time * 0.9)
+    bench.arm.disturb = lambda measured: measured
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
+def test_each_rest_has_a_settle_time_of_its_own(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.pause()
+    bench.arm.disturb = lambda measured: dataclasses.replace(measured, velocity=measured.velocity + 0.05)
+    while not bench.arm.follower.at_rest:
+        bench.tick()
+    bench.run(EXECUTION.settle_time * 0.9)
+    bench.arm.disturb = lambda measured: measured
+    bench.until("paused")
+    bench.machine.resume()
+    bench.arm.disturb = lag(EXECUTION.goal_tolerance * 2)
+    while not bench.arm.follower.finished:
+        bench.tick()
+    bench.run(EXECUTION.settle_time * 0.9)
+    bench.arm.disturb = lambda measured: measured
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
+def test_a_robot_that_keeps_moving_after_a_stop_is_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = lambda measured: dataclasses.replace(measured, velocity=measured.velocity + 0.05)
+    bench.machine.cancel(None, "enough")
+    fails(bench, "tolerance_violated", "still moves at 0.05 rad/s")
+
+
+def test_a_robot_that_goes_silent_while_it_stops_is_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.cancel(None, "enough")
+    bench.arm.disturb = freeze(bench.arm.exact)
+    fails(bench, "driver_stalled", "no longer reports its joints")
+
+
+def test_a_control_loop_that_was_away_in_motion_ends_in_fault_without_a_jump(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    stood = bench.arm.exact.position
+    bench.tick(STALL_LIMIT + 2.0)
+    np.testing.assert_array_equal(bench.arm.exact.position, stood)
+    fails(bench, "driver_stalled", f"control loop was away for {STALL_LIMIT + 2.0:.2f} s")
+
+
+def test_a_control_loop_that_was_away_for_a_moment_goes_on_to_the_goal(bench: Bench) -> None:
+    path = bench.execute()
+    bench.run(0.5)
+    bench.tick(STALL_LIMIT - 0.1)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    np.testing.assert_allclose(bench.arm.exact.position, path.end, atol=1e-9)
+
+
+def test_a_control_loop_that_was_away_while_nothing_moved_is_no_fault(bench: Bench) -> None:
+    bench.tick(60.0)
+    assert bench.machine.state().mode == "idle"
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.pause()
+    bench.until("paused")
+    bench.tick(60.0)
+    assert bench.machine.state().mode == "paused"
+
+
+def test_ticks_left_out_are_counted(bench: Bench) -> None:
+    bench.run(1.0)
+    assert bench.machine.state().missed_ticks == 0
+    bench.tick(5 * TICK)
+    assert bench.machine.state().missed_ticks == 4
