@@ -139,7 +139,8 @@ def _read_objects(file: Path) -> object:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{file}:{mark.line + 1}" if mark else str(file)
-        raise InvalidRequest(f"{place}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
+        reason = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise InvalidRequest(f"{place}: not valid YAML: {reason}") from error
     if not isinstance(data, dict) or set(data) != {"objects"}:
         raise InvalidRequest(f"{file}: a scene is a mapping with the one key `objects`, a list")
     return data["objects"]

@@ -27,8 +27,8 @@ RESOLUTION = 0.005
 FARTHEST = 1.0
 """Clearance (m) beyond which nobody asks."""
 _RELIED = 0.98
-"""Which part of FCL's distances is relied on: on 100,000 random pairs of shapes up to 1 m large they were at most 4 mm
-(mostly below 1 um) too long, and only where the shapes were far apart."""
+"""Which part of FCL's distances is relied on. Of 100,000 random pairs of shapes 117 were measured more than 0.1 mm too
+long, by 1.3 mm at worst; with this part 7 were, by 0.5 mm at worst."""
 _DOUBT = 0.02
 """A bound within so much (m) of the best distance is replaced by the exact distance."""
 _BLOCK = 8192

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
@@ -45,10 +46,20 @@ class Motion:
     velocity: Array
     acceleration: Array
 
+    @classmethod
+    def standing(cls, position: Array, dt: float) -> Self:
+        """Rest at `position` (dof,) for `dt` s."""
+        return cls(np.array([0.0, dt]), np.stack((position, position)), *np.zeros((2, 2, len(position))))
+
     @property
     def duration(self) -> float:
         """Seconds from the first to the last sample."""
         return float(self.time[-1])
+
+    @property
+    def length(self) -> float:
+        """Length of the way in joint space (rad, Euclidean)."""
+        return float(np.linalg.norm(np.diff(self.position, axis=0), axis=1).sum())
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at times `t` (k,) within the motion, each (k, dof)."""
@@ -96,3 +107,15 @@ class Motion:
             velocity=velocity,
             acceleration=acceleration,
         )
+
+
+def within(sample: Callable[[float], Motion], limits: Limits) -> Motion:
+    """A motion that can be sampled at any factor of its shortest duration, as much slower as the limits demand."""
+    factor = 1.0
+    for _ in range(8):  # one or two rounds are the rule: sampled elsewhere, the motion has its extremes elsewhere
+        motion = sample(factor)
+        load = motion.load(limits)
+        if load <= 1 + TOLERANCE:
+            return motion
+        factor *= load
+    return motion.slower(load)

@@ -1,11 +1,12 @@
-"""From a goal to a verified motion: both ends, search, shorten, time, verify; and again where the last step refuses."""
+"""From a goal to a verified motion: both ends, search, shorten, smooth, verify; and again where the last step refuses."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -16,12 +17,13 @@ from zarm_planner.motion import Array, Limits, Motion
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import search
 from zarm_planner.shorten import shorten
+from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.timing import time_path
 from zarm_planner.verify import VerificationFailed, verify
 
-_DEVIATIONS = (0.1, 0.03, 0.01, 0.0)
-"""How far (rad) a motion may leave the path at corners: first for speed, then ever closer to what the search found free."""
+_DEVIATIONS = (0.03, 0.01, 0.0)
+"""How far (rad) a motion may leave the path at corners where the smooth one is refused: ever closer to what is known free."""
 
 
 @dataclass(frozen=True)
@@ -59,18 +61,17 @@ def plan(
                 shorter = shorten(model, snapshot.world, found, seed=attempt, stop=stop)
             end = ends[int(np.argmin(np.abs(free - shorter[-1]).max(axis=1)))]
             path = np.concatenate([begin.edge, shorter, end.edge])
-            for deviation in _DEVIATIONS:
+            for timed in _motions(model, snapshot, path, limits, attempt, stop):
                 stop.check()
                 with watch.stage("timing"):
-                    motion = time_path(path, limits, model.robot.descriptor.interpolation_dt, deviation)
+                    motion = timed()
                 try:
                     with watch.stage("verify"):
                         clearance = verify(motion, start, end.asked, limits, snapshot.exact, stop.check)
                 except VerificationFailed as error:
                     failure = error
                     continue
-                length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-                return Found(motion, clearance, length, watch.timings())
+                return Found(motion, clearance, motion.length, watch.timings())
             attempt += 1
     except DeadlineExceeded as late:
         if failure is None:
@@ -79,6 +80,17 @@ def plan(
             f"every path that was found had to be given up: {failure}; ask for a larger margin or more time",
             code="no_path",
         ) from late
+
+
+def _motions(
+    model: RobotModel, snapshot: Snapshot, path: Array, limits: Limits, seed: int, stop: Stop
+) -> list[Callable[[], Motion]]:
+    """Ways to time a path, the fastest first; those after it keep ever closer to the path."""
+    dt = model.robot.descriptor.interpolation_dt
+    return [
+        partial(smooth_path, model, snapshot.world, path, limits, dt, seed=seed, stop=stop),
+        *(partial(time_path, path, limits, dt, deviation) for deviation in _DEVIATIONS),
+    ]
 
 
 @dataclass

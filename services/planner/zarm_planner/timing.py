@@ -13,13 +13,14 @@ import itertools
 import logging
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 from zarm_contract.errors import InvalidRequest
-from zarm_planner.motion import TOLERANCE, Array, Limits, Motion
+from zarm_planner.motion import Array, Limits, Motion, within
 
 MAX_SAMPLES = 15_000
 """The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
@@ -42,13 +43,13 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
     """
     path = path[np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)]
     if len(path) == 1:
-        return Motion(np.array([0.0, dt]), np.repeat(path, 2, axis=0), *np.zeros((2, 2, path.shape[1])))
+        return Motion.standing(path[0], dt)
     edges = [_straight(a, b, limits, dt) for a, b in itertools.pairwise(path)]
     if len(edges) > 1 and deviation > 0 and (fastest := _fastest(round_corners(path, deviation), limits, dt)):
-        motion = _within(fastest, limits, dt)
+        motion = within(partial(fastest.sample, dt=dt), limits)
         if motion.duration < sum(edge.duration for edge in edges):
             return motion
-    return _join([_within(edge, limits, dt) for edge in edges])
+    return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
 
 
 def round_corners(path: Array, deviation: float) -> Motion:
@@ -164,18 +165,6 @@ def _fastest(curve: Motion, limits: Limits, dt: float) -> _Profile | None:
     t = np.insert(np.cumsum(2 * np.diff(s) / (sd[1:] + sd[:-1])), 0, 0.0)
     moving = np.ptp(curve.position, axis=0) > 0.0
     return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
-
-
-def _within(profile: _Profile, limits: Limits, dt: float) -> Motion:
-    """The profile's motion, as much slower as the limits demand."""
-    factor = 1.0
-    for _ in range(8):  # one or two rounds are the rule: sampled elsewhere, the motion has its extremes elsewhere
-        motion = profile.sample(factor, dt)
-        load = motion.load(limits)
-        if load <= 1 + TOLERANCE:
-            return motion
-        factor *= load
-    return motion.slower(load)
 
 
 def _join(motions: list[Motion]) -> Motion:

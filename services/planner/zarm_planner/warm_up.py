@@ -7,9 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from zarm_planner.ik import solve_ik
+from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free, search
 from zarm_planner.shorten import shorten
+from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
 
@@ -31,3 +33,6 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     search(model, world, home, home, seed=0, stop=stop)
     report("loading the shortening of paths")
     shorten(model, world, np.array((home, home)), seed=0, stop=stop)
+    report("loading the smoothing of motions")
+    away = np.clip(home + 0.1, model.lower, model.upper)
+    smooth_path(model, world, np.array((home, away)), Limits.of(model), 0.01, seed=0, stop=stop)

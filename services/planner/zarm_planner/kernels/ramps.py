@@ -1,0 +1,173 @@
+"""Motions at bounded acceleration: a sequence of ramps, in each of which every joint speeds up, keeps its speed, slows down.
+
+One joint from rest or motion to rest or motion in least time, or in a given time with least acceleration, in closed form
+(Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration shortcuts", 2010).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.kernels.compiled import inlined, kernel
+
+Array = NDArray[np.float64]
+
+_SLACK = 1e-9
+"""Rounding that times (s), velocities and accelerations may carry."""
+
+
+class Ramps(NamedTuple):
+    """Room for ramps, of which a motion uses the first few; joint j of ramp i has acceleration `acceleration[i, j]` for
+    `first[i, j]` s, its negative for the last `last[i, j]` s, and none between.
+
+    `duration` (capacity,) in s; `position` and `velocity` (capacity, dof) at the start of each ramp, in rad and rad/s;
+    `acceleration` in rad/s^2, `first` and `last` in s, all (capacity, dof).
+    """
+
+    duration: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    first: Array
+    last: Array
+
+
+def make_ramps(capacity: int, dof: int) -> Ramps:
+    """Room for `capacity` ramps."""
+    return Ramps(np.empty(capacity), *(np.empty((capacity, dof)) for _ in range(5)))
+
+
+@inlined
+def least_time(distance: float, start: float, end: float, fastest: float, strongest: float) -> float:
+    """Least time (s) for one joint over `distance` from velocity `start` to `end`, within both limits.
+
+    Up to a velocity, perhaps kept for a while, and down again, or the mirror image of that.
+    """
+    best = np.inf
+    for side in (1.0, -1.0):
+        d, a, b = side * distance, side * start, side * end
+        peak = strongest * d + 0.5 * (a * a + b * b)
+        if peak < 0.0:
+            continue
+        peak = math.sqrt(peak)
+        if peak < max(a, b) - _SLACK:
+            continue
+        if peak <= fastest:
+            time = (2.0 * peak - a - b) / strongest
+        else:
+            ramps = (fastest * fastest - 0.5 * (a * a + b * b)) / strongest
+            time = (2.0 * fastest - a - b) / strongest + (d - ramps) / fastest
+        best = min(best, time)
+    return best
+
+
+@inlined
+def in_time(
+    distance: float, start: float, end: float, time: float, fastest: float, strongest: float
+) -> tuple[bool, float, float, float]:
+    """The ramp of one joint over `distance` from velocity `start` to `end` in exactly `time` s, with least acceleration.
+
+    Returns whether there is one within the limits, then acceleration, first and last as in `Ramps`. There is none where
+    the joint would arrive too early by going on and too late by turning back.
+    """
+    change = end - start
+    lead = distance - 0.5 * (start + end) * time
+    # Without a phase of constant velocity: a^2 T^2 - 4 lead a - change^2 = 0.
+    root = math.sqrt(4.0 * lead * lead + time * time * change * change)
+    found, acceleration, first, last = False, np.inf, 0.0, 0.0
+    if root <= 1e-12:
+        return abs(start) <= fastest + _SLACK, 0.0, 0.5 * time, 0.5 * time
+    for side in (1.0, -1.0):
+        a = (2.0 * lead + side * root) / (time * time)
+        if a == 0.0:
+            continue
+        switch = 0.5 * (time + change / a)
+        if switch < -_SLACK or switch > time + _SLACK:
+            continue
+        t1, t3 = max(switch, 0.0), max(time - switch, 0.0)
+        peak = start + a * switch
+        if abs(peak) > fastest + _SLACK:
+            peak = math.copysign(fastest, peak)
+            rest = distance - peak * time
+            if rest == 0.0:
+                continue
+            bent = -0.5 * ((peak - start) ** 2 + (peak - end) ** 2) / rest
+            if bent * a <= 0.0:
+                continue
+            a = bent
+            t1, t3 = (peak - start) / a, (peak - end) / a
+            if t1 < -_SLACK or t3 < -_SLACK or t1 + t3 > time + _SLACK:
+                continue
+            t1, t3 = max(t1, 0.0), max(t3, 0.0)
+        if abs(a) <= strongest * (1.0 + 1e-7) and abs(a) < abs(acceleration):
+            found, acceleration, first, last = True, a, t1, t3
+    return found, acceleration, first, last
+
+
+@inlined
+def state(ramps: Ramps, i: int, t: float, position: Array, velocity: Array) -> None:
+    """Position and velocity (dof,) at `t` s into ramp `i`."""
+    for j in range(position.shape[0]):
+        first, last, a = ramps.first[i, j], ramps.last[i, j], ramps.acceleration[i, j]
+        kept = max(ramps.duration[i] - first - last, 0.0)
+        up, level, down = min(t, first), min(max(t - first, 0.0), kept), max(t - first - kept, 0.0)
+        x = ramps.position[i, j] + ramps.velocity[i, j] * up + 0.5 * a * up * up
+        v = ramps.velocity[i, j] + a * up
+        position[j] = x + v * (level + down) - 0.5 * a * down * down
+        velocity[j] = v - a * down
+
+
+@inlined
+def connect_states(
+    ramps: Ramps,
+    i: int,
+    start: Array,
+    start_velocity: Array,
+    end: Array,
+    end_velocity: Array,
+    fastest: Array,
+    strongest: Array,
+) -> bool:
+    """Make ramp `i` the fastest one between two states in which all joints arrive together; whether there is one."""
+    time = 0.0
+    for j in range(start.shape[0]):
+        time = max(time, least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j]))
+    ramps.duration[i] = time
+    if not _SLACK < time < np.inf:
+        return False
+    for j in range(start.shape[0]):
+        found, a, first, last = in_time(
+            end[j] - start[j], start_velocity[j], end_velocity[j], time, fastest[j], strongest[j]
+        )
+        if not found:
+            return False
+        ramps.position[i, j], ramps.velocity[i, j] = start[j], start_velocity[j]
+        ramps.acceleration[i, j], ramps.first[i, j], ramps.last[i, j] = a, first, last
+    return True
+
+
+@kernel
+def along(path: Array, fastest: Array, strongest: Array, ramps: Ramps) -> int:
+    """Ramps straight along a path (n, dof), at rest at each of its corners; returns how many."""
+    count = 0
+    for i in range(path.shape[0] - 1):
+        speed, rate = np.inf, np.inf  # along the edge, as parts of it: the joint that is slowest for its way decides
+        for j in range(path.shape[1]):
+            way = abs(path[i + 1, j] - path[i, j])
+            if way > 1e-12:
+                speed, rate = min(speed, fastest[j] / way), min(rate, strongest[j] / way)
+        if speed == np.inf:
+            continue
+        time = least_time(1.0, 0.0, 0.0, speed, rate)
+        _, a, first, last = in_time(1.0, 0.0, 0.0, time, speed, rate)
+        ramps.duration[count] = time
+        for j in range(path.shape[1]):
+            ramps.position[count, j], ramps.velocity[count, j] = path[i, j], 0.0
+            ramps.acceleration[count, j] = a * (path[i + 1, j] - path[i, j])
+            ramps.first[count, j], ramps.last[count, j] = first, last
+        count += 1
+    return count
