@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import re
-from pathlib import Path
-
 import fcl
 import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_arm import DESCRIPTOR, URDF, small_arm
+from small_arm import small_arm
 from sphere_model import (
     clearances,
     distance,
@@ -24,7 +20,6 @@ from sphere_model import (
 
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, PlannerSettings, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner.clearance import sphere_clearance
 from zarm_planner.frames import rotation
 from zarm_planner.kernels.arrays import Single
 from zarm_planner.kernels.collision import RESOLUTION, sine_cosine
@@ -33,7 +28,9 @@ from zarm_planner.kernels.edge import path_free
 from zarm_planner.kernels.inverse import solve
 from zarm_planner.kernels.kinematics import frames
 from zarm_planner.kernels.lanes import LANES, load, pointer, store
+from zarm_planner.kernels.ramps import along
 from zarm_planner.kernels.shortcut import shortcut
+from zarm_planner.kernels.smoothing import smooth
 from zarm_planner.kernels.trees import Trees, add, make_trees, nearest_node
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free
@@ -172,40 +169,6 @@ def test_a_path_is_free_when_each_of_its_edges_is(arm: RobotModel) -> None:
     assert not is_free(arm, world, np.array((a, b, c)))
 
 
-def test_a_robot_without_geometry_is_free_everywhere(tmp_path: Path) -> None:
-    bare = re.sub(r"^(spheres|collision):\n(  .*\n)+", r"\1: {}\n", DESCRIPTOR, flags=re.MULTILINE)
-    (tmp_path / "small_arm.urdf").write_text(URDF)
-    (tmp_path / "small_arm.yaml").write_text(bare)
-    model = RobotModel.of(load_robot(str(tmp_path / "small_arm.yaml")))
-    world = World(random_objects(5, 1.0, np.random.default_rng(0)), 0.0)
-    path = random_joints(model, 10, np.random.default_rng(0))
-    assert is_free(model, world, path)
-    assert sphere_clearance(model, world, path[0]) == (math.inf, None)
-
-
-def test_the_clearance_is_the_smallest_gap_and_names_the_two(model: RobotModel) -> None:
-    rng = np.random.default_rng(3)
-    objects, joints = random_objects(8, 0.2, rng), random_joints(model, 50, rng)
-    gaps = clearances(model, objects, joints)
-    for q, expected in zip(joints, gaps, strict=True):
-        gap, pair = sphere_clearance(model, World(objects, 0.02), q)
-        assert pair is not None
-        assert pair[0] in model.links
-        if gap > 0.0:
-            assert gap == pytest.approx(expected, abs=1e-5)
-        alone = clearances(model, [item for item in objects if item.name == pair[1]], q[None])[0]
-        assert alone == pytest.approx(expected, abs=1e-5)
-
-
-def test_the_clearance_inside_an_object_is_the_depth(arm: RobotModel) -> None:
-    q = np.array([0.0, 0.5, 1.0, 0.1])
-    x, y, z = arm.link_transforms(q)[arm.links.index("rod"), :3, 3].tolist()
-    block = Cuboid(kind="cuboid", name="block", position=(x, y, z), size=(0.2, 0.3, 0.4))
-    gap, pair = sphere_clearance(arm, World((block,), 0.0), q)
-    assert pair == ("rod", "block")
-    assert gap == pytest.approx(-0.1 - 0.03, abs=1e-6)
-
-
 @numba.njit
 def both(x: Single, s: Single, c: Single) -> None:
     """Sine and cosine of many."""
@@ -246,6 +209,6 @@ def test_what_is_compiled_for_one_robot_serves_all(arm: RobotModel) -> None:
     said: list[str] = []
     warm_up(arm, said.append)
     warm_up(RobotModel.of(load_robot("panda")), said.append)
-    assert len(set(said)) == 5
-    for kernel in (frames, path_free, connect, shortcut, solve):
+    assert len(set(said)) == 6
+    for kernel in (frames, path_free, connect, shortcut, solve, along, smooth):
         assert len(kernel.signatures) == 1, kernel  # type: ignore[attr-defined]

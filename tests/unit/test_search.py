@@ -218,3 +218,9 @@ def test_the_goal_poses_of_motion_bench_maker_are_where_its_goals_are(name: str,
     for problem in motion_bench.problems(name, "box"):
         for goal, pose in zip(problem.goals, problem.goal_poses, strict=True):
             np.testing.assert_allclose(model.fk_tip(np.array(goal))[:3, 3], pose.position, atol=1e-6)
+
+
+def test_a_search_gives_up_after_the_samples_it_was_allowed(model: RobotModel, sides: tuple[Array, Array]) -> None:
+    world = World(WALL, 0.0)
+    assert search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0), most=1) is None
+    assert search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0), most=10_000) is not None

@@ -15,9 +15,14 @@ from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 
+ENDLESS = 2**62
+"""Samples that no search comes to."""
 
-def search(model: RobotModel, world: World, start: Array, goals: Array, *, seed: int, stop: Stop) -> Array | None:
-    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `stop` came first.
+
+def search(
+    model: RobotModel, world: World, start: Array, goals: Array, *, seed: int, stop: Stop, most: int = ENDLESS
+) -> Array | None:
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `most` samples or `stop` came first.
 
     Start and goals are free and within the limits, the nearest goal stands first; straight lines are tried in that
     order. The same seed gives the same path. Consecutive rows are joined by straight edges that are free to
@@ -45,6 +50,7 @@ def search(model: RobotModel, world: World, start: Array, goals: Array, *, seed:
         np.array(start, np.float32, order="C"),
         np.array(goals, np.float32, order="C"),
         np.array([seed], np.uint64),
+        most,
         stop.deadline,
     )
     if len(found) == 0:

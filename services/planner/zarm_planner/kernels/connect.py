@@ -41,11 +41,12 @@ def connect(
     start: Single,
     goals: Single,
     random: NDArray[np.uint64],
+    most: int,
     deadline: NDArray[np.float64],
 ) -> Single:
-    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof), or one without rows when the deadline passed.
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof).
 
-    `limits` (2, dof) is where samples are drawn; `weight` (dof,) scales the joints in distances.
+    One without rows when there was none after `most` samples, or when the deadline passed. `limits` (2, dof) is where samples are drawn; `weight` (dof,) scales the joints in distances.
     """
     checks = space(robot, world, memory)
     dof = start.shape[0]
@@ -59,7 +60,9 @@ def connect(
     target, here, there = np.empty(dof, np.float32), np.empty(dof, np.float32), np.empty(dof, np.float32)
     grown = 0
     trees.size[0] = CAPACITY
-    while not passed(deadline, now):
+    samples = 0
+    while samples < most and not passed(deadline, now):
+        samples += 1
         if max(trees.size[0], trees.size[1]) == CAPACITY:
             trees.size[0] = trees.size[1] = 0
             add(trees, 0, start, -1)
