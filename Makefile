@@ -42,16 +42,8 @@ $(VENV)/.dev: $(PINNED) | $(BIN)/python
 # The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard services/planner/zarm_planner/kernels/*.py)
 	@echo "compiling the planner's kernels, once ..."
-	@$(BIN)/python -c "$$WARM_UP"
+	@$(BIN)/python -m zarm_planner.warm_up
 	@touch $@
-
-define WARM_UP
-from zarm_contract.robot import load_robot
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.warm_up import warm_up
-warm_up(RobotModel.of(load_robot("doosan_m1013")), lambda step: print("  " + step, flush=True))
-endef
-export WARM_UP
 
 $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV)

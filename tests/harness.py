@@ -41,10 +41,10 @@ def router() -> Iterator[str]:
     try:
         yield endpoint
     finally:
-        session.close()  # type: ignore[no-untyped-call]
+        session.close()
 
 
-def eventually(probe: Callable[[], T], what: str, patience: float = PATIENCE) -> T:
+def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIENCE) -> T:
     """The first truthy value of `probe()`; fails the test when there is none in time."""
     deadline = time.monotonic() + patience
     while not (value := probe()):
@@ -66,8 +66,9 @@ class ServiceProcess:
     arguments: tuple[str, ...] = ()
 
     def __enter__(self) -> Self:
-        command = [sys.executable, "-m", f"zarm_{self.service}.service", "--robot", self.robot, "--connect", self.endpoint]
-        command += ["--state", str(self.state), *(["--name", self.name] if self.name else []), *self.arguments]
+        command = [sys.executable, "-m", f"zarm_{self.service}.service", "--robot", self.robot]
+        command += ["--connect", self.endpoint, "--state", str(self.state)]
+        command += [*(["--name", self.name] if self.name else []), *self.arguments]
         self.log = self.state / f"{self.service}-{time.monotonic_ns()}.log"
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)

@@ -11,9 +11,9 @@ from itertools import groupby
 from pathlib import Path
 
 from zarm_contract import messages as m
-from zarm_contract._model import Message
 from zarm_contract.codec import encode
 from zarm_contract.errors import Problem
+from zarm_contract.messages import Message
 
 GOLDEN = Path(__file__).parent / "golden"
 

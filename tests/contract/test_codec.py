@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zarm_contract import messages as m
-from zarm_contract._model import Message
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Message
 
 # -- whatever arrives --
 

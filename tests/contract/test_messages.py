@@ -12,12 +12,13 @@ from contract.examples import EXAMPLES, GOLDEN, by_class, golden_text
 from pydantic import ValidationError
 
 from zarm_contract import messages
-from zarm_contract._model import Message
 from zarm_contract.codec import MAX_BYTES, decode, encode, schema
 from zarm_contract.errors import InvalidRequest, Problem
+from zarm_contract.messages import Message
 
 CLASSES = sorted(
-    {cls for cls in vars(messages).values() if isinstance(cls, type) and issubclass(cls, Message)} | {Problem},
+    {cls for cls in vars(messages).values() if isinstance(cls, type) and issubclass(cls, Message)} - {Message}
+    | {Problem},
     key=lambda cls: cls.__name__,
 )
 Path = tuple[int | str, ...]

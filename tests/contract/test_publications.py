@@ -13,11 +13,11 @@ from contract.wire import declared
 from harness import PATIENCE, eventually
 
 from zarm_contract import messages as m
-from zarm_contract._model import Message
 from zarm_contract.bus import Bus
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InternalError
 from zarm_contract.keys import Keys
+from zarm_contract.messages import Message
 
 KEYS = Keys("arm")
 (JOINTS,) = by_class()[m.JointState]

@@ -17,7 +17,6 @@ from contract.wire import declared
 from harness import PATIENCE, eventually
 
 from zarm_contract import messages as m
-from zarm_contract._model import Message
 from zarm_contract.bus import Bus
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.errors import (
@@ -30,6 +29,7 @@ from zarm_contract.errors import (
     from_problem,
 )
 from zarm_contract.keys import Keys
+from zarm_contract.messages import Message
 
 KEYS = Keys("arm")
 REQUEST = m.FkRequest(joints=((0.1, 0.2),))

@@ -112,6 +112,7 @@ def test_execute_moves_along_the_last_plan(up: Up, observer: Bus, empty_scene: N
 def test_execute_plans_and_moves_in_one_go(up: Up, observer: Bus, empty_scene: None) -> None:
     last = data(up, "execute", "--joints", near_home(-0.1), "--velocity-scale", "0.9")
     assert last["status"] == "succeeded"
+    assert last["plan_id"].startswith("p-")
     assert measured(observer)[0] == pytest.approx(-0.1, abs=0.01)
     tip = data(up, "fk")["poses"][0]["position"]
     goal = vector((tip[0], tip[1], tip[2] + 0.05))
@@ -248,7 +249,8 @@ def test_every_kind_of_object_can_be_added_listed_and_removed(up: Up, empty_scen
 
 def test_a_name_that_exists_is_taken_only_with_replace(up: Up, empty_scene: None) -> None:
     ball = ("scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius")
-    done(up, *ball, "0.1")
+    assert "the scene holds 1 object (" in done(up, *ball, "0.1")
+    assert "1 object, revision" in done(up, "status")
     assert "ball" in refused(up, *ball, "0.2")
     done(up, *ball, "0.3", "--replace")
     assert data(up, "scene", "list")["objects"][0]["radius"] == 0.3

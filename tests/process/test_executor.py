@@ -20,7 +20,7 @@ from zarm_contract.errors import (
     ZarmError,
 )
 from zarm_contract.keys import Keys
-from zarm_contract.messages import GoalState, JointState, Plan, Scene, Strategies, Trajectory
+from zarm_contract.messages import GoalState, JointState, Nothing, Plan, Scene, Strategies, Trajectory
 from zarm_executor.path import Path as Motion
 from zarm_executor.reporter import FINISHED_GOALS
 
@@ -171,8 +171,7 @@ def test_plans_are_executed_by_id_or_as_the_last_one(client: Client) -> None:
     plans = client.bus.latched(KEYS.plans, Plan)
     plans.set(plan("first", rest_to_rest(moved(0.02))))
     plans.set(plan("second", SHORT))
-    goal_id = eventually(lambda: attempt(client, "second"), "the executor knows the second plan")
-    assert client.ended(goal_id).plan_id == "second"
+    assert client.ended(client.execute(plan_id="second")).plan_id == "second"
     with pytest.raises(ExecutionRefused):  # it starts at home
         client.execute(rest_to_rest(moved(1.0), moved(0.5)))
     with pytest.raises(InvalidRequest, match="third"):
@@ -189,6 +188,31 @@ def attempt(client: Client, plan_id: str) -> str | None:
         return client.execute(plan_id=plan_id)
     except InvalidRequest:
         return None
+
+
+def test_the_plan_that_the_planner_holds_runs_before_its_publication_arrives(
+    endpoint: str, bus: Bus, tmp_path: Path
+) -> None:
+    held = [plan("first", rest_to_rest(moved(0.02)))]
+    bus.serve(KEYS.plans, Nothing, lambda _: held[-1], readable=True)  # nothing is ever published
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        client = Client(bus)
+        held.append(plan("second", SHORT))
+        assert client.ended(client.execute()).plan_id == "second"
+        client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+        held.append(plan("third", SHORT))
+        assert client.ended(client.execute(plan_id="third")).plan_id == "third"
+
+
+def test_where_no_planner_answers_the_plan_published_last_runs(client: Client) -> None:
+    plans = client.bus.publisher(KEYS.plans, Plan)
+    plans.put(plan("first", rest_to_rest(moved(0.02))))
+    plans.put(plan("second", SHORT))
+    goal_id = eventually(lambda: attempt(client, "second"), "the executor knows the second plan")
+    client.ended(goal_id)
+    client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+    assert client.ended(client.execute()).plan_id == "second"
 
 
 def test_a_plan_made_before_the_executor_started_can_be_executed(endpoint: str, bus: Bus, tmp_path: Path) -> None:

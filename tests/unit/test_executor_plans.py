@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
+from harness import PATIENCE
 from motions import ROBOT, moved, plan, rest_to_rest
 
 from zarm_contract.codec import decode, encode
-from zarm_contract.errors import ExecutionRefused, InvalidRequest
-from zarm_contract.messages import Cuboid, ExecuteRequest, Scene
+from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
+from zarm_contract.messages import Cuboid, ExecuteRequest, Plan, Scene
 from zarm_executor.plans import REMEMBERED, Plans, SceneRevision
 
 TRAJECTORY = rest_to_rest(moved(0.1))
@@ -13,7 +17,10 @@ TRAJECTORY = rest_to_rest(moved(0.1))
 
 @pytest.fixture
 def plans() -> Plans:
-    return Plans(ROBOT.hash)
+    def unanswered() -> Plan:
+        raise Unavailable("no planner")
+
+    return Plans(ROBOT.hash, unanswered)
 
 
 def test_an_empty_request_means_the_last_plan(plans: Plans) -> None:
@@ -34,6 +41,30 @@ def test_the_last_plans_are_known_by_their_id_and_older_ones_are_forgotten(plans
     with pytest.raises(InvalidRequest, match="plan-0") as refusal:
         plans.chosen(ExecuteRequest(plan_id="plan-0"))
     assert refusal.value.problem.field == "plan_id"
+
+
+def test_the_plan_that_the_planner_calls_its_newest_goes_before_those_published() -> None:
+    plans = Plans(ROBOT.hash, lambda: plan("newest", TRAJECTORY))
+    plans.add("", plan("published", TRAJECTORY))
+    assert plans.chosen(ExecuteRequest())[0] == "newest"
+    assert plans.chosen(ExecuteRequest(plan_id="newest"))[0] == "newest"
+    assert plans.chosen(ExecuteRequest(plan_id="published"))[0] == "published"
+
+
+def test_the_publication_of_a_plan_before_the_newest_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = threading.Event()
+
+    def newest() -> Plan:
+        asked.set()
+        return plan("newest", TRAJECTORY)
+
+    monkeypatch.setattr("zarm_executor.plans.PUBLICATION_PATIENCE", PATIENCE)
+    plans = Plans(ROBOT.hash, newest)
+    with ThreadPoolExecutor(1) as pool:
+        chosen = pool.submit(plans.chosen, ExecuteRequest(plan_id="on-its-way"))
+        assert asked.wait(PATIENCE)
+        plans.add("", plan("on-its-way", TRAJECTORY))
+        assert chosen.result(PATIENCE)[0] == "on-its-way"
 
 
 def test_a_plan_older_than_the_scene_is_stale(plans: Plans) -> None:

@@ -103,6 +103,31 @@ def test_a_file_that_is_no_urdf_is_said(arm: Path) -> None:
     assert faults(arm) == [f"{urdf}:1: a URDF starts with <robot>; this file starts with <sdf>"]
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("strategy: emulator", "strategy: \x07"),
+        ("strategy: emulator", "strategy: !!timestamp emulator"),
+        ("tip_link: link_6", 'tip_link: "link\\n6"'),
+        ("urdf: doosan", 'urdf: "doosan\\n"\n"m\\n1013": doosan'),
+        ("spheres:\n", 'spheres:\n  "a: b\\nc": []\n'),
+        (HOME, f'{HOME}\n"a\\nb": 1\n"a\\nb": 2'),
+    ],
+)
+def test_each_fault_is_one_line_whatever_it_quotes(arm: Path, old: str, new: str) -> None:
+    edit(arm, old, new)
+    (fault,) = faults(arm)
+    assert fault.startswith(f"{arm}:")
+
+
+def test_a_robot_without_collision_geometry_is_refused(arm: Path) -> None:
+    line = edit(arm, "collision:\n", "collision: {}\nspheres: {}\nself_collision_ignore: []\nrest:\n")
+    text = arm.read_text()
+    arm.write_text(text[: text.index("rest:\n")])
+    (fault,) = faults(arm)
+    assert fault.startswith(f"{arm}:{line}: collision: no link has geometry")
+
+
 def test_several_faults_of_a_descriptor_are_reported_together(arm: Path) -> None:
     lines = [
         edit(arm, "  velocity: [1.2, ", "  velocity: [fast, "),

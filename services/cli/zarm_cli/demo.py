@@ -12,7 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 
 from zarm_cli.client import Client
-from zarm_cli.execution import along, demand_success, run_goal
+from zarm_cli.execution import demand_success, run_goal
 from zarm_cli.launcher import launch
 from zarm_cli.output import err, facts, out, pose_text
 from zarm_cli.planning import plan_table
@@ -22,6 +22,7 @@ from zarm_contract.messages import (
     CheckResults,
     Cuboid,
     Cylinder,
+    ExecuteRequest,
     GoalState,
     Plan,
     PlanRequest,
@@ -61,7 +62,7 @@ def _go_around_the_post(client: Client) -> None:
     table = plan_table(plan)
     table.add_row("straight on", _straight_on(client, plan))
     out.print(Panel(table, title="plan", expand=False))
-    last = run_goal(client, along(plan))
+    last = run_goal(client, ExecuteRequest(plan_id=plan.plan_id))
     demand_success(last)
     reached = client.tip(client.measured().position)
     out.print(Panel(_result(last, reached), title="reached", expand=False))

@@ -22,7 +22,6 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     GoalState,
-    Plan,
     Strategies,
     StrategyRequest,
 )
@@ -49,10 +48,10 @@ def execute(
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
     if velocity_scale is not None and goal is None:
         raise typer.BadParameter("belongs to --to or --joints", param_hint="--velocity-scale")
-    request = message(ExecuteRequest, plan_id=plan_id) if plan is None else along(read_plan(plan))
+    request = message(ExecuteRequest, plan_id=plan_id) if plan is None else _saved(plan)
     with connected(connect, name) as client:
         if goal is not None:
-            request = along(request_plan(client, goal, velocity_scale=velocity_scale))
+            request = ExecuteRequest(plan_id=request_plan(client, goal, velocity_scale=velocity_scale).plan_id)
         last = run_goal(client, request)
     if as_json:
         print_json(last)
@@ -61,11 +60,9 @@ def execute(
         out.print(f"{last.status} after {last.elapsed:.2f} s in motion (goal {last.goal_id})")
 
 
-def along(plan: Plan) -> ExecuteRequest:
-    """The request to move along a plan at hand.
-
-    It carries the motion itself: a plan that was just made may be known to its client before it is to the executor.
-    """
+def _saved(file: Path) -> ExecuteRequest:
+    """The request to move along a saved plan. It carries the motion itself: no service need remember that plan."""
+    plan = read_plan(file)
     return ExecuteRequest(trajectory=plan.trajectory, scene_revision=plan.scene_revision)
 
 

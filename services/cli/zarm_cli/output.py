@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from zarm_contract._model import Message
 from zarm_contract.codec import encode
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import Pose
+from zarm_contract.messages import Message, Pose
 
 # Nothing that is printed is markup: messages hold brackets. A pipe is no terminal of 80 columns.
 out = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 120)
@@ -43,6 +42,11 @@ def error_line(error: ZarmError) -> str:
 def numbers(values: Sequence[float], digits: int = 3) -> str:
     """`0.559, 0.034, 0.651`."""
     return ", ".join(f"{round(value, digits) + 0.0:.{digits}f}" for value in values)
+
+
+def counted(count: int, thing: str) -> str:
+    """`1 object`, `2 objects`."""
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
 
 
 def degrees(values: Sequence[float]) -> str:

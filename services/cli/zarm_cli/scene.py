@@ -11,7 +11,7 @@ import yaml
 from rich.table import Table
 
 from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, message
-from zarm_cli.output import numbers, out, print_json
+from zarm_cli.output import counted, numbers, out, print_json
 from zarm_cli.planning import read_bytes, write_text
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Scene, SceneEdit, SceneEdited
@@ -111,7 +111,7 @@ def save(file: Path, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> 
     scene = _read(connect, name)
     objects = json.loads(scene.model_dump_json(include={"objects"}))
     write_text(file, yaml.safe_dump(objects, sort_keys=False, default_flow_style=None))
-    out.print(f"{len(scene.objects)} objects in {file}")
+    out.print(f"{counted(len(scene.objects), 'object')} in {file}")
 
 
 def _read(connect: str, name: str | None) -> Scene:
@@ -130,7 +130,7 @@ def _apply(client: Client, edit: SceneEdit, as_json: bool) -> None:
     if as_json:
         print_json(edited)
     else:
-        out.print(f"the scene holds {edited.count} objects (revision {edited.revision})")
+        out.print(f"the scene holds {counted(edited.count, 'object')} (revision {edited.revision})")
 
 
 def _read_objects(file: Path) -> object:

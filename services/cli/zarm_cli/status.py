@@ -12,10 +12,19 @@ from rich.live import Live
 from rich.table import Table
 
 from zarm_cli.client import AsJson, Client, Connect, Name, connected
-from zarm_cli.output import degrees, facts, out, pose_text, print_json
-from zarm_contract._model import Message
+from zarm_cli.output import counted, degrees, facts, out, pose_text, print_json
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import ExecutorState, FkPoses, FkRequest, GoalState, Health, JointState, Pose, Scene
+from zarm_contract.messages import (
+    ExecutorState,
+    FkPoses,
+    FkRequest,
+    GoalState,
+    Health,
+    JointState,
+    Message,
+    Pose,
+    Scene,
+)
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 _NEEDED = ("planner", "executor")
@@ -61,7 +70,7 @@ def _print_status(
     if state is not None:
         rows += _state_rows(state)
     if scene is not None:
-        rows.append(("scene", f"{len(scene.objects)} objects, revision {scene.revision}"))
+        rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
     out.print(facts(*rows), "", table, sep="\n")
 
 

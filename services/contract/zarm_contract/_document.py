@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from zarm_contract._faults import one_line
 from zarm_contract.errors import InvalidRequest
 
 KeyPath = tuple[int | str, ...]
@@ -30,7 +31,7 @@ class Document:
         while place and place not in self.lines:
             place = place[:-1]
         dotted = ".".join(map(str, key))
-        return f"{self.path}:{self.lines.get(place, 1)}: {dotted + ': ' if dotted else ''}{message}"
+        return f"{self.path}:{self.lines.get(place, 1)}: {one_line(f'{dotted}: {message}' if dotted else message)}"
 
 
 def read_document(path: Path) -> Document:
@@ -45,16 +46,18 @@ def read_document(path: Path) -> Document:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{path}:{mark.line + 1}" if mark else str(path)
-        raise InvalidRequest(f"{place}: not valid YAML: {getattr(error, 'problem', None) or error}") from error
-    except ValueError as error:  # a scalar that looks like a date and is none
-        raise InvalidRequest(f"{path}: not valid YAML: {error}; put texts in quotes") from error
+        reason = one_line(getattr(error, "problem", None) or str(error))
+        raise InvalidRequest(f"{place}: not valid YAML: {reason}") from error
+    except (AttributeError, KeyError, ValueError) as error:  # a scalar that looks or is tagged like a date, and is none
+        raise InvalidRequest(f"{path}: not valid YAML: {one_line(str(error))}; put texts in quotes") from error
     if node is None or not isinstance(data, dict):
         raise InvalidRequest(f"{path}:1: a descriptor is a mapping of keys to values; this file is not")
     lines: dict[KeyPath, int] = {}
     repeated: dict[KeyPath, str] = {}
     for key, line in _places(node):
         if key in lines and not any(key[:end] in repeated for end in range(len(key) + 1)):
-            repeated[key] = f"{path}:{line}: {'.'.join(map(str, key))}: stands in line {lines[key]} too; keep one"
+            dotted = one_line(".".join(map(str, key)))
+            repeated[key] = f"{path}:{line}: {dotted}: stands in line {lines[key]} too; keep one"
         lines.setdefault(key, line)
     if repeated:
         raise InvalidRequest("\n".join(repeated.values()))

@@ -25,6 +25,11 @@ def field_path(location: Sequence[int | str], data: object) -> tuple[int | str, 
     return tuple(path)
 
 
+def one_line(text: str) -> str:
+    """A text without the line breaks that it quotes or that whoever wrote it put there: each fault has a line."""
+    return " ".join(text.split())
+
+
 def sentence(message: str) -> str:
     """Pydantic's message without the words that it puts before a rule of ours."""
     return message.removeprefix("Value error, ")

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from zarm_contract._document import Document, KeyPath, read_document
-from zarm_contract._faults import field_path, sentence
+from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, Vector3
 from zarm_contract.urdf import Urdf, load_urdf
@@ -139,8 +139,13 @@ class RobotDescriptor(_Section):
             for link in self.spheres
             if not self.collision.get(link)
         ]
+        if not self.collision and not self.spheres:
+            faults.append(
+                "collision: no link has geometry, so that nothing would keep the robot from colliding; give the links "
+                "primitives here and the spheres that cover them in `spheres`"
+            )
         if faults:
-            raise ValueError("\n".join(faults))
+            raise ValueError("\n".join(map(one_line, faults)))
         return self
 
 

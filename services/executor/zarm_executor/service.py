@@ -37,6 +37,9 @@ log = logging.getLogger(__name__)
 COMMAND_BACKLOG = 1024
 """How many commands may wait on one key: a stop is never answered `busy` because others shout as well."""
 
+PLANNER_PATIENCE = 0.5
+"""Longest wait, s, for the planner to tell its newest plan."""
+
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
 
@@ -80,7 +83,8 @@ def start(service: Service) -> Iterator[None]:
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState))
             reporter.report_interrupted()
             reporter.publish()
-            plans, ghost = Plans(robot.hash), Ghost(bus, keys, robot)
+            plans = Plans(robot.hash, lambda: bus.call(keys.plans, Nothing(), Plan, timeout=PLANNER_PATIENCE))
+            ghost = Ghost(bus, keys, robot)
             executor = Executor(robot, machine, reporter, plans, strategies, bus.publisher(keys.strategy, Strategies))
             with (
                 Loop("control", TICK, control.tick, realtime=True),

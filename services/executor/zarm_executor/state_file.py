@@ -6,9 +6,9 @@ import logging
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from zarm_contract._model import Message
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import Message
 
 log = logging.getLogger(__name__)
 

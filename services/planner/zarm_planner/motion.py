@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
@@ -9,6 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_planner.robot_model import RobotModel
 
@@ -16,6 +18,8 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1e-3
 """By which part of a limit a motion may be over it."""
+MAX_SAMPLES = 15_000
+"""The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
 _CHECKS = 8
 """Moments per interval between samples at which velocity and acceleration are checked."""
 
@@ -107,6 +111,20 @@ class Motion:
             velocity=velocity,
             acceleration=acceleration,
         )
+
+
+def sample_times(duration: float, factor: float, dt: float) -> Array:
+    """Times (n,) from 0 to `duration` (s), so many that at `factor` times as long they are `dt` s apart or a little less.
+
+    Raises InvalidRequest where these are more than MAX_SAMPLES.
+    """
+    if (count := duration * factor / dt) > MAX_SAMPLES:
+        raise InvalidRequest(
+            f"the motion would last {duration * factor:.3g} s, more than the {MAX_SAMPLES} samples that one message holds; "
+            "raise velocity_scale and acceleration_scale",
+            field="velocity_scale",
+        )
+    return np.linspace(0.0, duration, max(2, math.ceil(count - 1e-6)) + 1)
 
 
 def within(sample: Callable[[float], Motion], limits: Limits) -> Motion:

@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 from typing import Literal, assert_never
 
-from zarm_contract._model import Message
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import (
@@ -18,6 +17,7 @@ from zarm_contract.messages import (
     ClearScene,
     Cuboid,
     LoadScene,
+    Message,
     RemoveObjects,
     Scene,
     SceneEdit,

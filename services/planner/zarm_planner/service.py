@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-from zarm_contract._model import Message
 from zarm_contract.errors import Unavailable, ZarmError
 from zarm_contract.messages import (
     CancelPlan,
@@ -17,6 +16,7 @@ from zarm_contract.messages import (
     FkRequest,
     IkRequest,
     JointState,
+    Message,
     Plan,
     PlannerSettings,
     PlanRequest,

@@ -8,7 +8,6 @@ Melchiorri, "FIR filters for online trajectory planning with time- and frequency
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Self
@@ -18,7 +17,7 @@ import numpy as np
 from zarm_planner.kernels.arrays import memory
 from zarm_planner.kernels.ramps import Ramps, along, make_ramps
 from zarm_planner.kernels.smoothing import smooth
-from zarm_planner.motion import Array, Limits, Motion, within
+from zarm_planner.motion import Array, Limits, Motion, sample_times, within
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
@@ -37,6 +36,8 @@ def smooth_path(
     Where it leaves the path it is free of `world` in spheres, as straight edges between its configurations every
     `kernels.smoothing.STEP` s. The limits hold as `Motion.load` measures them. The same seed gives the same motion;
     `stop` only makes the search for a faster one end sooner.
+
+    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
     ramps = make_ramps(len(path) + _ROOM, model.dof)
     count = along(path, limits.velocity, limits.acceleration, ramps)
@@ -94,8 +95,7 @@ class _Smoothed:
 
     def sample(self, factor: float, dt: float) -> Motion:
         """The motion at `factor` times its shortest duration, sampled every `dt` s or a little less."""
-        duration = self.end + self.window
-        t = np.linspace(0.0, duration, max(2, math.ceil(duration * factor / dt - 1e-6)) + 1)
+        t = sample_times(self.end + self.window, factor, dt)
         position, velocity, acceleration = (self._raw(t) - self._raw(t - self.window)) / self.window
         velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
         return Motion(t * factor, position, velocity / factor, acceleration / factor**2)

@@ -19,11 +19,8 @@ import numpy as np
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
-from zarm_contract.errors import InvalidRequest
-from zarm_planner.motion import Array, Limits, Motion, within
+from zarm_planner.motion import Array, Limits, Motion, sample_times, within
 
-MAX_SAMPLES = 15_000
-"""The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
 _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
 _STEPS = 8
@@ -39,7 +36,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
     Corners of the polyline `path` are rounded and left by at most `deviation` (rad, Euclidean). With `deviation` 0, and
     where that is faster, the motion stops at every corner. Limits are held within 0.1 %.
 
-    Raises InvalidRequest where the limits make the motion longer than MAX_SAMPLES.
+    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
     path = path[np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)]
     if len(path) == 1:
@@ -88,13 +85,7 @@ class _Profile:
 
     def sample(self, factor: float, dt: float) -> Motion:
         """The motion at `factor` times its shortest duration, sampled every `dt` s or a little less."""
-        if (count := self.duration * factor / dt) > MAX_SAMPLES:
-            raise InvalidRequest(
-                f"the motion would last {self.duration * factor:.3g} s, more than the {MAX_SAMPLES} samples that one message "
-                "holds; raise velocity_scale and acceleration_scale",
-                field="velocity_scale",
-            )
-        t = np.linspace(0.0, self.duration, max(2, math.ceil(count - 1e-6)) + 1)
+        t = sample_times(self.duration, factor, dt)
         area1, s1, sd1 = self._raw(t)
         area0, s0, sd0 = self._raw(t - self.window)
         s = np.clip((area1 - area0) / self.window, 0.0, self.s[-1])

@@ -1,11 +1,16 @@
-"""Compile every kernel before the first request, or load what an earlier process compiled."""
+"""Compile every kernel before the first request, or load what an earlier process compiled.
+
+`python -m zarm_planner.warm_up` does it after an installation, so that no planner has to.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import numpy as np
 
+from zarm_contract.robot import load_robot
 from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
@@ -36,3 +41,12 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     report("loading the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
     smooth_path(model, world, np.array((home, away)), Limits.of(model), 0.01, seed=0, stop=stop)
+
+
+def _print_line(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    warm_up(RobotModel.of(load_robot("doosan_m1013")), _print_line)

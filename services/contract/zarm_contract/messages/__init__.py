@@ -4,6 +4,7 @@ Units are SI (m, rad, s); quaternions are `(x, y, z, w)`; joint vectors follow t
 descriptor; times of day are Unix seconds. Poses are of the descriptor's `tip_link` in its `base_link`.
 """
 
+from zarm_contract._model import Message
 from zarm_contract.messages.executor import (
     Accepted,
     CancelRequest,
@@ -94,6 +95,7 @@ __all__ = [
     "JointState",
     "Joints",
     "LoadScene",
+    "Message",
     "Name",
     "NonNegative",
     "Nothing",
