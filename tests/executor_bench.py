@@ -97,9 +97,11 @@ class Bench:
             self.tick()
         raise AssertionError(f"{self.machine.state()} does not become {mode}")
 
-    def execute(self, goal_id: str = "goal-1") -> Path:
+    def execute(self, goal_id: str = "goal-1", stops: int | None = None) -> Path:
+        """Start a motion that was asked for when the robot had been told to stop `stops` times (left out: just now)."""
         path = Path.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
-        self.machine.start(Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor.joints, EXECUTION)))
+        goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor.joints, EXECUTION))
+        self.machine.start(goal, self.machine.stops if stops is None else stops)
         return path
 
     def statuses(self) -> list[str]:

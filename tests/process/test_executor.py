@@ -20,7 +20,7 @@ from zarm_contract.errors import (
     ZarmError,
 )
 from zarm_contract.keys import Keys
-from zarm_contract.messages import GoalState, JointState, Nothing, Plan, Scene, Strategies, Trajectory
+from zarm_contract.messages import GoalState, JointState, Nothing, Plan, SceneEdited, Strategies, Trajectory
 from zarm_executor.path import Path as Motion
 from zarm_executor.reporter import FINISHED_GOALS
 
@@ -224,8 +224,8 @@ def test_a_plan_made_before_the_executor_started_can_be_executed(endpoint: str, 
 
 
 def test_a_plan_older_than_the_scene_is_stale(endpoint: str, bus: Bus, tmp_path: Path) -> None:
-    scene = bus.latched(KEYS.scene, Scene)
-    scene.set(Scene(revision=3))
+    scene = bus.latched(KEYS.scene_revision, SceneEdited)
+    scene.set(SceneEdited(revision=3, count=0))
     bus.latched(KEYS.plans, Plan).set(plan("made-in-3", SHORT, revision=3))
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
@@ -235,17 +235,10 @@ def test_a_plan_older_than_the_scene_is_stale(endpoint: str, bus: Bus, tmp_path:
         assert refusal.value.code == "stale_plan"
         client.ended(client.execute())
         client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
-        scene.set(Scene(revision=4))
-
-        def stale() -> ZarmError | None:
-            try:
-                client.ended(client.execute())
-                client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
-            except ExecutionRefused as error:
-                return error
-            return None
-
-        assert eventually(stale, "the executor knows the new scene").code == "stale_plan"
+        scene.set(SceneEdited(revision=4, count=1))
+        with pytest.raises(ExecutionRefused) as refusal:
+            client.execute()
+        assert refusal.value.code == "stale_plan"
         assert client.stands()
 
 

@@ -69,7 +69,7 @@ def test_noise_is_answered_with_a_problem_and_moves_nothing(client: Client, endp
 def test_noise_on_the_keys_it_listens_to_does_no_harm(client: Client, endpoint: str) -> None:
     with open_client(endpoint) as session:
         for noise in NOISE:
-            for key in (KEYS.plans, KEYS.scene):
+            for key in (KEYS.plans, KEYS.scene_revision):
                 session.put(key, noise, congestion_control=zenoh.CongestionControl.BLOCK)
     assert client.ended(client.execute(SHORT)).status == "succeeded"
     with pytest.raises(InvalidRequest, match="no plan"):

@@ -7,7 +7,7 @@ import pytest
 from executor_bench import Arm, Bench
 from motions import HOME
 
-from zarm_contract.errors import Busy, Unavailable
+from zarm_contract.errors import Busy, Cancelled, Unavailable
 from zarm_executor.follower import TICK
 
 
@@ -191,3 +191,18 @@ def test_a_machine_that_ends_admits_no_motion(bench: Bench) -> None:
         bench.machine.admit()
     bench.machine.release()
     assert bench.arm.calls == ["open", "close"]
+
+
+@pytest.mark.parametrize("order", ["cancel", "switch"])
+def test_a_motion_that_was_being_checked_when_the_robot_was_told_to_stop_does_not_start(
+    bench: Bench, order: str
+) -> None:
+    before = bench.machine.stops
+    if order == "cancel":
+        bench.machine.cancel(None, "stop")
+    else:
+        bench.machine.switch(bench.arm, 1.0)
+    with pytest.raises(Cancelled):
+        bench.execute(stops=before)
+    assert bench.machine.state().mode == "idle"
+    assert not bench.machine.changes

@@ -2,25 +2,30 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from typing import NoReturn
 
 import pytest
 from harness import PATIENCE
 from motions import ROBOT, moved, plan, rest_to_rest
 
-from zarm_contract.codec import decode, encode
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import Cuboid, ExecuteRequest, Plan, Scene
-from zarm_executor.plans import REMEMBERED, Plans, SceneRevision
+from zarm_contract.messages import ExecuteRequest, Plan, SceneEdited
+from zarm_executor.plans import REMEMBERED, Plans
 
 TRAJECTORY = rest_to_rest(moved(0.1))
 
 
+def unanswered() -> NoReturn:
+    raise Unavailable("no planner")
+
+
+def scene_at(revision: int) -> SceneEdited:
+    return SceneEdited(revision=revision, count=0)
+
+
 @pytest.fixture
 def plans() -> Plans:
-    def unanswered() -> Plan:
-        raise Unavailable("no planner")
-
-    return Plans(ROBOT.hash, unanswered)
+    return Plans(ROBOT.hash, unanswered, unanswered)
 
 
 def test_an_empty_request_means_the_last_plan(plans: Plans) -> None:
@@ -44,7 +49,7 @@ def test_the_last_plans_are_known_by_their_id_and_older_ones_are_forgotten(plans
 
 
 def test_the_plan_that_the_planner_calls_its_newest_goes_before_those_published() -> None:
-    plans = Plans(ROBOT.hash, lambda: plan("newest", TRAJECTORY))
+    plans = Plans(ROBOT.hash, lambda: plan("newest", TRAJECTORY), unanswered)
     plans.add("", plan("published", TRAJECTORY))
     assert plans.chosen(ExecuteRequest())[0] == "newest"
     assert plans.chosen(ExecuteRequest(plan_id="newest"))[0] == "newest"
@@ -59,7 +64,7 @@ def test_the_publication_of_a_plan_before_the_newest_is_waited_for(monkeypatch: 
         return plan("newest", TRAJECTORY)
 
     monkeypatch.setattr("zarm_executor.plans.PUBLICATION_PATIENCE", PATIENCE)
-    plans = Plans(ROBOT.hash, newest)
+    plans = Plans(ROBOT.hash, newest, unanswered)
     with ThreadPoolExecutor(1) as pool:
         chosen = pool.submit(plans.chosen, ExecuteRequest(plan_id="on-its-way"))
         assert asked.wait(PATIENCE)
@@ -69,16 +74,16 @@ def test_the_publication_of_a_plan_before_the_newest_is_waited_for(monkeypatch: 
 
 def test_a_plan_older_than_the_scene_is_stale(plans: Plans) -> None:
     plans.add("", plan("old", TRAJECTORY, revision=3))
-    plans.set_scene("", SceneRevision(revision=3))
+    plans.set_scene("", scene_at(3))
     plans.chosen(ExecuteRequest())
-    plans.set_scene("", SceneRevision(revision=4))
+    plans.set_scene("", scene_at(4))
     with pytest.raises(ExecutionRefused, match="revision 3 of the scene, which is at 4 now") as refusal:
         plans.chosen(ExecuteRequest(plan_id="old"))
     assert refusal.value.problem.code == "stale_plan"
 
 
 def test_a_trajectory_that_names_its_scene_is_stale_like_a_plan(plans: Plans) -> None:
-    plans.set_scene("", SceneRevision(revision=4))
+    plans.set_scene("", scene_at(4))
     plans.chosen(ExecuteRequest(trajectory=TRAJECTORY))
     plans.chosen(ExecuteRequest(trajectory=TRAJECTORY, scene_revision=4))
     with pytest.raises(ExecutionRefused) as refusal:
@@ -93,6 +98,10 @@ def test_a_plan_for_another_description_of_the_robot_is_stale(plans: Plans) -> N
     assert refusal.value.problem.code == "stale_plan"
 
 
-def test_the_revision_is_read_from_a_whole_scene() -> None:
-    box = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 0.0), size=(1.0, 1.0, 1.0))
-    assert decode(SceneRevision, encode(Scene(revision=7, objects=(box,)))).revision == 7
+def test_the_scene_that_the_planner_has_goes_before_the_one_published() -> None:
+    plans = Plans(ROBOT.hash, unanswered, lambda: scene_at(4))
+    plans.add("", plan("old", TRAJECTORY, revision=3))
+    plans.set_scene("", scene_at(3))
+    with pytest.raises(ExecutionRefused) as refusal:
+        plans.chosen(ExecuteRequest())
+    assert refusal.value.problem.code == "stale_plan"

@@ -70,6 +70,11 @@ class Keys:
         return self._key("scene", "object", name)
 
     @property
+    def scene_revision(self) -> str:
+        """SceneEdited; the present revision alone, for those who need no more; latched."""
+        return self._key("scene", "revision")
+
+    @property
     def scene_edit(self) -> str:
         """SceneEdit -> SceneEdited."""
         return self._key("scene", "edit")

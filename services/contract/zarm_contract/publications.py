@@ -38,14 +38,16 @@ class Latched(Generic[M]):
         self._key = key
         self._values: dict[str, tuple[bytes, zenoh.Encoding]] = {}
         self._lock = threading.Lock()
+        self._order = threading.Lock()
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
 
     def set(self, message: M, *, key: str | None = None) -> None:
         """Change the value and publish it; `key` names the member of a family."""
         key = key or self._key
         payload, encoding = encode(message), encoding_of(type(message))
-        with self._lock:  # publications leave in the order in which the value changed
-            self._values[key] = payload, encoding
+        with self._order:  # publications leave in the order in which the value changed, and no answer waits for one
+            with self._lock:
+                self._values[key] = payload, encoding
             self._session.put(key, payload, encoding=encoding)
 
     def forget(self, key: str) -> None:

@@ -56,6 +56,7 @@ class Executor:
         """Check a motion and start it."""
         with self._execute_lock:
             self._machine.admit()
+            stops = self._machine.stops
             plan_id, trajectory = self._plans.chosen(request)
             path = executable(trajectory, self._robot)
             path = startable(path, self._machine.joint_state(), time.monotonic(), self._robot)
@@ -73,7 +74,7 @@ class Executor:
                 )
             )
             try:
-                self._machine.start(goal)
+                self._machine.start(goal, stops)
             except ZarmError:
                 self._reporter.forget()
                 raise

@@ -15,7 +15,7 @@ import threading
 from collections import deque
 from dataclasses import dataclass, field
 
-from zarm_contract.errors import Busy, ExecutionFailed, Problem, Unavailable, ZarmError
+from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
 from zarm_executor.follower import TICK
 from zarm_executor.monitor import Monitor
@@ -41,7 +41,10 @@ class Goal:
 
 
 class Machine:
-    """See the module. `strategy` is opened; raises the ZarmError of that."""
+    """See the module. `strategy` is opened; raises the ZarmError of that.
+
+    `stops` counts how often the robot was told to stop, whatever it did then.
+    """
 
     def __init__(self, strategy: Strategy) -> None:
         strategy.open()
@@ -55,6 +58,7 @@ class Machine:
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
         self.changes: deque[GoalState] = deque()
+        self.stops = 0
 
     # -- commands --
 
@@ -73,10 +77,15 @@ class Machine:
                 raise Busy("the strategy is being switched; execute again in a moment")
             self._strategy.admit()
 
-    def start(self, goal: Goal) -> None:
-        """Move the robot along the goal's path, which starts where it stands. Raises what `admit` raises."""
+    def start(self, goal: Goal, stops: int) -> None:
+        """Move the robot along the goal's path, which starts where it stands.
+
+        Raises what `admit` raises, and Cancelled where the robot was told to stop since it had been told so `stops` times.
+        """
         with self._lock:
             self.admit()
+            if self.stops != stops:
+                raise Cancelled("the robot was told to stop while this was being checked; nothing has moved")
             self._strategy.start(goal.path)
             self._goal = goal
             self._note(goal)
@@ -84,6 +93,7 @@ class Machine:
     def cancel(self, goal_id: str | None, why: str) -> None:
         """End this goal, or whichever there is, as cancelled; nothing where it is unknown or at its end."""
         with self._lock:
+            self.stops += goal_id is None
             goal = self._goal
             if goal is not None and goal.outcome is None and goal_id in (None, goal.goal_id):
                 self._end(goal, "cancelled", Problem(code="cancelled", message=why))

@@ -6,10 +6,8 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 
-from pydantic import ConfigDict
-
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import ExecuteRequest, Message, Plan, Trajectory
+from zarm_contract.messages import ExecuteRequest, Plan, SceneEdited, Trajectory
 
 REMEMBERED = 32
 """How many plans stay executable by their id."""
@@ -18,24 +16,18 @@ PUBLICATION_PATIENCE = 0.5
 """Longest wait, s, for the publication of a plan whose id a client knows already."""
 
 
-class SceneRevision(Message):
-    """What the executor needs of a `Scene`: reading ten thousand objects would hold up the control loop."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    revision: int
-
-
 class Plans:
     """The last plans of the planner and the present revision of its scene. Safe from any thread.
 
-    A client may have its plan from the planner, and ask for its execution, before its publication is read here. So
-    `newest` asks the planner for its newest plan; it raises Unavailable where none answers.
+    A client may have its plan from the planner, or have edited the scene, and ask for an execution before the publication
+    of that is read here. So `newest` asks the planner for its newest plan, and `scene` for the scene's revision; they raise
+    Unavailable where none answers.
     """
 
-    def __init__(self, robot_hash: str, newest: Callable[[], Plan]) -> None:
+    def __init__(self, robot_hash: str, newest: Callable[[], Plan], scene: Callable[[], SceneEdited]) -> None:
         self._robot_hash = robot_hash
         self._newest = newest
+        self._scene = scene
         self._plans: OrderedDict[str, Plan] = OrderedDict()
         self._revision = 0
         self._changed = threading.Condition()
@@ -49,7 +41,7 @@ class Plans:
                 self._plans.popitem(last=False)
             self._changed.notify_all()
 
-    def set_scene(self, _key: str, scene: SceneRevision) -> None:
+    def set_scene(self, _key: str, scene: SceneEdited) -> None:
         """Note the present revision of the scene."""
         with self._changed:
             self._revision = scene.revision
@@ -107,8 +99,11 @@ class Plans:
             return None
 
     def _check_revision(self, what: str, revision: int) -> None:
-        with self._changed:
-            present = self._revision
+        try:
+            present = self._scene().revision
+        except Unavailable:
+            with self._changed:
+                present = self._revision
         if revision < present:
             raise ExecutionRefused(
                 f"{what} was verified in revision {revision} of the scene, which is at {present} now; plan again",

@@ -16,6 +16,7 @@ from zarm_contract.messages import (
     JointState,
     Nothing,
     Plan,
+    SceneEdited,
     Strategies,
     StrategyRequest,
 )
@@ -26,7 +27,7 @@ from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
 from zarm_executor.loop import Loop
 from zarm_executor.machine import Machine
-from zarm_executor.plans import Plans, SceneRevision
+from zarm_executor.plans import Plans
 from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
 from zarm_executor.reporter import Reporter
 from zarm_executor.state_file import StateFile
@@ -38,7 +39,7 @@ COMMAND_BACKLOG = 1024
 """How many commands may wait on one key: a stop is never answered `busy` because others shout as well."""
 
 PLANNER_PATIENCE = 0.5
-"""Longest wait, s, for the planner to tell its newest plan."""
+"""Longest wait, s, for the planner to tell its newest plan or the revision of its scene."""
 
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
@@ -83,7 +84,11 @@ def start(service: Service) -> Iterator[None]:
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState))
             reporter.report_interrupted()
             reporter.publish()
-            plans = Plans(robot.hash, lambda: bus.call(keys.plans, Nothing(), Plan, timeout=PLANNER_PATIENCE))
+            plans = Plans(
+                robot.hash,
+                newest=lambda: bus.call(keys.plans, Nothing(), Plan, timeout=PLANNER_PATIENCE),
+                scene=lambda: bus.call(keys.scene_revision, Nothing(), SceneEdited, timeout=PLANNER_PATIENCE),
+            )
             ghost = Ghost(bus, keys, robot)
             executor = Executor(robot, machine, reporter, plans, strategies, bus.publisher(keys.strategy, Strategies))
             with (
@@ -91,7 +96,7 @@ def start(service: Service) -> Iterator[None]:
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
-                bus.watch(keys.scene, SceneRevision, plans.set_scene)
+                bus.watch(keys.scene_revision, SceneEdited, plans.set_scene)
                 for receive in (plans.add, ghost.show):
                     bus.watch(keys.plans, Plan, receive)
                 _serve(bus, service, executor)

@@ -102,12 +102,15 @@ def start(service: Service) -> Iterator[None]:
 def _serve_scene(service: Service, store: SceneStore) -> None:
     """Answer for the scene and its objects, and publish every change."""
     bus, keys = service.bus, service.keys
+    revision = bus.latched(keys.scene_revision, SceneEdited)
     whole = bus.latched(keys.scene, Scene)
     single = bus.latched(keys.scene_object("*"), Message)
     shown = Scene(revision=0)
 
-    def show(scene: Scene) -> None:
+    def show(scene: Scene) -> SceneEdited:
         nonlocal shown
+        answer = SceneEdited(revision=scene.revision, count=len(scene.objects))
+        revision.set(answer)
         before = {item.name: item for item in shown.objects}
         for item in scene.objects:
             if before.pop(item.name, None) != item:
@@ -116,11 +119,10 @@ def _serve_scene(service: Service, store: SceneStore) -> None:
             single.forget(keys.scene_object(name))
         whole.set(scene)
         shown = scene
+        return answer
 
     def edit(request: SceneEdit) -> SceneEdited:
-        scene = store.edit(request)
-        show(scene)
-        return SceneEdited(revision=scene.revision, count=len(scene.objects))
+        return show(store.edit(request))
 
     show(store.scene)
     bus.serve(keys.scene_edit, SceneEdit, edit, workers=1)
