@@ -93,7 +93,7 @@ def main() -> None:
     samples: list[float] = []
     with Loop("bare", TICK, lambda now: samples.append(time.monotonic() - now)):
         time.sleep(seconds)
-    bare = report("bare loop", samples, round(seconds / TICK) + 1 - len(samples), 0.0)
+    bare = report("bare loop", samples, max(0, round(seconds / TICK) - len(samples)), 0.0)
 
     zarm_executor.service.Control = TimedControl  # type: ignore[misc]
     endpoint = free_endpoint()
@@ -115,7 +115,7 @@ def main() -> None:
             return client.call(KEYS.cancel, CancelRequest(goal_id="nobody"), ExecutorState, timeout=5)
 
         measure("idle")
-        slow = rest_to_rest(moved(1.0, -0.5, 0.5), slower=20 * seconds)
+        slow = rest_to_rest(moved(1.0, -0.5, 0.5), slower=20 * seconds, dt=0.1)
         client.call(KEYS.execute, ExecuteRequest(trajectory=slow), Accepted, timeout=5)
         measure("moving")
         with beside(burn):
