@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 
 from zarm_contract.bus import Publisher
-from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.errors import Busy, InvalidRequest, ZarmError
 from zarm_contract.messages import (
     Accepted,
     CancelRequest,
@@ -50,13 +50,15 @@ class Executor:
         self._plans = plans
         self._strategies = strategies
         self._publisher = publisher
-        self._execute_lock = threading.Lock()
+        self._checking = threading.Lock()
 
     def execute(self, request: ExecuteRequest) -> Accepted:
-        """Check a motion and start it."""
-        with self._execute_lock:
-            self._machine.admit()
+        """Check a motion and start it. One at a time: what waited here would start after a stop that came meanwhile."""
+        if not self._checking.acquire(blocking=False):
+            raise Busy("another motion is being checked; execute again when it has ended or been refused")
+        try:
             stops = self._machine.stops
+            self._machine.admit()
             plan_id, trajectory = self._plans.chosen(request)
             path = executable(trajectory, self._robot)
             path = startable(path, self._machine.joint_state(), time.monotonic(), self._robot)
@@ -80,6 +82,8 @@ class Executor:
                 raise
             self._reporter.publish()
             return Accepted(goal_id=goal.goal_id)
+        finally:
+            self._checking.release()
 
     def cancel(self, request: CancelRequest) -> ExecutorState:
         """Cancel one goal, or the one that runs."""

@@ -1,0 +1,51 @@
+"""A stop reaches also what has not begun to move."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from executor_bench import Bench
+from harness import PATIENCE
+from motions import KEYS, ROBOT, moved, plan, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Busy, Cancelled, Unavailable
+from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Strategies
+from zarm_executor.executor import Executor
+from zarm_executor.plans import Plans
+from zarm_executor.reporter import Reporter
+from zarm_executor.state_file import StateFile
+
+
+def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus: Bus, tmp_path: Path) -> None:
+    asked, go_on = threading.Event(), threading.Event()
+
+    def newest() -> Plan:
+        asked.set()
+        assert go_on.wait(PATIENCE)
+        return plan("slow", rest_to_rest(moved(0.5)))
+
+    def unanswered() -> SceneEdited:
+        raise Unavailable("no planner")
+
+    bench = Bench()
+    bench.arm.exact = replace(bench.arm.exact, time=float("inf"))  # fresh, though nobody ticks
+    reporter = Reporter(bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState))
+    plans = Plans(ROBOT.hash, newest, unanswered)
+    executor = Executor(ROBOT, bench.machine, reporter, plans, {}, bus.publisher(KEYS.strategy, Strategies))
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(executor.execute, ExecuteRequest())
+        try:
+            assert asked.wait(PATIENCE)
+            with pytest.raises(Busy):
+                executor.execute(ExecuteRequest())
+            executor.stop(Nothing())
+        finally:
+            go_on.set()
+        with pytest.raises(Cancelled):
+            first.result(PATIENCE)
+    assert bench.machine.state().mode == "idle"
