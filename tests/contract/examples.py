@@ -31,7 +31,7 @@ _PROBLEM = Problem(
     field="path_tolerance",
     joint="elbow",
 )
-_TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shorten=0.004, timing=0.008, verify=0.016, total=0.032)
+_TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shorten=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
 _CUBOID = m.Cuboid(
     kind="cuboid", name="table", position=(0.5, 0.0, -0.1), orientation=(0.0, 0.0, 0.6, 0.8), size=(1.0, 2.0, 0.2)
 )
@@ -42,15 +42,51 @@ _CAPSULE = m.Capsule(
 _CYLINDER = m.Cylinder(
     kind="cylinder", name="can", position=(0.3, 0.2, 0.1), orientation=(0.0, 0.0, 0.0, 1.0), radius=0.03, length=0.12
 )
-_OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER)
-_ADD = m.AddObjects(op="add", objects=_OBJECTS, replace=True)
+_MESH = m.Mesh(
+    kind="mesh",
+    name="fixture",
+    position=(0.3, 0.2, 0.1),
+    orientation=(0.0, 0.0, 0.6, 0.8),
+    file="fixtures/vice.stl",
+    scale=(0.001, 0.001, 0.001),
+)
+_VOXELS = m.Voxels(
+    kind="voxels",
+    name="bin",
+    position=(0.5, 0.0, 0.0),
+    orientation=(0.0, 0.0, 0.6, 0.8),
+    resolution=0.05,
+    cells=((0, 0, 0), (0, -1, 2)),
+)
+_CLOUD = m.PointCloud(
+    kind="cloud",
+    name="depth",
+    position=(0.5, 0.0, 0.0),
+    orientation=(0.0, 0.0, 0.6, 0.8),
+    resolution=0.05,
+    points=((0.01, 0.02, 0.03), (0.5, -0.5, 0.25)),
+)
+_OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER, _MESH, _VOXELS)
+_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",))
+_ATTACH = m.AttachObject(op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2))
+_DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
+_LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
+_ADD = m.AddObjects(op="add", objects=(*_OBJECTS, _CLOUD), replace=True)
 _REMOVE = m.RemoveObjects(op="remove", names=("table", "ball.1"))
 _CLEAR = m.ClearScene(op="clear")
 _LOAD = m.LoadScene(op="load", objects=(_SPHERE,))
 _POSE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
 _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
+_WAYPOINTS = m.WaypointsGoal(
+    kind="waypoints", through=(_POSE_GOAL, _JOINT_GOAL), position_tolerance=0.01, angle_tolerance=0.05
+)
+_HELD = m.HeldAxes(
+    axes=(True, True, False, False, False, True), frame="tool", position_tolerance=0.002, angle_tolerance=0.01
+)
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
-_CHECKED = m.CheckResult(in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"))
+_CHECKED = m.CheckResult(
+    in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"), spheres=(-0.004, 0.5)
+)
 
 EXAMPLES: tuple[Message, ...] = (
     _PROBLEM,
@@ -61,16 +97,23 @@ EXAMPLES: tuple[Message, ...] = (
     # planner
     _POSE_GOAL,
     _JOINT_GOAL,
+    _WAYPOINTS,
+    _HELD,
     m.PlanRequest(
         goal=_POSE_GOAL,
         start=(0.0, 0.0),
+        planner="classic",
+        held=_HELD,
         request_id="request-1",
         timeout=2.5,
+        max_attempts=3,
+        optimize_s=0.5,
         velocity_scale=0.5,
         acceleration_scale=0.25,
         seed=7,
     ),
     m.PlanRequest(goal=_JOINT_GOAL),
+    m.PlanRequest(goal=_WAYPOINTS),
     _TIMINGS,
     m.Plan(
         plan_id="plan-1",
@@ -80,31 +123,57 @@ EXAMPLES: tuple[Message, ...] = (
         trajectory=_TRAJECTORY,
         tip=_POSE,
         clearance=0.021,
+        resolution=0.005,
+        waypoint_times=(0.5, 1.25),
         path_length=0.5,
         timings=_TIMINGS,
     ),
     m.CancelPlan(request_id="request-1"),
     m.CancelledPlan(was_running=True),
-    m.IkRequest(poses=(_POSE, _POSE), near=(0.0, 0.0), max_solutions=4, collision_free=False, seed=9),
+    m.IkRequest(poses=(_POSE, _POSE), near=(0.0, 0.0), max_solutions=4, collision_free=False, device="cpu", seed=9),
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
-    m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4))),
+    m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels"),
     m.FkPoses(poses=(_POSE,)),
-    m.CheckRequest(joints=((0.1, 0.2),)),
+    m.CheckRequest(joints=((0.1, 0.2),), spheres=True),
     _CHECKED,
     m.CheckResults(results=(_CHECKED,)),
-    m.PlannerSettings(timeout=3.0, velocity_scale=0.5, acceleration_scale=0.25, margin=0.01),
-    m.SettingsChange(timeout=3.0, velocity_scale=0.5, acceleration_scale=0.25, margin=0.01),
+    m.PlannerSettings(
+        planner="multi_point",
+        timeout=3.0,
+        max_attempts=5,
+        optimize_s=0.1,
+        velocity_scale=0.5,
+        acceleration_scale=0.25,
+        margin=0.01,
+    ),
+    m.SettingsChange(
+        planner="multi_point",
+        timeout=3.0,
+        max_attempts=5,
+        optimize_s=0.1,
+        velocity_scale=0.5,
+        acceleration_scale=0.25,
+        margin=0.01,
+    ),
     # scene
     *_OBJECTS,
-    m.Scene(revision=12, objects=_OBJECTS),
+    m.Scene(revision=12, objects=_OBJECTS, attached=(_ATTACHED,), ignored_links=("link_5",)),
     _ADD,
     _REMOVE,
     _CLEAR,
     _LOAD,
+    _CLOUD,
+    _ATTACHED,
+    _ATTACH,
+    _DETACH,
+    _LINKS,
     m.SceneEdit(edit=_ADD),
     m.SceneEdit(edit=_REMOVE),
     m.SceneEdit(edit=_CLEAR),
     m.SceneEdit(edit=_LOAD),
+    m.SceneEdit(edit=_ATTACH),
+    m.SceneEdit(edit=_DETACH),
+    m.SceneEdit(edit=_LINKS),
     m.SceneEdited(revision=13, count=4),
     # executor
     m.ExecuteRequest(plan_id="plan-1"),

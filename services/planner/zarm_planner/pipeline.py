@@ -142,5 +142,7 @@ class _Watch:
             self.spent[name] = self.spent.get(name, 0.0) + time.perf_counter() - began
 
     def timings(self) -> PlanTimings:
-        stages = {name: self.spent.get(name, 0.0) for name in ("ik", "search", "shorten", "timing", "verify")}
+        stages = {
+            name: self.spent.get(name, 0.0) for name in ("ik", "search", "shorten", "timing", "verify", "optimize")
+        }
         return PlanTimings(**stages, total=time.perf_counter() - self.began)

@@ -26,7 +26,7 @@ from zarm_contract.messages import (
     SettingsChange,
 )
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
+from zarm_planner.exact import RESOLUTION, ExactScene
 from zarm_planner.frames import matrix, pose_of
 from zarm_planner.ik import solve_ik
 from zarm_planner.joints import checked, within_range
@@ -94,6 +94,7 @@ class Planner:
             trajectory=found.motion.trajectory(model.robot.descriptor.joints),
             tip=pose_of(model.fk_tip(found.motion.position[-1])),
             clearance=found.clearance,
+            resolution=RESOLUTION,
             path_length=found.path_length,
             timings=found.timings,
         )

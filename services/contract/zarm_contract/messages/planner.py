@@ -7,7 +7,17 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zarm_contract._model import Message
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Quaternion, Scale, Trajectory, Vector3
+from zarm_contract.messages.motion import (
+    Joints,
+    Name,
+    NonNegative,
+    Pose,
+    Positive,
+    Quaternion,
+    Scale,
+    Trajectory,
+    Vector3,
+)
 
 
 class PoseGoal(Message):
@@ -25,20 +35,62 @@ class JointGoal(Message):
     position: Joints
 
 
-Goal = Annotated[PoseGoal | JointGoal, Field(discriminator="kind")]
+class WaypointsGoal(Message):
+    """Pass through poses and joint positions in this order without stopping, and rest at the last.
+
+    Each is passed within `position_tolerance` (m) and `angle_tolerance` (rad) of the tip's pose there.
+    """
+
+    kind: Literal["waypoints"]
+    through: tuple[Annotated[PoseGoal | JointGoal, Field(discriminator="kind")], ...] = Field(
+        min_length=1, max_length=100
+    )
+    position_tolerance: Annotated[float, Field(ge=0.0005, le=0.1)] = 0.005
+    angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
+
+
+Goal = Annotated[PoseGoal | JointGoal | WaypointsGoal, Field(discriminator="kind")]
+
+PlannerKind = Literal["auto", "classic", "joint_space", "multi_point"]
+"""`classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints; `auto`: the goal decides."""
+
+
+class HeldAxes(Message):
+    """Components of the tip's pose that a motion keeps as they are at its start: `[theta_x, theta_y, theta_z, x, y, z]`.
+
+    In the `base` frame they are those of the position and of the rotation vector from the start's orientation; in the
+    `tool` frame those of the pose as seen from the tip at the start. They may be off by the tolerances (m, rad).
+    """
+
+    axes: tuple[bool, bool, bool, bool, bool, bool]
+    frame: Literal["base", "tool"] = "base"
+    position_tolerance: Annotated[float, Field(ge=0.0005, le=0.1)] = 0.005
+    angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
+
+
+Timeout = Annotated[float, Field(gt=0, le=60)]
+Attempts = Annotated[int, Field(ge=1, le=1000)]
+OptimizeSeconds = Annotated[float, Field(ge=0, le=30)]
+Margin = Annotated[float, Field(ge=0, le=0.2)]
 
 
 class PlanRequest(Message):
     """Ask for a verified motion. What is left out comes from `planner/settings`; `start` left out is the measured state.
 
-    `request_id` names the request for `planner/cancel`; `timeout` in s is the deadline of the whole planning.
-    The same request with the same `seed` and scene gives the same motion.
+    `request_id` names the request for `planner/cancel`; `timeout` in s is the deadline of the whole planning, and
+    `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is
+    found the planner looks for faster ones. The same request with the same `seed`, scene and `optimize_s` 0 gives the same
+    motion.
     """
 
     goal: Goal
     start: Joints | None = None
+    planner: PlannerKind | None = None
+    held: HeldAxes | None = None
     request_id: Name | None = None
-    timeout: Annotated[float, Field(gt=0, le=60)] | None = None
+    timeout: Timeout | None = None
+    max_attempts: Attempts | None = None
+    optimize_s: OptimizeSeconds | None = None
     velocity_scale: Scale | None = None
     acceleration_scale: Scale | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
@@ -52,13 +104,15 @@ class PlanTimings(Message):
     shorten: NonNegative
     timing: NonNegative
     verify: NonNegative
+    optimize: NonNegative
     total: NonNegative
 
 
 class Plan(Message):
     """A verified motion. `clearance` (m) is the smallest exact distance of the timed motion to the scene and to itself.
 
-    `clearance` is capped at 1 m. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
+    `clearance` is capped at 1 m; nothing thicker than `resolution` (m) was missed between the moments that were looked at.
+    `waypoint_times` (s) are when the waypoints of the goal are passed, the last one at the end. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
     """
 
     plan_id: Name
@@ -68,6 +122,8 @@ class Plan(Message):
     trajectory: Trajectory
     tip: Pose
     clearance: float
+    resolution: Positive
+    waypoint_times: tuple[NonNegative, ...] = ()
     path_length: NonNegative
     timings: PlanTimings
 
@@ -84,12 +140,18 @@ class CancelledPlan(Message):
     was_running: bool
 
 
+Device = Literal["auto", "kernels", "cpu", "cuda"]
+"""What computes batches: compiled kernels, or pytorch-kinematics on one of its devices; `auto` is a GPU where there is one
+and the batch is large enough to gain from it, else kernels."""
+
+
 class IkRequest(Message):
     """Joint solutions for poses of the tip, those nearest to `near` (default: the measured joints, else home) first."""
 
     poses: tuple[Pose, ...] = Field(min_length=1, max_length=1000)
     near: Joints | None = None
     max_solutions: Annotated[int, Field(ge=1, le=64)] = 1
+    device: Device = "auto"
     collision_free: bool = True
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
@@ -104,6 +166,7 @@ class FkRequest(Message):
     """Joint vectors to compute the tip's pose for."""
 
     joints: tuple[Joints, ...] = Field(min_length=1, max_length=1000)
+    device: Device = "auto"
 
 
 class FkPoses(Message):
@@ -113,18 +176,24 @@ class FkPoses(Message):
 
 
 class CheckRequest(Message):
-    """Joint vectors to check; left out: the measured state."""
+    """Joint vectors to check; left out: the measured state. With `spheres`, the distance of each collision sphere as well."""
 
     joints: tuple[Joints, ...] | None = Field(default=None, min_length=1, max_length=1000)
+    spheres: bool = False
 
 
 class CheckResult(Message):
-    """Exact distance of one configuration. `clearance` < 0 is the depth of penetration (m); `pair` names the nearest two."""
+    """Exact distance of one configuration. `clearance` < 0 is the depth of penetration (m); `pair` names the nearest two.
+
+    `spheres` (m) are the distances of the robot's collision spheres to the scene, link by link in the descriptor's order,
+    capped at 1 m.
+    """
 
     in_collision: bool
     within_limits: bool
     clearance: float
     pair: tuple[str, str] | None = None
+    spheres: tuple[float, ...] | None = None
 
 
 class CheckResults(Message):
@@ -136,16 +205,22 @@ class CheckResults(Message):
 class PlannerSettings(Message):
     """Defaults for plan requests; `margin` (m) is kept free around the robot by search and goal states."""
 
-    timeout: Annotated[float, Field(gt=0, le=60)] = 5.0
+    planner: PlannerKind = "auto"
+    timeout: Timeout = 5.0
+    max_attempts: Attempts = 100
+    optimize_s: OptimizeSeconds = 0.02
     velocity_scale: Scale = 1.0
     acceleration_scale: Scale = 1.0
-    margin: Annotated[float, Field(ge=0, le=0.2)] = 0.005
+    margin: Margin = 0.005
 
 
 class SettingsChange(Message):
     """Settings to change; what is left out stays. An empty request reads."""
 
-    timeout: Annotated[float, Field(gt=0, le=60)] | None = None
+    planner: PlannerKind | None = None
+    timeout: Timeout | None = None
+    max_attempts: Attempts | None = None
+    optimize_s: OptimizeSeconds | None = None
     velocity_scale: Scale | None = None
     acceleration_scale: Scale | None = None
-    margin: Annotated[float, Field(ge=0, le=0.2)] | None = None
+    margin: Margin | None = None

@@ -7,7 +7,12 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zarm_contract._model import Message
-from zarm_contract.messages.motion import Name, Positive, Quaternion, Vector3
+from zarm_contract.messages.motion import Joints, Name, Positive, Quaternion, Vector3
+
+MAX_OBJECTS = 10_000
+MAX_ATTACHED = 16
+MAX_CELLS = 200_000
+MAX_POINTS = 200_000
 
 
 class Cuboid(Message):
@@ -51,23 +56,71 @@ class Cylinder(Message):
     length: Positive
 
 
-SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder, Field(discriminator="kind")]
+class Mesh(Message):
+    """Triangles from an STL or OBJ `file` (m), a path inside one of the planner's mesh folders; a closed mesh is solid."""
 
-MAX_OBJECTS = 10_000
+    kind: Literal["mesh"]
+    name: Name
+    position: Vector3
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    file: Annotated[str, Field(min_length=1, max_length=255)]
+    scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+
+
+Resolution = Annotated[float, Field(ge=0.002, le=1)]
+
+
+class Voxels(Message):
+    """Occupied cubes with edges of `resolution` m: cell `(i, j, k)` has its centre at `(i, j, k) * resolution`."""
+
+    kind: Literal["voxels"]
+    name: Name
+    position: Vector3 = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    resolution: Resolution
+    cells: tuple[tuple[int, int, int], ...] = Field(min_length=1, max_length=MAX_CELLS)
+
+
+class PointCloud(Message):
+    """Points (m) that are obstacles; the scene keeps the voxels of `resolution` m that they lie in."""
+
+    kind: Literal["cloud"]
+    name: Name
+    position: Vector3 = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    resolution: Resolution = 0.02
+    points: tuple[Vector3, ...] = Field(min_length=1, max_length=MAX_POINTS)
+
+
+SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Field(discriminator="kind")]
+
+
+class Attached(Message):
+    """An object that the robot carries: its pose is in the frame of the tip; it may touch `touch_links`."""
+
+    object: SceneObject
+    touch_links: tuple[str, ...] = ()
 
 
 class Scene(Message):
-    """All objects, in the base frame. `revision` grows by one with every change and never goes back."""
+    """All objects, in the base frame, and what the robot carries. `revision` grows by one with every change, never back.
+
+    `ignored_links` are those of the robot whose collisions are not looked at.
+    """
 
     revision: Annotated[int, Field(ge=0)]
     objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_OBJECTS)
+    attached: tuple[Attached, ...] = Field(default=(), max_length=MAX_ATTACHED)
+    ignored_links: tuple[str, ...] = ()
 
 
 class AddObjects(Message):
     """Add objects; a name that exists is refused unless `replace`."""
 
     op: Literal["add"]
-    objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=MAX_OBJECTS)
+    objects: tuple[Annotated[SceneObject | PointCloud, Field(discriminator="kind")], ...] = Field(
+        min_length=1, max_length=MAX_OBJECTS
+    )
     replace: bool = False
 
 
@@ -85,16 +138,47 @@ class ClearScene(Message):
 
 
 class LoadScene(Message):
-    """Replace every object at once."""
+    """Replace every object at once; what is attached, and which links are ignored, stays."""
 
     op: Literal["load"]
     objects: tuple[SceneObject, ...] = Field(max_length=MAX_OBJECTS)
 
 
+class AttachObject(Message):
+    """From now on the robot carries an object of the scene; it keeps its place seen from the tip at `joints`.
+
+    `joints` left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers.
+    """
+
+    op: Literal["attach"]
+    name: Name
+    touch_links: tuple[str, ...] = Field(default=(), max_length=32)
+    joints: Joints | None = None
+
+
+class DetachObject(Message):
+    """Put a carried object down where it is with the robot at `joints` (left out: the measured ones)."""
+
+    op: Literal["detach"]
+    name: Name
+    joints: Joints | None = None
+
+
+class SetLinkCollision(Message):
+    """Look at the collisions of these links of the robot, or no longer."""
+
+    op: Literal["links"]
+    names: tuple[str, ...] = Field(min_length=1, max_length=64)
+    enabled: bool
+
+
 class SceneEdit(Message):
     """One change of the scene, applied whole or not at all."""
 
-    edit: Annotated[AddObjects | RemoveObjects | ClearScene | LoadScene, Field(discriminator="op")]
+    edit: Annotated[
+        AddObjects | RemoveObjects | ClearScene | LoadScene | AttachObject | DetachObject | SetLinkCollision,
+        Field(discriminator="op"),
+    ]
 
 
 class SceneEdited(Message):
