@@ -33,13 +33,13 @@ def post(model: RobotModel) -> SceneObject:
 
 
 def snapshot(model: RobotModel, *objects: SceneObject) -> Snapshot:
-    return Snapshot(1, World(objects, 0.005), ExactScene(model, objects))
+    return Snapshot(1, model, World(objects, 0.005), ExactScene(model, objects))
 
 
 def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Found:
     pose = pose_of(model.fk_tip(joints))
     goal = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
-    return plan(model, snapshot(model, *objects), HOME, goal, Limits.of(model), seed, Stop(60.0))
+    return plan(snapshot(model, *objects), HOME, goal, Limits.of(model), seed, Stop(60.0))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -32,9 +32,10 @@ _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One scene as plans use it: the sphere model's obstacles with their margin, and exact geometry."""
+    """One scene as plans use it: the robot as it is in it, the obstacles with their margin, and exact geometry."""
 
     revision: int
+    model: RobotModel
     world: World
     exact: ExactScene
 
@@ -52,7 +53,7 @@ class End:
         return self.asked[None][: 0 if self.free is self.asked else 1]
 
 
-def start_end(model: RobotModel, snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End:
+def start_end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End:
     """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
     nearest = snapshot.exact.nearest(q)
     if nearest.distance <= 0.0:
@@ -61,7 +62,7 @@ def start_end(model: RobotModel, snapshot: Snapshot, q: Array, seed: int, stop: 
             code="start_in_collision",
             field="start",
         )
-    if (end := _end(model, snapshot, q, seed, stop)) is None:
+    if (end := _end(snapshot, q, seed, stop)) is None:
         raise PlanningFailed(
             f"there is no way out of the start, where {_gap(nearest)}; move the robot away by hand, or lower margin",
             code="start_in_collision",
@@ -70,12 +71,13 @@ def start_end(model: RobotModel, snapshot: Snapshot, q: Array, seed: int, stop: 
     return end
 
 
-def goal_ends(model: RobotModel, snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Stop) -> list[End]:
+def goal_ends(snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Stop) -> list[End]:
     """The configurations that reach a goal, the one nearest to `start` first.
 
     Raises PlanningFailed (`unreachable`, `goal_in_collision`), InvalidRequest for joints out of their range, and what
     `stop` raises.
     """
+    model = snapshot.model
     match goal:
         case JointGoal():
             candidates = np.array([within_range(model, goal.position, "goal.position")])
@@ -100,7 +102,7 @@ def goal_ends(model: RobotModel, snapshot: Snapshot, start: Array, goal: Goal, s
         to_objects = snapshot.exact.nearest(q, itself=False)
         if nearest.distance > 0.0 and to_objects.distance <= snapshot.world.margin:
             obstacles.append(to_objects)
-        elif nearest.distance > 0.0 and (end := _end(model, snapshot, q, seed, stop)):
+        elif nearest.distance > 0.0 and (end := _end(snapshot, q, seed, stop)):
             ends.append(end)
         else:
             obstacles.append(nearest)
@@ -116,11 +118,11 @@ def goal_ends(model: RobotModel, snapshot: Snapshot, start: Array, goal: Goal, s
     return ends
 
 
-def _end(model: RobotModel, snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End | None:
+def _end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End | None:
     """The end at `q`, which is free of collision; None where no way leads from it to what is free in spheres."""
-    if is_free(model, snapshot.world, q):
+    if is_free(snapshot.model, snapshot.world, q):
         return End(q, q)
-    random = np.random.default_rng(seed)
+    model, random = snapshot.model, np.random.default_rng(seed)
     for distance in _DISTANCES:
         for direction in random.normal(size=(_TRIES, model.dof)):
             stop.check()

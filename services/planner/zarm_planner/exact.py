@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.messages import SceneObject
 from zarm_planner.robot_model import RobotModel
-from zarm_planner.shapes import Shape, depth, link_shape, object_shape
+from zarm_planner.shapes import Shape, depth, object_shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -55,8 +55,7 @@ class ExactScene:
     """The robot's and the scene's exact geometry. Immutable, for use by any number of threads."""
 
     def __init__(self, model: RobotModel, objects: Sequence[SceneObject]) -> None:
-        collision = model.robot.descriptor.collision
-        parts = [(i, link_shape(link, item)) for i, link in enumerate(model.links) for item in collision[link]]
+        parts = model.parts
         obstacles = [object_shape(item) for item in objects]
         self.model = model
         self.parts = len(parts)

@@ -14,7 +14,6 @@ from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Goal, PlanTimings
 from zarm_planner.ends import Snapshot, goal_ends, start_end
 from zarm_planner.motion import Array, Limits, Motion
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import search
 from zarm_planner.shorten import shorten
 from zarm_planner.smooth import smooth_path
@@ -43,26 +42,24 @@ class Found:
     timings: PlanTimings
 
 
-def plan(
-    model: RobotModel, snapshot: Snapshot, start: Array, goal: Goal, limits: Limits, seed: int, stop: Stop
-) -> Found:
+def plan(snapshot: Snapshot, start: Array, goal: Goal, limits: Limits, seed: int, stop: Stop) -> Found:
     """The motion from `start` (dof,) to the goal.
 
     Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`) and what `stop` raises.
     """
     watch = _Watch()
     with watch.stage("ik"):
-        begin = start_end(model, snapshot, start, seed, stop)
-        ends = goal_ends(model, snapshot, start, goal, seed, stop)
+        begin = start_end(snapshot, start, seed, stop)
+        ends = goal_ends(snapshot, start, goal, seed, stop)
     free = np.array([end.free for end in ends])
     failure: VerificationFailed | None = None
     attempt = seed
     try:
         while True:
-            between = _shortest_path(model, snapshot, begin.free, free, attempt, stop, watch)
+            between = _shortest_path(snapshot, begin.free, free, attempt, stop, watch)
             end = ends[int(np.argmin(np.abs(free - between[-1]).max(axis=1)))]
             path = np.concatenate([begin.edge, between, end.edge])
-            for timed in _motions(model, snapshot, path, limits, attempt, stop):
+            for timed in _motions(snapshot, path, limits, attempt, stop):
                 stop.check()
                 with watch.stage("timing"):
                     motion = timed()
@@ -83,16 +80,14 @@ def plan(
         ) from late
 
 
-def _shortest_path(
-    model: RobotModel, snapshot: Snapshot, start: Array, goals: Array, seed: int, stop: Stop, watch: _Watch
-) -> Array:
+def _shortest_path(snapshot: Snapshot, start: Array, goals: Array, seed: int, stop: Stop, watch: _Watch) -> Array:
     """A short free path (n, dof) from `start` (dof,) to one of `goals` (m, dof), the nearest of which stands first.
 
     A detour to a near goal can be shorter than the straight way to a far one, such as the same posture a turn away. So the
     nearest goals are tried one by one, as long as one can still be nearer than the best path so far is long; only where
     none of them is reached soon, any goal will do.
     """
-    world, best, shortest = snapshot.world, None, np.inf
+    model, world, best, shortest = snapshot.model, snapshot.world, None, np.inf
     for goal in goals[:_NEAREST]:
         for attempt in range(_TRIES * seed, _TRIES * (seed + 1)):
             if np.linalg.norm(goal - start) >= shortest:
@@ -115,10 +110,9 @@ def _shortest_path(
         return shorten(model, world, path, seed=seed, stop=stop)
 
 
-def _motions(
-    model: RobotModel, snapshot: Snapshot, path: Array, limits: Limits, seed: int, stop: Stop
-) -> list[Callable[[], Motion]]:
+def _motions(snapshot: Snapshot, path: Array, limits: Limits, seed: int, stop: Stop) -> list[Callable[[], Motion]]:
     """Ways to time a path, the fastest first; those after it keep ever closer to the path."""
+    model = snapshot.model
     dt = model.robot.descriptor.interpolation_dt
     return [
         partial(smooth_path, model, snapshot.world, path, limits, dt, seed=seed, stop=stop),

@@ -83,7 +83,7 @@ class Planner:
         def work(stop: Stop) -> tuple[Snapshot, Found]:
             start = within_range(model, self._measured() if request.start is None else request.start, "start")
             snapshot = self._look()
-            return snapshot, plan(model, snapshot, start, request.goal, limits, request.seed, stop)
+            return snapshot, plan(snapshot, start, request.goal, limits, request.seed, stop)
 
         snapshot, found = self._running.run(work, request.timeout or settings.timeout, request.request_id)
         return Plan(
@@ -169,7 +169,9 @@ class Planner:
             scene, margin = self._store.scene, self._settings.margin
             ready = self._snapshot
             if ready is None or (ready.revision, ready.world.margin) != (scene.revision, margin):
-                ready = Snapshot(scene.revision, World(scene.objects, margin), ExactScene(self._model, scene.objects))
+                ready = Snapshot(
+                    scene.revision, self._model, World(scene.objects, margin), ExactScene(self._model, scene.objects)
+                )
                 self._snapshot = ready
             return ready
 

@@ -17,6 +17,7 @@ from zarm_planner.frames import rotation_to
 from zarm_planner.kernels.arrays import RobotArrays
 from zarm_planner.kernels.kinematics import frames
 from zarm_planner.kernels.lanes import LANES
+from zarm_planner.shapes import Shape, link_shape
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,8 @@ class RobotModel:
     `lower`, `upper` (rad, m for a prismatic joint), `velocity`, `acceleration` and `jerk` have the shape (dof,).
     `links` are those that carry geometry; `link_joint` (links,) is the moving joint that carries each, -1 for the base.
     `pairs` (n, 2) are the indices in `links` of the pairs that can collide with each other: all except the descriptor's
-    `self_collision_ignore` and links on one rigid body.
+    `self_collision_ignore` and links on one rigid body. `parts` are the exact shapes, each with the index of the link in
+    whose frame it is.
     """
 
     robot: Robot
@@ -41,6 +43,7 @@ class RobotModel:
     links: tuple[str, ...]
     link_joint: NDArray[np.int32]
     pairs: NDArray[np.int32]
+    parts: tuple[tuple[int, Shape], ...]
     origin: Array
     revolute: NDArray[np.bool_]
     offset: Array
@@ -88,6 +91,9 @@ class RobotModel:
             links=links,
             link_joint=link_joint,
             pairs=pair_array,
+            parts=tuple(
+                (i, link_shape(link, item)) for i, link in enumerate(links) for item in descriptor.collision[link]
+            ),
             origin=origin,
             revolute=revolute,
             offset=offset,

@@ -18,31 +18,39 @@ BRANCHES = 4
 
 
 class World:
-    """Scene objects with `margin` (m) added all around, in the base frame. Immutable; `names` are the objects'."""
+    """Scene objects in the base frame, with `margin` (m) added all around in `arrays`. Immutable.
+
+    `rows` (n, 17) are the convex shapes that the objects consist of, in the order of the tree and without the margin, as
+    `WorldArrays.shapes` describes them; `owner` (n,) is the index in `names` of the object that each is part of.
+    """
 
     def __init__(self, objects: Sequence[SceneObject], margin: float) -> None:
-        shapes = np.array([_shape(item, margin) for item in objects]).reshape(-1, 17)
-        lower, upper = _corners(shapes)
+        parts = [_rows(item) for item in objects]
+        rows = np.concatenate([np.empty((0, 17)), *parts])
+        owner = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        lower, upper = _corners(rows)
         order = _along_a_curve((lower + upper) / 2)
-        self.names = tuple(objects[i].name for i in order)
+        self.names = tuple(item.name for item in objects)
         self.margin = margin
-        self.arrays = _packed(shapes[order], lower[order], upper[order])
+        self.rows, self.owner = rows[order], owner[order]
+        grown = self.rows + margin * (np.arange(17) == 16)
+        self.arrays = _packed(grown, lower[order] - margin, upper[order] + margin)
 
 
-def _shape(item: SceneObject, margin: float) -> Array:
-    """One row of `WorldArrays.shapes`."""
+def _rows(item: SceneObject) -> Array:
+    """The shapes (n, 17) of one object."""
     turn = np.eye(3) if isinstance(item, Sphere) else rotation(item.orientation).T
     place = np.column_stack((turn, -turn @ np.array(item.position)))
     if isinstance(item, Cuboid):
         x, y, z = item.size
-        core = (x / 2, y / 2, z / 2, 0.0, margin)
+        core = (x / 2, y / 2, z / 2, 0.0, 0.0)
     elif isinstance(item, Sphere):
-        core = (0.0, 0.0, 0.0, 0.0, item.radius + margin)
+        core = (0.0, 0.0, 0.0, 0.0, item.radius)
     elif isinstance(item, Cylinder):
-        core = (0.0, 0.0, item.length / 2, item.radius, margin)
+        core = (0.0, 0.0, item.length / 2, item.radius, 0.0)
     else:
-        core = (0.0, 0.0, item.length / 2, 0.0, item.radius + margin)
-    return np.array([*place.ravel(), *core])
+        core = (0.0, 0.0, item.length / 2, 0.0, item.radius)
+    return np.array([[*place.ravel(), *core]])
 
 
 def _corners(shapes: Array) -> tuple[Array, Array]:
