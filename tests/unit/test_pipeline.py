@@ -45,7 +45,7 @@ def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_detour_to_a_near_posture_is_taken_before_the_straight_way_to_a_far_one(model: RobotModel, seed: int) -> None:
     straight = plan(
-        model, snapshot(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)), Limits.of(model), 0, Stop(60)
+        snapshot(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)), Limits.of(model), 0, Stop(60)
     )
     found = to_pose(model, SWUNG, post(model), seed=seed)
     assert found.motion.length < 2.5 * straight.motion.length
