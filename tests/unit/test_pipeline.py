@@ -12,7 +12,7 @@ from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
 from zarm_planner.frames import pose_of
 from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Found, plan
+from zarm_planner.pipeline import Found, Options, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
@@ -36,17 +36,19 @@ def snapshot(model: RobotModel, *objects: SceneObject) -> Snapshot:
     return Snapshot(1, model, World(objects, 0.005), ExactScene(model, objects))
 
 
+def options(model: RobotModel, seed: int = 0) -> Options:
+    return Options(Limits.of(model), max_attempts=100, seed=seed)
+
+
 def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Found:
     pose = pose_of(model.fk_tip(joints))
     goal = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
-    return plan(snapshot(model, *objects), HOME, goal, Limits.of(model), seed, Stop(60.0))
+    return plan(snapshot(model, *objects), HOME, goal, options(model, seed), Stop(60.0))
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_detour_to_a_near_posture_is_taken_before_the_straight_way_to_a_far_one(model: RobotModel, seed: int) -> None:
-    straight = plan(
-        snapshot(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)), Limits.of(model), 0, Stop(60)
-    )
+    straight = plan(snapshot(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)), options(model), Stop(60))
     found = to_pose(model, SWUNG, post(model), seed=seed)
     assert found.motion.length < 2.5 * straight.motion.length
     assert np.ptp(found.motion.position[:, 0]) < np.pi

@@ -43,7 +43,7 @@ def execute(
     name: Name = None,
 ) -> None:
     """Move the robot along the last plan, a given one, or one made now (--to, --joints). Ctrl-C stops the robot."""
-    goal = None if to is None and joints_goal is None else typed_goal(to, joints_goal)
+    goal = None if not to and joints_goal is None else typed_goal(to, joints_goal)
     if [plan, plan_id, goal].count(None) < 2:
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
     if velocity_scale is not None and goal is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.table import Table
@@ -18,10 +18,11 @@ from zarm_contract.messages import CancelledPlan, CancelPlan, Plan, PlanRequest
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 To = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         metavar="X,Y,Z[,QX,QY,QZ,QW]",
-        help="Pose of the tip in the base frame (m); without an orientation the tip keeps the one it has.",
+        help="Pose of the tip in the base frame (m); without an orientation the tip keeps the one it has. "
+        "Given several times: one motion through all of them in this order, without stopping.",
     ),
 ]
 JointsGoal = Annotated[
@@ -31,6 +32,7 @@ VelocityScale = Annotated[
     float | None, typer.Option(help="Fraction of the joint velocity limits, above 0 and up to 1.")
 ]
 
+_AXES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
 _LONGEST_PLANNING = 60.0  # s, what the planner allows at most
 _ANSWER_MARGIN = 5.0
 
@@ -42,7 +44,18 @@ def plan(
         str | None,
         typer.Option(metavar="A,B,C,...", help="Joint positions to start from; left out: the measured ones."),
     ] = None,
+    hold: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AXIS,...",
+            help=f"Keep the tip's {', '.join(_AXES)} (those that are named) as they are at the start.",
+        ),
+    ] = None,
+    hold_frame: Annotated[
+        Literal["base", "tool"] | None, typer.Option(help="In which frame axes are held; base if left out.")
+    ] = None,
     timeout: Annotated[float | None, typer.Option(help="Deadline of the planning (s).")] = None,
+    optimize: Annotated[float | None, typer.Option(help="How long to look for faster motions (s).")] = None,
     velocity_scale: VelocityScale = None,
     seed: Annotated[int, typer.Option(help="Same seed, scene and request: same motion.")] = 0,
     save: Annotated[Path | None, typer.Option(help="Write the plan to this file, for `zarm execute --plan`.")] = None,
@@ -51,9 +64,18 @@ def plan(
     name: Name = None,
 ) -> None:
     """Plan a motion around the scene; nothing moves."""
-    goal, at = typed_goal(to, joints_goal), joints(start, "--start")
+    goal, at, held = typed_goal(to, joints_goal), joints(start, "--start"), _held(hold, hold_frame)
     with connected(connect, name) as client:
-        found = request_plan(client, goal, start=at, timeout=timeout, velocity_scale=velocity_scale, seed=seed)
+        found = request_plan(
+            client,
+            goal,
+            start=at,
+            held=held,
+            timeout=timeout,
+            optimize_s=optimize,
+            velocity_scale=velocity_scale,
+            seed=seed,
+        )
     if save is not None:
         write_text(save, encode(found).decode() + "\n")
     if as_json:
@@ -64,41 +86,38 @@ def plan(
 
 @dataclass(frozen=True)
 class TypedGoal:
-    """What a person typed: joints (rad), or a pose of the tip of which the orientation may be left out."""
+    """What a person typed: joints (rad), or poses of the tip of which the orientation may be left out."""
 
     joints: list[float] | None
-    pose: list[float] | None
+    poses: list[list[float]]
 
 
-def typed_goal(to: str | None, joints_goal: str | None) -> TypedGoal:
+def typed_goal(to: list[str] | None, joints_goal: str | None) -> TypedGoal:
     """Read --to and --joints, of which one must be given; usage error else."""
-    if (to is None) == (joints_goal is None):
+    if bool(to) == (joints_goal is not None):
         raise typer.BadParameter("give exactly one of them", param_hint="--to / --joints")
-    return TypedGoal(joints(joints_goal, "--joints"), None if to is None else floats(to, "--to", 3, 7))
+    return TypedGoal(joints(joints_goal, "--joints"), [floats(pose, "--to", 3, 7) for pose in to or []])
 
 
-def request_plan(
-    client: Client,
-    goal: TypedGoal,
-    *,
-    start: list[float] | None = None,
-    timeout: float | None = None,
-    velocity_scale: float | None = None,
-    seed: int = 0,
-) -> Plan:
-    """Ask for a plan; Ctrl-C ends the planning as well. Raises what the planner answers."""
+def _held(axes: str | None, frame: str | None) -> dict[str, object] | None:
+    """Read --hold and --hold-frame; usage error for what is no axis."""
+    if axes is None:
+        if frame is not None:
+            raise typer.BadParameter("belongs to --hold", param_hint="--hold-frame")
+        return None
+    names = axes.split(",")
+    if unknown := set(names) - set(_AXES):
+        raise typer.BadParameter(f"{', '.join(sorted(unknown))}: axes are {', '.join(_AXES)}", param_hint="--hold")
+    return {"axes": [axis in names for axis in _AXES], "frame": frame or "base"}
+
+
+def request_plan(client: Client, goal: TypedGoal, *, start: list[float] | None = None, **asked: object) -> Plan:
+    """Ask for a plan; `asked` are further fields of PlanRequest, None being left out. Ctrl-C ends the planning as well.
+
+    Raises what the planner answers.
+    """
     request = message(
-        PlanRequest,
-        goal=(
-            {"kind": "joints", "position": goal.joints}
-            if goal.pose is None
-            else {"kind": "pose", **full_pose(client, goal.pose, start)}
-        ),
-        start=start,
-        request_id=f"cli-{secrets.token_hex(4)}",
-        timeout=timeout,
-        velocity_scale=velocity_scale,
-        seed=seed,
+        PlanRequest, goal=_goal(client, goal, start), start=start, request_id=f"cli-{secrets.token_hex(4)}", **asked
     )
     try:
         return client.bus.call(
@@ -107,6 +126,13 @@ def request_plan(
     except KeyboardInterrupt:
         client.ask(client.keys.plan_cancel, CancelledPlan, CancelPlan(request_id=request.request_id or ""))
         raise
+
+
+def _goal(client: Client, typed: TypedGoal, start: list[float] | None) -> dict[str, object]:
+    if typed.joints is not None:
+        return {"kind": "joints", "position": typed.joints}
+    poses: list[dict[str, object]] = [{"kind": "pose", **full_pose(client, pose, start)} for pose in typed.poses]
+    return poses[0] if len(poses) == 1 else {"kind": "waypoints", "through": poses}
 
 
 def full_pose(client: Client, typed: list[float], at: list[float] | None = None) -> dict[str, list[float]]:
@@ -119,12 +145,13 @@ def full_pose(client: Client, typed: list[float], at: list[float] | None = None)
 def plan_table(found: Plan) -> Table:
     """A plan in the words of a person."""
     times = found.timings
-    stages = ("ik", "search", "shorten", "timing", "verify")
+    stages = ("ik", "search", "shorten", "timing", "verify", "optimize")
     shares = ", ".join(f"{stage} {getattr(times, stage) * 1e3:.1f}" for stage in stages)
     return facts(
         ("plan", found.plan_id),
         ("found in", f"{times.total * 1e3:.1f} ms ({shares})"),
         ("motion", f"{found.trajectory.duration:.2f} s, {found.path_length:.2f} rad"),
+        *((("passes", f"its waypoints at {numbers(found.waypoint_times)} s"),) if found.waypoint_times else ()),
         ("clearance", f"{found.clearance * 1e3:.1f} mm at the closest, in scene revision {found.scene_revision}"),
         ("ends at", pose_text(found.tip)),
         ("joints", f"{numbers(found.trajectory.position[-1], 4)} rad = {degrees(found.trajectory.position[-1])} deg"),

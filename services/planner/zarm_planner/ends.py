@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import Goal, JointGoal, PoseGoal
+from zarm_contract.messages import JointGoal, PoseGoal
 from zarm_planner.exact import RESOLUTION, ExactScene, Nearest
 from zarm_planner.frames import matrix
 from zarm_planner.ik import solve_ik
@@ -71,8 +71,10 @@ def start_end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End:
     return end
 
 
-def goal_ends(snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Stop) -> list[End]:
-    """The configurations that reach a goal, the one nearest to `start` first.
+def goal_ends(
+    snapshot: Snapshot, start: Array, goal: PoseGoal | JointGoal, field: str, seed: int, stop: Stop
+) -> list[End]:
+    """The configurations that reach a goal, which is the request's `field`; the one nearest to `start` first.
 
     Raises PlanningFailed (`unreachable`, `goal_in_collision`), InvalidRequest for joints out of their range, and what
     `stop` raises.
@@ -80,7 +82,7 @@ def goal_ends(snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Sto
     model = snapshot.model
     match goal:
         case JointGoal():
-            candidates = np.array([within_range(model, goal.position, "goal.position")])
+            candidates = np.array([within_range(model, goal.position, f"{field}.position")])
         case PoseGoal():
             pose = matrix(goal.position, goal.orientation)
             found = solve_ik(model, pose, start, world=snapshot.world, max_solutions=_GOALS, seed=seed, stop=stop)
@@ -93,7 +95,7 @@ def goal_ends(snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Sto
                     f"the goal cannot be reached: the tip comes within {1e3 * found.distance:.1f} mm and "
                     f"{np.rad2deg(found.angle):.1f} deg of it at best; choose a pose nearer to the robot or another orientation",
                     code="unreachable",
-                    field="goal",
+                    field=field,
                 )
     ends: list[End] = []
     obstacles = []
@@ -113,7 +115,7 @@ def goal_ends(snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Sto
         raise PlanningFailed(
             f"the goal is{ways} {reason}; choose another one, lower margin, or correct the scene",
             code="goal_in_collision",
-            field="goal",
+            field=field,
         )
     return ends
 

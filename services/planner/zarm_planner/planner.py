@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zarm_contract.errors import ExecutionRefused, Unavailable
+from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     CancelledPlan,
     CancelPlan,
@@ -21,6 +21,7 @@ from zarm_contract.messages import (
     IkRequest,
     IkSolutions,
     Plan,
+    PlannerKind,
     PlannerSettings,
     PlanRequest,
     SettingsChange,
@@ -31,7 +32,7 @@ from zarm_planner.frames import matrix, pose_of
 from zarm_planner.ik import solve_ik
 from zarm_planner.joints import checked, within_range
 from zarm_planner.motion import Array, Limits
-from zarm_planner.pipeline import Found, plan
+from zarm_planner.pipeline import Found, Options, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.running import Running
 from zarm_planner.scene import SceneStore
@@ -39,6 +40,8 @@ from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
 
+_PLANNER: dict[str, PlannerKind] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
+"""Which planner a kind of goal is for."""
 _BATCH_TIMEOUT = 60.0
 """Seconds that a batch of kinematics or checks may take."""
 
@@ -74,16 +77,26 @@ class Planner:
         settings, model = self._settings, self._model
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
-        limits = Limits.of(
-            model,
-            request.velocity_scale or settings.velocity_scale,
-            request.acceleration_scale or settings.acceleration_scale,
+        kind = request.planner or settings.planner
+        if kind not in ("auto", _PLANNER[request.goal.kind]):
+            raise InvalidRequest(
+                f"the planner {kind} takes no goal of kind {request.goal.kind}; ask for {_PLANNER[request.goal.kind]} or auto",
+                field="planner",
+            )
+        options = Options(
+            limits=Limits.of(
+                model,
+                request.velocity_scale or settings.velocity_scale,
+                request.acceleration_scale or settings.acceleration_scale,
+            ),
+            max_attempts=request.max_attempts or settings.max_attempts,
+            seed=request.seed,
         )
 
         def work(stop: Stop) -> tuple[Snapshot, Found]:
             start = within_range(model, self._measured() if request.start is None else request.start, "start")
             snapshot = self._look()
-            return snapshot, plan(snapshot, start, request.goal, limits, request.seed, stop)
+            return snapshot, plan(snapshot, start, request.goal, options, stop)
 
         snapshot, found = self._running.run(work, request.timeout or settings.timeout, request.request_id)
         return Plan(
@@ -95,6 +108,7 @@ class Planner:
             tip=pose_of(model.fk_tip(found.motion.position[-1])),
             clearance=found.clearance,
             resolution=RESOLUTION,
+            waypoint_times=found.waypoint_times,
             path_length=found.path_length,
             timings=found.timings,
         )

@@ -1,0 +1,45 @@
+"""When a timed motion passes its waypoints, and whether it comes near enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from zarm_planner.motion import Array, Motion
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.verify import VerificationFailed
+
+_STEP = 0.001
+"""Seconds between looks."""
+
+
+def passing_times(
+    model: RobotModel, motion: Motion, waypoints: Sequence[Array], position_tolerance: float, angle_tolerance: float
+) -> tuple[float, ...]:
+    """The times (s) at which the tip is nearest to its poses at `waypoints` (dof,), which are passed in this order.
+
+    Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad).
+    """
+    t = np.linspace(0.0, motion.duration, int(motion.duration / _STEP) + 2)
+    tips = model.fk_tip(motion.at(t)[0])
+    times: list[float] = []
+    begin = 0
+    for number, wanted in enumerate(model.fk_tip(np.array(waypoints).reshape(-1, model.dof))):
+        distance = np.linalg.norm(tips[begin:, :3, 3] - wanted[:3, 3], axis=1)
+        # |A - B| = 2 sqrt(2) sin(angle / 2) in the Frobenius norm, for rotations A and B.
+        apart = np.linalg.norm(tips[begin:, :3, :3] - wanted[:3, :3], axis=(1, 2))
+        angle = 2.0 * np.arcsin(np.minimum(apart / np.sqrt(8.0), 1.0))
+        use = np.maximum(distance / position_tolerance, angle / angle_tolerance)
+        if use.min() > 1.0:
+            k = int(np.argmin(use))
+            raise VerificationFailed(
+                f"the timed motion passes waypoint {number} at a distance of {1e3 * distance[k]:.1f} mm and "
+                f"{np.rad2deg(angle[k]):.2f} deg"
+            )
+        first = int(np.argmax(use <= 1.0))
+        outside = np.flatnonzero(use[first:] > 1.0)
+        last = first + int(outside[0]) if len(outside) else len(use)
+        begin += first + int(np.argmin(use[first:last]))
+        times.append(float(t[begin]))
+    return tuple(times)

@@ -1,0 +1,101 @@
+"""One motion through several waypoints, in their order and without stopping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import second_opinion
+
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
+from zarm_contract.robot import load_robot
+from zarm_planner.ends import Snapshot
+from zarm_planner.exact import ExactScene
+from zarm_planner.frames import pose_of
+from zarm_planner.motion import Limits
+from zarm_planner.pipeline import Found, Options, plan
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.stop import Stop
+from zarm_planner.world import World
+
+HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
+STOPS = [HOME + turn for turn in ([0.6, 0.1, 0, 0, 0, 0], [0.9, -0.2, 0.3, 0, 0, 0.4], [0.3, 0.2, -0.3, 0.2, 0, 0.4])]
+DENSE = 0.002
+
+
+@pytest.fixture(scope="module")
+def model() -> RobotModel:
+    return RobotModel.of(load_robot("ur5e"))
+
+
+def pose_goal(model: RobotModel, q: np.ndarray) -> PoseGoal:
+    pose = pose_of(model.fk_tip(q))
+    return PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
+
+
+def through(model: RobotModel, *goals: PoseGoal | JointGoal, objects: tuple[SceneObject, ...] = ()) -> Found:
+    world = World(objects, 0.005)
+    snapshot = Snapshot(1, model, world, ExactScene(model, objects))
+    options = Options(Limits.of(model), max_attempts=10, seed=0)
+    return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))
+
+
+def test_every_pose_is_passed_in_order_within_tolerance_and_without_a_stop(model: RobotModel) -> None:
+    goals = [pose_goal(model, q) for q in STOPS]
+    found = through(model, *goals)
+    assert len(found.waypoint_times) == 3
+    assert list(found.waypoint_times) == sorted(found.waypoint_times)
+    assert found.waypoint_times[-1] == pytest.approx(found.motion.duration, abs=DENSE)
+    for goal, time in zip(goals, found.waypoint_times, strict=True):
+        q, qd, _ = found.motion.at(np.array([time]))
+        distance, angle = second_opinion.tip_error(model.robot, q[0], goal.position, goal.orientation)
+        assert distance <= 0.005
+        assert angle <= 0.02
+        if goal is not goals[-1]:
+            assert np.abs(qd).max() > 0.05
+
+
+def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint(model: RobotModel) -> None:
+    goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
+    found = through(model, *goals)
+    snapshot = Snapshot(1, model, World((), 0.005), ExactScene(model, ()))
+    options = Options(Limits.of(model), max_attempts=10, seed=0)
+    alone = [
+        plan(snapshot, start, goal, options, Stop(60.0)).motion.duration
+        for start, goal in zip([HOME, *STOPS], goals, strict=False)
+    ]
+    assert found.motion.duration < sum(alone)
+
+
+def test_obstacles_between_waypoints_are_avoided(model: RobotModel) -> None:
+    x, y, z = model.fk_tip((STOPS[0] + STOPS[1]) / 2)[:3, 3].tolist()
+    post = Cylinder(kind="cylinder", name="post", position=(x, y, z - 0.1), radius=0.02, length=0.2)
+    found = through(model, *(pose_goal(model, q) for q in STOPS), objects=(post,))
+    collisions = second_opinion.Collisions(model.robot, [post])
+    times = np.arange(0.0, found.motion.duration, DENSE)
+    assert not any(collisions.at(q) for q in found.motion.at(times)[0])
+    assert len(found.waypoint_times) == 3
+
+
+def test_a_waypoint_may_be_passed_twice(model: RobotModel) -> None:
+    first, second = pose_goal(model, STOPS[0]), pose_goal(model, STOPS[1])
+    found = through(model, first, second, first)
+    assert len(found.waypoint_times) == 3
+    assert list(found.waypoint_times) == sorted(set(found.waypoint_times))
+
+
+def test_a_waypoint_that_cannot_be_reached_is_named(model: RobotModel) -> None:
+    far = PoseGoal(kind="pose", position=(3.0, 0.0, 0.0))
+    with pytest.raises(PlanningFailed) as refused:
+        through(model, pose_goal(model, STOPS[0]), far)
+    assert refused.value.code == "unreachable"
+    assert refused.value.problem.field == "goal.through.1"
+
+
+def test_a_waypoint_inside_an_obstacle_is_named(model: RobotModel) -> None:
+    x, y, z = model.fk_tip(STOPS[1])[:3, 3].tolist()
+    lump = Sphere(kind="sphere", name="lump", position=(x, y, z), radius=0.1)
+    with pytest.raises(PlanningFailed) as refused:
+        through(model, *(pose_goal(model, q) for q in STOPS), objects=(lump,))
+    assert refused.value.code == "goal_in_collision"
+    assert refused.value.problem.field == "goal.through.1"
