@@ -13,7 +13,7 @@ from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
 from zarm_planner.frames import pose_of
 from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Found, Options, plan
+from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
@@ -33,11 +33,11 @@ def pose_goal(model: RobotModel, q: np.ndarray) -> PoseGoal:
     return PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
 
 
-def through(model: RobotModel, *goals: PoseGoal | JointGoal, objects: tuple[SceneObject, ...] = ()) -> Found:
+def through(model: RobotModel, *goals: PoseGoal | JointGoal, objects: tuple[SceneObject, ...] = ()) -> Verified:
     world = World(objects, 0.005)
     snapshot = Snapshot(1, model, world, ExactScene(model, objects))
-    options = Options(Limits.of(model), max_attempts=10, seed=0)
-    return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))
+    options = Options(Limits.of(model), max_attempts=10, optimize_s=0.0, seed=0)
+    return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))[0]
 
 
 def test_every_pose_is_passed_in_order_within_tolerance_and_without_a_stop(model: RobotModel) -> None:
@@ -59,9 +59,9 @@ def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint(model: Rob
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     found = through(model, *goals)
     snapshot = Snapshot(1, model, World((), 0.005), ExactScene(model, ()))
-    options = Options(Limits.of(model), max_attempts=10, seed=0)
+    options = Options(Limits.of(model), max_attempts=10, optimize_s=0.0, seed=0)
     alone = [
-        plan(snapshot, start, goal, options, Stop(60.0)).motion.duration
+        plan(snapshot, start, goal, options, Stop(60.0))[0].motion.duration
         for start, goal in zip([HOME, *STOPS], goals, strict=False)
     ]
     assert found.motion.duration < sum(alone)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import Cylinder, JointGoal, PoseGoal, SceneObject, Sphere
+from zarm_contract.messages import Cuboid, Cylinder, JointGoal, PoseGoal, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
 from zarm_planner.frames import pose_of
 from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Found, Options, plan
+from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
@@ -37,18 +39,18 @@ def snapshot(model: RobotModel, *objects: SceneObject) -> Snapshot:
 
 
 def options(model: RobotModel, seed: int = 0) -> Options:
-    return Options(Limits.of(model), max_attempts=100, seed=seed)
+    return Options(Limits.of(model), max_attempts=100, optimize_s=0.0, seed=seed)
 
 
-def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Found:
+def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Verified:
     pose = pose_of(model.fk_tip(joints))
     goal = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
-    return plan(snapshot(model, *objects), HOME, goal, options(model, seed), Stop(60.0))
+    return plan(snapshot(model, *objects), HOME, goal, options(model, seed), Stop(60.0))[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_detour_to_a_near_posture_is_taken_before_the_straight_way_to_a_far_one(model: RobotModel, seed: int) -> None:
-    straight = plan(snapshot(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)), options(model), Stop(60))
+    straight, _ = plan(snapshot(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)), options(model), Stop(60))
     found = to_pose(model, SWUNG, post(model), seed=seed)
     assert found.motion.length < 2.5 * straight.motion.length
     assert np.ptp(found.motion.position[:, 0]) < np.pi
@@ -72,3 +74,45 @@ def test_a_goal_inside_an_object_is_refused_at_once(model: RobotModel) -> None:
         to_pose(model, SWUNG, lump)
     assert refused.value.code == "goal_in_collision"
     assert "lump" in str(refused.value)
+
+
+def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> None:
+    x, y, z = model.fk_tip(SWUNG)[:3, 3].tolist()
+    goal = PoseGoal(kind="pose", position=(x, y, z), orientation=pose_of(model.fk_tip(SWUNG)).orientation)
+    scene = snapshot(model, post(model))
+    quick, _ = plan(scene, HOME, goal, options(model), Stop(60.0))
+    better, timings = plan(scene, HOME, goal, replace(options(model), optimize_s=0.5), Stop(60.0))
+    assert better.motion.duration < quick.motion.duration
+    assert timings.optimize > 0.0
+
+
+def test_the_deadline_ends_the_search_for_faster_motions_with_the_best_so_far(model: RobotModel) -> None:
+    goal = JointGoal(kind="joints", position=tuple(SWUNG))
+    found, timings = plan(snapshot(model), HOME, goal, replace(options(model), optimize_s=30.0), Stop(0.5))
+    assert found.motion.duration > 0.0
+    assert timings.optimize < 30.0
+
+
+def test_what_cannot_be_found_is_given_up_after_so_many_attempts(model: RobotModel) -> None:
+    across = [(0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)) for turn in (1.0, -1.5)]
+    walls = [
+        Cuboid(
+            kind="cuboid",
+            name=f"wall_{i}",
+            position=(1.4 * np.cos(turn), 1.4 * np.sin(turn), 0.0),
+            orientation=across[i],
+            size=(2.0, 0.02, 3.0),
+        )
+        for i, turn in enumerate((1.0, -1.5))
+    ]
+    # Between floor and roof the upper arm can neither stand up nor hang down to turn past a wall.
+    plates = [
+        Cuboid(kind="cuboid", name=f"plate_{i}", position=(0.0, 0.0, z), size=(4.0, 4.0, 0.02))
+        for i, z in enumerate((-0.05, 0.6))
+    ]
+    low = np.array([0.0, 1.2, 0.5, 0.0, 0.0, 0.0])
+    goal = JointGoal(kind="joints", position=(2.0, *low[1:].tolist()))
+    with pytest.raises(PlanningFailed) as given_up:
+        plan(snapshot(model, *walls, *plates), low, goal, replace(options(model), max_attempts=1), Stop(60.0))
+    assert given_up.value.code == "no_path"
+    assert "max_attempts" in str(given_up.value)

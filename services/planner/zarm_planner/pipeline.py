@@ -24,26 +24,27 @@ _DEVIATIONS = (0.03, 0.01, 0.0)
 
 @dataclass(frozen=True)
 class Options:
-    """What a request asks of the motion: its limits, after how many attempts to give up, and the seed of all chance."""
+    """What a request asks of the motion: its limits, after how many attempts to give up, for how many seconds to look for
+    faster ones, and the seed of all chance.
+    """
 
     limits: Limits
     max_attempts: int
+    optimize_s: float
     seed: int
 
 
 @dataclass(frozen=True)
-class Found:
-    """A verified motion; `clearance` in m, `path_length` in rad, `waypoint_times` in s."""
+class Verified:
+    """A motion that may be executed; `clearance` in m, `waypoint_times` in s."""
 
     motion: Motion
     clearance: float
-    path_length: float
     waypoint_times: tuple[float, ...]
-    timings: PlanTimings
 
 
-def plan(snapshot: Snapshot, start: Array, goal: Goal, options: Options, stop: Stop) -> Found:
-    """The motion from `start` (dof,) to the goal.
+def plan(snapshot: Snapshot, start: Array, goal: Goal, options: Options, stop: Stop) -> tuple[Verified, PlanTimings]:
+    """The motion from `start` (dof,) to the goal, and where the time went.
 
     Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`) and what `stop` raises.
     """
@@ -51,26 +52,30 @@ def plan(snapshot: Snapshot, start: Array, goal: Goal, options: Options, stop: S
     with watch.stage("ik"):
         begin = start_end(snapshot, start, options.seed, stop)
         targets = _targets(snapshot, start, goal, options.seed, stop)
+    task = _Task(snapshot, begin, targets, goal, options.limits)
+    verified, seed = _first(task, options, stop, watch)
+    if options.optimize_s > 0.0:
+        with watch.stage("optimize"):
+            verified = _fastest(task, verified, seed, stop, stop.sooner(options.optimize_s))
+    return verified, watch.timings()
+
+
+def _first(task: _Task, options: Options, stop: Stop, watch: Watch) -> tuple[Verified, int]:
+    """The first motion that passes verification, and its seed."""
     failure: VerificationFailed | None = None
     try:
-        for attempt in range(options.max_attempts):
-            seed = options.seed + attempt
-            if (route := find_route(snapshot, begin, targets, seed, stop, watch)) is None:
+        for seed in range(options.seed, options.seed + options.max_attempts):
+            if (route := find_route(task.snapshot, task.begin, task.targets, seed, stop, watch)) is None:
                 continue
-            for timed in _motions(snapshot, route, options.limits, seed, stop):
+            for timed in task.motions(route, seed, stop):
                 stop.check()
                 with watch.stage("timing"):
                     motion = timed()
                 try:
                     with watch.stage("verify"):
-                        clearance = verify(
-                            motion, start, route.ends[-1].asked, options.limits, snapshot.exact, stop.check
-                        )
-                        times = _waypoint_times(snapshot, motion, route, goal)
+                        return task.verified(motion, route, stop), seed
                 except VerificationFailed as error:
                     failure = error
-                    continue
-                return Found(motion, clearance, motion.length, times, watch.timings())
     except DeadlineExceeded as late:
         if failure is None:
             raise
@@ -81,6 +86,21 @@ def plan(snapshot: Snapshot, start: Array, goal: Goal, options: Options, stop: S
         f"no path was found in {options.max_attempts} attempts; allow more with max_attempts, or simplify the scene",
         code="no_path",
     )
+
+
+def _fastest(task: _Task, best: Verified, seed: int, stop: Stop, budget: Stop) -> Verified:
+    """The fastest among `best` and the motions that further seeds lead to until `budget` is spent."""
+    while not budget.passed:
+        stop.check()
+        seed += 1
+        try:
+            route = find_route(task.snapshot, task.begin, task.targets, seed, budget, Watch())
+            if route is None or (motion := task.motions(route, seed, budget)[0]()).duration >= best.motion.duration:
+                continue
+            best = task.verified(motion, route, budget)
+        except (DeadlineExceeded, VerificationFailed):
+            continue
+    return best
 
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:
@@ -100,19 +120,30 @@ def _targets(snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Stop
     return targets
 
 
-def _motions(snapshot: Snapshot, route: Route, limits: Limits, seed: int, stop: Stop) -> Sequence[Callable[[], Motion]]:
-    """Ways to time a route, the fastest first; those after it keep ever closer to its path."""
-    model, path = snapshot.model, route.path
-    dt = model.robot.descriptor.interpolation_dt
-    return [
-        partial(smooth_path, model, snapshot.world, path, limits, dt, seed=seed, stop=stop),
-        *(partial(time_path, path, limits, dt, deviation) for deviation in _DEVIATIONS),
-    ]
+@dataclass(frozen=True)
+class _Task:
+    """What is planned: from where, to what, under which limits."""
 
+    snapshot: Snapshot
+    begin: End
+    targets: list[list[End]]
+    goal: Goal
+    limits: Limits
 
-def _waypoint_times(snapshot: Snapshot, motion: Motion, route: Route, goal: Goal) -> tuple[float, ...]:
-    """When the motion passes the waypoints of the goal. Raises VerificationFailed where it misses one."""
-    if not isinstance(goal, WaypointsGoal):
-        return ()
-    configurations = [end.asked for end in route.ends]
-    return passing_times(snapshot.model, motion, configurations, goal.position_tolerance, goal.angle_tolerance)
+    def motions(self, route: Route, seed: int, stop: Stop) -> Sequence[Callable[[], Motion]]:
+        """Ways to time a route, the fastest first; those after it keep ever closer to its path."""
+        model, world, path, limits = self.snapshot.model, self.snapshot.world, route.path, self.limits
+        dt = model.robot.descriptor.interpolation_dt
+        return [
+            partial(smooth_path, model, world, path, limits, dt, seed=seed, stop=stop),
+            *(partial(time_path, path, limits, dt, deviation) for deviation in _DEVIATIONS),
+        ]
+
+    def verified(self, motion: Motion, route: Route, stop: Stop) -> Verified:
+        """The motion with its clearance. Raises VerificationFailed and what `stop` raises."""
+        goal, ends = self.goal, [end.asked for end in route.ends]
+        clearance = verify(motion, self.begin.asked, ends[-1], self.limits, self.snapshot.exact, stop.check)
+        if not isinstance(goal, WaypointsGoal):
+            return Verified(motion, clearance, ())
+        times = passing_times(self.snapshot.model, motion, ends, goal.position_tolerance, goal.angle_tolerance)
+        return Verified(motion, clearance, times)

@@ -24,6 +24,7 @@ from zarm_contract.messages import (
     PlannerKind,
     PlannerSettings,
     PlanRequest,
+    PlanTimings,
     SettingsChange,
 )
 from zarm_planner.ends import Snapshot
@@ -32,7 +33,7 @@ from zarm_planner.frames import matrix, pose_of
 from zarm_planner.ik import solve_ik
 from zarm_planner.joints import checked, within_range
 from zarm_planner.motion import Array, Limits
-from zarm_planner.pipeline import Found, Options, plan
+from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.running import Running
 from zarm_planner.scene import SceneStore
@@ -90,27 +91,28 @@ class Planner:
                 request.acceleration_scale or settings.acceleration_scale,
             ),
             max_attempts=request.max_attempts or settings.max_attempts,
+            optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
             seed=request.seed,
         )
 
-        def work(stop: Stop) -> tuple[Snapshot, Found]:
+        def work(stop: Stop) -> tuple[Snapshot, tuple[Verified, PlanTimings]]:
             start = within_range(model, self._measured() if request.start is None else request.start, "start")
             snapshot = self._look()
             return snapshot, plan(snapshot, start, request.goal, options, stop)
 
-        snapshot, found = self._running.run(work, request.timeout or settings.timeout, request.request_id)
+        snapshot, (verified, timings) = self._running.run(work, request.timeout or settings.timeout, request.request_id)
         return Plan(
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
             robot_hash=model.robot.hash,
             scene_revision=snapshot.revision,
-            trajectory=found.motion.trajectory(model.robot.descriptor.joints),
-            tip=pose_of(model.fk_tip(found.motion.position[-1])),
-            clearance=found.clearance,
+            trajectory=verified.motion.trajectory(model.robot.descriptor.joints),
+            tip=pose_of(model.fk_tip(verified.motion.position[-1])),
+            clearance=verified.clearance,
             resolution=RESOLUTION,
-            waypoint_times=found.waypoint_times,
-            path_length=found.path_length,
-            timings=found.timings,
+            waypoint_times=verified.waypoint_times,
+            path_length=verified.motion.length,
+            timings=timings,
         )
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:

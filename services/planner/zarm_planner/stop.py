@@ -17,6 +17,10 @@ class Stop:
         self._timeout = timeout
         self.deadline = np.array([time.monotonic() + timeout])
 
+    def sooner(self, timeout: float) -> Stop:
+        """A deadline of its own, `timeout` s from now and no later than this one's; a cancel of this one does not reach it."""
+        return Stop(min(timeout, float(self.deadline[0]) - time.monotonic()))
+
     def cancel(self) -> None:
         """End whatever runs under this deadline now."""
         self.deadline[0] = -math.inf
