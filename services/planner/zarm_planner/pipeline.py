@@ -83,7 +83,7 @@ def _first(task: _Task, options: Options, stop: Stop, watch: Watch) -> tuple[Ver
     if failure is not None:
         raise _given_up(failure)
     raise PlanningFailed(
-        f"no path was found in {options.max_attempts} attempts; allow more with max_attempts, or simplify the scene",
+        f"no path was found within max_attempts, {options.max_attempts}; allow more, or simplify the scene",
         code="no_path",
     )
 

@@ -1,0 +1,77 @@
+"""What tests of a running planner share: its robot, places to go, and requests."""
+
+from __future__ import annotations
+
+import numpy as np
+from harness import PATIENCE
+from second_opinion import Collisions
+
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
+from zarm_contract.messages import (
+    Cuboid,
+    Cylinder,
+    Health,
+    JointGoal,
+    LoadScene,
+    Nothing,
+    Plan,
+    PlanRequest,
+    SceneEdit,
+    SceneEdited,
+    SceneObject,
+)
+from zarm_contract.robot import load_robot
+from zarm_executor.checks import executable
+
+ROBOT = load_robot("doosan_m1013")
+KEYS = Keys("doosan_m1013")
+HOME = ROBOT.descriptor.home
+
+TABLE = Cuboid(kind="cuboid", name="table", position=(0.6, 0.0, -0.1), size=(1.0, 1.6, 0.1))
+POST = Cylinder(kind="cylinder", name="post", position=(0.38, 0.38, 0.4), radius=0.04, length=0.9)
+SHELF = Cuboid(kind="cuboid", name="shelf", position=(0.2, 0.95, 0.75), size=(0.8, 0.3, 0.03))
+BEHIND_POST = (1.6, 0.0, 1.570796, 0.0, 1.570796, 0.0)
+"""Home turned: the straight way there leads through the post."""
+
+# Two half-planes and a lid around the robot's back: from home nothing leads half a turn around.
+QUARTER = 0.375 * np.pi
+WALL = Cuboid(
+    kind="cuboid",
+    name="wall",
+    position=(-1.23, 1.23, 0.3),
+    orientation=(0.0, 0.0, float(np.sin(QUARTER)), float(np.cos(QUARTER))),
+    size=(3.0, 0.05, 1.6),
+)
+LID = Cuboid(kind="cuboid", name="lid", position=(0.0, 0.0, 1.1), size=(6.0, 6.0, 0.05))
+BEHIND_WALL = (float(np.pi), *HOME[1:])
+
+
+def load(bus: Bus, *objects: SceneObject) -> SceneEdited:
+    return bus.call(
+        KEYS.scene_edit, SceneEdit(edit=LoadScene(op="load", objects=objects)), SceneEdited, timeout=PATIENCE
+    )
+
+
+def plan(bus: Bus, request: PlanRequest) -> Plan:
+    return bus.call(KEYS.plan, request, Plan, timeout=PATIENCE)
+
+
+def to_joints(*position: float) -> JointGoal:
+    return JointGoal(kind="joints", position=position)
+
+
+def is_alive(bus: Bus) -> bool:
+    return bus.call(KEYS.health("planner"), Nothing(), Health, timeout=PATIENCE).ready
+
+
+def assert_sound(plan: Plan, start: tuple[float, ...], objects: tuple[SceneObject, ...]) -> np.ndarray:
+    """The executor would take it, and every centimetre of it is free; returns where it ends."""
+    path = executable(plan.trajectory, ROBOT)
+    assert np.allclose(path.start, start, atol=1e-6)
+    assert np.all(np.diff(path.time) <= ROBOT.descriptor.interpolation_dt * 1.001)
+    samples = np.array([path.at(t)[0] for t in np.linspace(0.0, path.duration, int(path.duration / 0.004) + 2)])
+    assert np.abs(np.diff(samples, axis=0)).sum(axis=1).max() < 0.02
+    collisions = Collisions(ROBOT, objects)
+    assert not any(collisions.at(q) for q in samples)
+    return path.end

@@ -1,0 +1,215 @@
+"""The planner over its life: what it publishes and keeps, how work in hand is ended, and how it ends itself."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+import zenoh
+from harness import PATIENCE, ServiceProcess, eventually
+from planner_client import (
+    BEHIND_POST,
+    BEHIND_WALL,
+    HOME,
+    KEYS,
+    LID,
+    POST,
+    SHELF,
+    TABLE,
+    WALL,
+    assert_sound,
+    load,
+    plan,
+    to_joints,
+)
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Busy, Cancelled, DeadlineExceeded, Unavailable, ZarmError
+from zarm_contract.keys import Keys
+from zarm_contract.messages import (
+    AddObjects,
+    CancelledPlan,
+    CancelPlan,
+    ClearScene,
+    Cylinder,
+    Health,
+    Nothing,
+    Plan,
+    PlanRequest,
+    Scene,
+    SceneEdit,
+    SceneEdited,
+)
+
+
+def test_a_deadline_ends_a_search_that_finds_nothing(planner: Bus) -> None:
+    load(planner, WALL, LID)
+    with pytest.raises(DeadlineExceeded, match=r"0\.3 s"):
+        plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_WALL), timeout=0.3))
+
+
+def endless(planner: Bus, request_id: str, answers: list[ZarmError]) -> threading.Thread:
+    """Ask for what takes a minute in vain, in a thread of its own; its answer goes to `answers`."""
+
+    def ask() -> None:
+        with pytest.raises(ZarmError) as caught:
+            plan(
+                planner,
+                PlanRequest(
+                    start=HOME, goal=to_joints(*BEHIND_WALL), timeout=60.0, max_attempts=1000, request_id=request_id
+                ),
+            )
+        answers.append(caught.value)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    return thread
+
+
+def cancel(bus: Bus, request_id: str) -> bool:
+    return bus.call(KEYS.plan_cancel, CancelPlan(request_id=request_id), CancelledPlan, timeout=PATIENCE).was_running
+
+
+def test_a_cancel_ends_the_planning_that_it_names(planner: Bus) -> None:
+    load(planner, WALL, LID)
+    answers: list[ZarmError] = []
+    thread = endless(planner, "in-vain", answers)
+    assert not cancel(planner, "something-else")
+    eventually(lambda: cancel(planner, "in-vain"), "the planning has begun and is cancelled")
+    thread.join(PATIENCE)
+    assert [type(answer) for answer in answers] == [Cancelled]
+    assert not cancel(planner, "in-vain")
+
+
+def test_requests_that_wait_for_their_turn_can_be_cancelled_and_too_many_are_refused(planner: Bus) -> None:
+    load(planner, WALL, LID)
+    answers: list[ZarmError] = []
+    threads = [endless(planner, f"queued-{i}", answers) for i in range((os.cpu_count() or 1) + 20)]
+    eventually(lambda: answers, "one request too many has been refused")
+    eventually(
+        lambda: (
+            [cancel(planner, f"queued-{i}") for i in range(len(threads))] and not any(t.is_alive() for t in threads)
+        ),
+        "all others are cancelled",
+    )
+    assert {type(answer) for answer in answers} == {Busy, Cancelled}
+
+
+def test_plans_are_published_and_the_last_one_is_there_for_late_comers(planner: Bus, place: str) -> None:
+    load(planner)
+    answer = plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST)))
+    with Bus(place) as late:
+        seen: list[Plan] = []
+        late.watch(KEYS.plans, Plan, lambda _, message: seen.append(message))
+        assert eventually(lambda: seen, "the last plan is there") == [answer]
+        second = plan(planner, PlanRequest(start=HOME, goal=to_joints(*HOME)))
+        assert eventually(lambda: seen[1:], "the next plan arrives") == [second]
+
+
+def test_the_scene_is_published_with_every_edit_whole_and_object_by_object(
+    planner: Bus, foreign: zenoh.Session
+) -> None:
+    first = load(planner, TABLE, POST)
+    scenes: list[Scene] = []
+    planner.watch(KEYS.scene, Scene, lambda _, message: scenes.append(message))
+    edit = SceneEdit(edit=AddObjects(op="add", objects=(SHELF,)))
+    edited = planner.call(KEYS.scene_edit, edit, SceneEdited, timeout=PATIENCE)
+    assert edited == SceneEdited(revision=first.revision + 1, count=3)
+    eventually(lambda: len(scenes) > 1, "the edit is published")
+    assert scenes == [
+        Scene(revision=first.revision, objects=(TABLE, POST)),
+        Scene(revision=edited.revision, objects=(TABLE, POST, SHELF)),
+    ]
+    singly = {
+        str(r.ok.key_expr): r.ok for r in foreign.get(KEYS.scene_object("*"), timeout=PATIENCE) if r.ok is not None
+    }
+    assert set(singly) == {KEYS.scene_object(name) for name in ("table", "post", "shelf")}
+    post = singly[KEYS.scene_object("post")]
+    assert Cylinder.model_validate_json(post.payload.to_bytes()) == POST
+    assert str(post.encoding).endswith("zarm.Cylinder.v1")
+    planner.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), SceneEdited, timeout=PATIENCE)
+    assert list(foreign.get(KEYS.scene_object("*"), timeout=PATIENCE)) == []
+
+
+def test_a_plan_is_made_in_the_scene_of_the_revision_that_it_states(planner: Bus) -> None:
+    request = PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST))
+    without = load(planner)
+    assert plan(planner, request).scene_revision == without.revision
+    with_post = load(planner, POST)
+    answer = plan(planner, request)
+    assert answer.scene_revision == with_post.revision
+    assert_sound(answer, HOME, (POST,))
+
+
+def test_the_scene_survives_a_crash(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    with ServiceProcess("planner", endpoint, tmp_path) as first:
+        first.wait_ready(bus, KEYS)
+        edited = load(bus, TABLE, POST)
+        first.kill()
+    with Bus(endpoint) as fresh, ServiceProcess("planner", endpoint, tmp_path) as second:
+        second.wait_ready(fresh, KEYS)
+        scene = fresh.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE)
+        assert scene == Scene(revision=edited.revision, objects=(TABLE, POST))
+
+
+def test_a_scene_that_cannot_be_read_stops_planning_until_it_is_edited(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    folder = tmp_path / "doosan_m1013"
+    folder.mkdir()
+    (folder / "scene.json").write_text("no scene")
+    request = PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST))
+    with ServiceProcess("planner", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        with pytest.raises(Unavailable, match=r"scene\.json\.broken"):
+            plan(bus, request)
+        revision = load(bus).revision
+        assert plan(bus, request).scene_revision == revision
+        assert "scene" in process.output()
+
+
+def test_a_second_planner_of_one_robot_is_refused_and_one_of_another_name_is_not(
+    planner: Bus, place: str, tmp_path: Path
+) -> None:
+    with ServiceProcess("planner", place, tmp_path) as second:
+        assert second.process.wait(PATIENCE) == 1
+        assert "already on this bus" in second.output()
+    with ServiceProcess("planner", place, tmp_path, name="twin") as twin:
+        twin.wait_ready(planner, Keys("twin"))
+        request = PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST))
+        assert planner.call(Keys("twin").plan, request, Plan, timeout=PATIENCE).robot == "twin"
+
+
+def test_health_answers_while_kernels_are_compiled_and_plans_are_refused_with_the_reason(
+    endpoint: str, bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "nothing_compiled_yet"))
+    with ServiceProcess("planner", endpoint, tmp_path) as process:
+
+        def busy() -> Health | None:
+            try:
+                health = bus.call(KEYS.health("planner"), Nothing(), Health, timeout=5)
+            except Unavailable:
+                return None
+            return health if health.activity.startswith("loading") else None
+
+        health = eventually(busy, "the planner says what it is busy with")
+        assert not health.ready
+        with pytest.raises(Unavailable, match="ask again when its health says ready"):
+            plan(bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST)))
+        process.kill()
+
+
+def test_the_end_of_the_service_answers_what_is_in_hand(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    with ServiceProcess("planner", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        load(bus, WALL, LID)
+        answers: list[ZarmError] = []
+        threads = [endless(bus, f"last-{i}", answers) for i in range((os.cpu_count() or 1) + 20)]
+        eventually(lambda: answers, "so many are in hand that one more is refused")
+        process.process.terminate()
+        for thread in threads:
+            thread.join(PATIENCE)
+        assert process.process.wait(PATIENCE) == 0
+        assert {type(answer) for answer in answers} == {Busy, Unavailable}
+        assert all("shutting down" in str(answer) for answer in answers if isinstance(answer, Unavailable))
