@@ -52,22 +52,13 @@ class ExactScene:
 
     def __init__(self, model: RobotModel, world: World) -> None:
         self.model, self._world = model, world
-        self._link = np.array([link for link, _ in model.parts], np.int32)
-        self._body = _body(model, self._link)
+        self._body, self.reach = _body(model)
         arrays = world.arrays
         error = _SINGLE * float(np.abs(arrays.boxes).max(initial=0.0))
         self._obstacles = Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, world.margin - error)
 
-        reach = _reach(model, self._body, self._link)
-        self.reach: Array = reach.max(axis=0, initial=0.0)
-        links = range(len(model.links))
-        of_link = np.array([reach[self._link == link].max(axis=0, initial=0.0) for link in links])
-        # How far an outer link travels as seen from an inner one: the joints up to the inner one's move both.
-        inner, outer = model.pairs.T
-        of_pair = of_link[outer] * (np.arange(model.dof) > model.link_joint[inner, None])
-        self._travel_per_joint = np.concatenate([of_link, of_pair])
         there = np.diff(self._body.first) > 0
-        self._asked = np.concatenate([there & (model.link_joint >= 0), there[inner] & there[outer]])
+        self._asked = np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
         self._asked_of_world = self._asked & (np.arange(len(self._asked)) < len(model.links))
 
     def nearest(self, q: ArrayLike, stop: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
@@ -82,9 +73,7 @@ class ExactScene:
         FCL measured 117 more than 0.1 mm too long, by 1.3 mm at worst.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
-        travel = np.zeros((len(q), len(self._asked)))
-        np.cumsum(np.abs(np.diff(q, axis=0)) @ self._travel_per_joint.T, axis=0, out=travel[1:])
-        motion = course(self._body, q, travel, self._asked if itself else self._asked_of_world)
+        motion = course(self._body, q, self._asked if itself else self._asked_of_world)
         bound, over, looks = FARTHEST, False, []
         while not over:
             stop()
@@ -116,40 +105,47 @@ class ExactScene:
         return (shape.name, other_shape.name), measured
 
 
-def _body(model: RobotModel, link: NDArray[np.int32]) -> Body:
-    """The model's parts; `link` (parts,) is the link of each, in order."""
+def _body(model: RobotModel) -> tuple[Body, Array]:
+    """The model's parts for the kernel, and `ExactScene.reach`."""
+    link = np.array([link for link, _ in model.parts], np.intp)
+    first = np.searchsorted(link, np.arange(len(model.links) + 1)).astype(np.int32)
     shapes = [shape for _, shape in model.parts]
     pose = np.array([shape.pose for shape in shapes]).reshape(-1, 4, 4)
     extents = np.array([(*shape.core, shape.disc, shape.rounding, shape.radius) for shape in shapes]).reshape(-1, 6)
-    around = np.zeros((len(model.links), 4))
-    for i in range(len(model.links)):
-        centers, radii = pose[link == i, :3, 3], extents[link == i, 5]
-        if len(radii):
-            ends = centers - radii[:, None], centers + radii[:, None]
-            around[i, :3] = (ends[0].min(axis=0) + ends[1].max(axis=0)) / 2
-            around[i, 3] = np.max(np.linalg.norm(centers - around[i, :3], axis=1) + radii)
-    return Body(
+    reach = _reach(model, link, pose, extents[:, 5])
+    around, of_link = np.zeros((len(model.links), 4)), np.zeros((len(model.links), model.dof))
+    for i in np.flatnonzero(np.diff(first)).tolist():
+        parts = slice(first[i], first[i + 1])
+        centers, radii = pose[parts, :3, 3], extents[parts, 5]
+        around[i, :3] = ((centers.T - radii).min(axis=1) + (centers.T + radii).max(axis=1)) / 2
+        around[i, 3] = np.max(np.linalg.norm(centers - around[i, :3], axis=1) + radii)
+        of_link[i] = reach[parts].max(axis=0)
+    # Both links of a pair are moved as one by the joints up to that of the first.
+    first_link, second_link = model.pairs.T
+    of_pair = of_link[second_link] * (np.arange(model.dof) > model.link_joint[first_link, None])
+    body = Body(
         origin=model.origin,
         revolute=model.revolute,
         link_joint=model.link_joint,
         offset=model.offset[: len(model.links)],
         around=around,
-        first=np.searchsorted(link, np.arange(len(model.links) + 1)).astype(np.int32),
+        first=first,
         pose=pose,
         extents=extents,
         pairs=model.pairs,
+        reach=np.concatenate([of_link, of_pair]),
     )
+    return body, reach.max(axis=0, initial=0.0)
 
 
-def _reach(model: RobotModel, body: Body, link: NDArray[np.int32]) -> Array:
+def _reach(model: RobotModel, link: NDArray[np.intp], pose: Array, radius: Array) -> Array:
     """How far (parts, dof) a point of each part moves at most per rad (m where prismatic) of each joint.
 
     From the joint outwards, as if the arm could always stretch to a line.
     """
     slide = np.where(model.revolute, 0.0, np.maximum(abs(model.lower), abs(model.upper)))
     stretch = (np.linalg.norm(model.origin[:, :, 3], axis=1) + slide).tolist()
-    center = (body.offset[link] @ body.pose)[:, :3, 3]
-    extents = (np.linalg.norm(center, axis=1) + body.extents[:, 5]).tolist()
+    extents = (np.linalg.norm((model.offset[link] @ pose)[:, :3, 3], axis=1) + radius).tolist()
     reach = np.zeros((len(link), model.dof))
     for i, (extent, carrier) in enumerate(zip(extents, model.link_joint[link].tolist(), strict=True)):
         for joint in range(carrier, -1, -1):

@@ -31,7 +31,8 @@ class Body(NamedTuple):
     link's frame, and `extents` (parts, 6): four of the core as in `convex`, the rounding, the radius from the centre to
     the farthest point. `pairs` (m, 2): links that can meet.
 
-    Subjects are the links, each against the world, and then the pairs.
+    Subjects are the links, each against the world, and then the pairs. `reach` (subjects, dof): how far (m) one moves at
+    most per rad (m where prismatic) of each joint, the second link of a pair as seen from the first.
     """
 
     origin: Array
@@ -43,6 +44,7 @@ class Body(NamedTuple):
     pose: Array
     extents: Array
     pairs: Index
+    reach: Array
 
 
 class Obstacles(NamedTuple):
@@ -61,14 +63,13 @@ class Obstacles(NamedTuple):
 class Course(NamedTuple):
     """A motion and how far the look at it has come.
 
-    `q` (n, dof); `travel` (n, subjects): how far (m) a subject has moved at most since the first sample, a pair's as seen
-    from one of the two. `frames` (n, links, 3, 4) of the samples that are `known` (n,). `keys` and `stretches`, which has
+    `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. `frames` (n, links, 3, 4) of the samples that are `known` (n,). `keys` and `stretches`, which has
     the columns subject, first sample, last sample + 1, are a heap of `size[0]` stretches with what they are sure to keep
     clear. `joints` (dof, 3, 4) and `centers` (parts, 3) are working memory.
     """
 
     q: Array
-    travel: Array
+    moved: Array
     frames: Array
     known: NDArray[np.bool_]
     keys: Array
@@ -78,9 +79,11 @@ class Course(NamedTuple):
     centers: Array
 
 
-def course(body: Body, q: Array, travel: Array, asked: NDArray[np.bool_]) -> Course:
-    """The motion `q` (n, dof) with its `travel` (n, subjects), not looked at yet; `asked` (subjects,) are looked at."""
+def course(body: Body, q: Array, asked: NDArray[np.bool_]) -> Course:
+    """The motion `q` (n, dof), not looked at yet; `asked` (subjects,) are looked at."""
     samples, count = len(q), np.count_nonzero(asked)
+    moved = np.zeros_like(q)
+    np.cumsum(np.abs(np.diff(q, axis=0)), axis=0, out=moved[1:])
     # Stretches of one subject do not overlap, so no heap grows larger than this.
     keys, stretches = np.empty(samples * count), np.empty((samples * count, 3), np.int32)
     keys[:count] = -np.inf
@@ -89,7 +92,7 @@ def course(body: Body, q: Array, travel: Array, asked: NDArray[np.bool_]) -> Cou
     stretches[:count, 2] = samples
     return Course(
         q=q,
-        travel=travel,
+        moved=moved,
         frames=np.empty((samples, len(body.link_joint), 3, 4)),
         known=np.zeros(samples, np.bool_),
         keys=keys,
@@ -135,6 +138,15 @@ def _drop_top(course: Course) -> None:
     course.keys[i] = key
     for c in range(3):
         course.stretches[i, c] = course.stretches[size, c]
+
+
+@inlined
+def _travel(body: Body, course: Course, subject: int, low: int, high: int) -> float:
+    """How far (m) a subject moves at most from sample `low` to sample `high`."""
+    travel = 0.0
+    for joint in range(body.reach.shape[1]):
+        travel += body.reach[subject, joint] * (course.moved[high, joint] - course.moved[low, joint])
+    return travel
 
 
 @inlined
@@ -339,8 +351,8 @@ def look(body: Body, world: Obstacles, course: Course, best: float, most: int) -
         _drop_top(course)
         k = (low + high) // 2
         _place(body, course, k)
-        before = course.travel[k, subject] - course.travel[low, subject]
-        after = course.travel[high - 1, subject] - course.travel[k, subject]
+        before = _travel(body, course, subject, low, k)
+        after = _travel(body, course, subject, k, high - 1)
         enough = floor + max(before, after)
         if subject < links:
             lowest, found, best = _to_world(body, world, course, found, subject, k, enough, best)
