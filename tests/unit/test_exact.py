@@ -17,6 +17,7 @@ from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSp
 from zarm_planner.exact import FARTHEST, ExactScene
 from zarm_planner.frames import matrix, rotation_to
 from zarm_planner.robot_model import RobotModel
+from zarm_planner.shapes import distance, obstacle_shape
 from zarm_planner.world import World
 
 Array = NDArray[np.float64]
@@ -124,7 +125,7 @@ def test_distance_is_that_of_alternating_projections(model: RobotModel, seed: in
     rng = np.random.default_rng(seed)
     objects = [scene_object(rng, i) for i in range(8)]
     q = configuration(model, rng)
-    assert max(0.0, scene_of(model, objects).nearest(q).distance) == pytest.approx(truth(model, q, objects), abs=2e-3)
+    assert max(0.0, scene_of(model, objects).nearest(q).distance) == pytest.approx(truth(model, q, objects), abs=1e-4)
 
 
 def test_clearance_names_the_link_and_the_object_nearest_to_it(model: RobotModel) -> None:
@@ -205,6 +206,62 @@ def test_a_motion_has_the_clearance_of_its_nearest_configuration(model: RobotMod
         assert singly[found.sample] <= 0.0
     else:
         assert min(singly) - 1e-6 <= found.distance <= min(singly) + 0.003
+
+
+def measured(model: RobotModel, motion: Array, objects: Sequence[SceneObject]) -> Array:
+    """FCL's smallest distance (n,) at each configuration (n, dof), of every two shapes that can meet; 0 in collision."""
+    rows = World(objects, MARGIN).rows
+    obstacles = [obstacle_shape("thing", row) for row in rows]
+    can_meet = {tuple(pair) for pair in model.pairs.tolist()}
+    smallest = np.full(len(motion), FARTHEST)
+    for n, q in enumerate(motion):
+        frames = model.link_transforms(q)
+        parts = [(link, shape, frames[link] @ shape.pose) for link, shape in model.parts]
+        for link, shape, pose in parts:
+            others = [(other, at) for other_link, other, at in parts if (other_link, link) in can_meet]
+            if model.link_joint[link] >= 0:
+                others += [(other, other.pose) for other in obstacles]
+            for other, at in others:
+                smallest[n] = min(smallest[n], max(0.0, distance(shape, pose, other, at)))
+    return smallest
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_motion_is_never_said_to_keep_further_away_than_fcl_measures_anywhere(model: RobotModel, seed: int) -> None:
+    """Every two shapes at every configuration, none left out by a bound; coarse motions too, which leave nothing to luck."""
+    rng = np.random.default_rng(seed)
+    objects = [scene_object(rng, i) for i in range(4)]
+    start = configuration(model, rng)
+    motion = np.linspace(start, start + rng.uniform(-1.0, 1.0, model.dof) * (1, 1, 1, 0.1), 25)
+    found, everywhere = scene_of(model, objects).nearest(motion), measured(model, motion, objects)
+    assert found.distance <= everywhere.min() + 1e-5
+    if everywhere.min() > 0.0:
+        assert found.distance == pytest.approx(everywhere[found.sample], abs=2e-3)  # by so much FCL may be too long
+    else:
+        assert everywhere[found.sample] <= 0.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_bounds_enclose_what_fcl_measures(model: RobotModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    world = World([scene_object(rng, i) for i in range(4)], MARGIN)
+    q = configuration(model, rng)
+    bounds = ExactScene(model, world).bounds(q[None], lambda: None, True)
+    assert len(bounds)
+    frames = model.link_transforms(q)
+    for lower, upper, part, other, _ in bounds.tolist():
+        link, shape = model.parts[int(part)]
+        if other >= 0:
+            obstacle = obstacle_shape("thing", world.rows[int(other)])
+            other_pose = obstacle.pose
+        else:
+            other_link, obstacle = model.parts[-1 - int(other)]
+            other_pose = frames[other_link] @ obstacle.pose
+        fcl = distance(shape, frames[link] @ shape.pose, obstacle, other_pose)
+        assert lower <= fcl + 1e-5
+        assert fcl <= max(upper, 0.0) + 2e-3  # by so much FCL may be too long
 
 
 @settings(max_examples=20, deadline=None)

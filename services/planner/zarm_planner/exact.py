@@ -73,13 +73,7 @@ class ExactScene:
         FCL measured 117 more than 0.1 mm too long, by 1.3 mm at worst.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
-        motion = course(self._body, q, self._asked if itself else self._asked_of_world)
-        bound, over, looks = FARTHEST, False, []
-        while not over:
-            stop()
-            found, bound, over = look(self._body, self._obstacles, motion, bound, _LOOKS)
-            looks.append(found)
-        near = np.concatenate(looks)
+        near = self.bounds(q, stop, itself)
         best = Nearest(FARTHEST, None, 0)
         for lower, upper, *which in near[np.argsort(near[:, 0], kind="stable")].tolist():
             if lower >= best.distance - PRECISION:
@@ -89,6 +83,16 @@ class ExactScene:
             if measured < best.distance:
                 best = Nearest(measured, pair, sample)
         return best
+
+    def bounds(self, q: Array, stop: Callable[[], None], itself: bool) -> Array:
+        """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof)."""
+        motion = course(self._body, q, self._asked if itself else self._asked_of_world)
+        smallest, over, looks = FARTHEST, False, []
+        while not over:
+            stop()
+            found, smallest, over = look(self._body, self._obstacles, motion, smallest, _LOOKS)
+            looks.append(found)
+        return np.concatenate(looks)
 
     def _measure(self, q: Array, part: int, other: int, upper: float) -> tuple[tuple[str, str], float]:
         """Names and distance (m) of a part and what `clearance.look` calls `other`, which is at most `upper`."""
