@@ -1,8 +1,9 @@
 """Exact distances of the robot to the scene and to itself, on the descriptor's collision primitives.
 
-Two computations have to agree on what leaves the planner. `kernels.clearance` bounds all distances along a motion and
-proves which are out of the question; the bounds hold in every case, and are as good as equal in almost every one. FCL
-measures what is left: the nearest two shapes, and those whose bounds stay apart.
+Two computations look at what leaves the planner, and the smaller distance counts. `kernels.clearance` encloses all
+distances along a motion between two points of the shapes and a slab between them, which nobody has to trust an iteration
+for; so it proves which are out of the question. FCL measures what is left: the nearest two shapes, and those whose bounds
+stay apart.
 """
 
 from __future__ import annotations
@@ -69,8 +70,8 @@ class ExactScene:
         world. The closer the configurations follow each other, the fewer of them need a look. `stop` is called now and
         then and may raise.
 
-        FCL's distance counts, unless two points are known that are closer to each other: of 100,000 random pairs of shapes
-        FCL measured 117 more than 0.1 mm too long, by 1.3 mm at worst.
+        FCL's distance counts, unless two points are known that are closer to each other: of random pairs of a capsule or
+        cylinder and a box or cylinder, FCL measures 1 in 600 more than 0.1 mm too long, by 49 mm at worst, and none too short.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
         near = self.bounds(q, stop, itself)
