@@ -21,6 +21,7 @@ from zarm_planner.world import World
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 STOPS = [HOME + turn for turn in ([0.6, 0.1, 0, 0, 0, 0], [0.9, -0.2, 0.3, 0, 0, 0.4], [0.3, 0.2, -0.3, 0.2, 0, 0.4])]
 DENSE = 0.002
+EMPTY = World((), 0.005)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def pose_goal(model: RobotModel, q: np.ndarray) -> PoseGoal:
 
 def through(model: RobotModel, *goals: PoseGoal | JointGoal, objects: tuple[SceneObject, ...] = ()) -> Verified:
     world = World(objects, 0.005)
-    snapshot = Snapshot(1, model, world, ExactScene(model, objects))
+    snapshot = Snapshot(1, model, world, ExactScene(model, world))
     options = Options(Limits.of(model), max_attempts=10, optimize_s=0.0, seed=0)
     return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))[0]
 
@@ -58,7 +59,7 @@ def test_every_pose_is_passed_in_order_within_tolerance_and_without_a_stop(model
 def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint(model: RobotModel) -> None:
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     found = through(model, *goals)
-    snapshot = Snapshot(1, model, World((), 0.005), ExactScene(model, ()))
+    snapshot = Snapshot(1, model, EMPTY, ExactScene(model, EMPTY))
     options = Options(Limits.of(model), max_attempts=10, optimize_s=0.0, seed=0)
     alone = [
         plan(snapshot, start, goal, options, Stop(60.0))[0].motion.duration
