@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import zenoh
 from harness import PATIENCE, eventually
-from planner_client import BEHIND_POST, HOME, KEYS, POST, ROBOT, TABLE, is_alive, load, plan, to_joints
-from second_opinion import link_pose, tip_error
+from planner_client import BEHIND_POST, HOME, KEYS, POST, ROBOT, TABLE, assert_sound, is_alive, load, plan, to_joints
+from second_opinion import Collisions, link_pose, tip_error
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import Problem, ZarmError
+from zarm_contract.errors import Problem
 from zarm_contract.messages import (
     CheckRequest,
     CheckResults,
@@ -175,16 +175,19 @@ def test_settings_change_whole_or_not_at_all_and_are_published(planner: Bus, for
     assert planner.call(KEYS.settings, back, PlannerSettings, timeout=PATIENCE) == before
 
 
-def test_a_margin_keeps_goals_away_from_objects(planner: Bus) -> None:
+def test_a_margin_is_kept_on_the_way_and_a_goal_may_be_nearer(planner: Bus) -> None:
     flange = link_pose(ROBOT, "link_6", HOME)[:3, 3]
-    near = Sphere(kind="sphere", name="near", position=(*flange[:2].tolist(), float(flange[2]) - 0.2), radius=0.1)
-    load(planner, near)
-    goal = PlanRequest(start=BEHIND_POST, goal=to_joints(*HOME))
-    assert plan(planner, goal).clearance < 0.09
-    planner.call(KEYS.settings, SettingsChange(margin=0.15), PlannerSettings, timeout=PATIENCE)
+    near = Sphere(kind="sphere", name="near", position=(*flange[:2].tolist(), float(flange[2]) - 0.15), radius=0.1)
+    thick = POST.model_copy(update={"radius": POST.radius + 0.06})
+    wide = near.model_copy(update={"radius": near.radius + 0.06})
+    assert Collisions(ROBOT, (wide,)).at(HOME)
+    planner.call(KEYS.settings, SettingsChange(margin=0.08), PlannerSettings, timeout=PATIENCE)
     try:
-        with pytest.raises(ZarmError, match="too near") as caught:
-            plan(planner, goal)
-        assert caught.value.code == "goal_in_collision"
+        load(planner, POST)
+        around = assert_sound(plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST))), HOME, (thick,))
+        assert np.allclose(around, BEHIND_POST, atol=1e-6)
+        load(planner, near)
+        answer = plan(planner, PlanRequest(start=BEHIND_POST, goal=to_joints(*HOME)))
+        assert np.allclose(assert_sound(answer, BEHIND_POST, (near,)), HOME, atol=1e-6)
     finally:
         planner.call(KEYS.settings, SettingsChange(margin=0.005), PlannerSettings, timeout=PATIENCE)

@@ -101,16 +101,13 @@ def goal_ends(
     obstacles = []
     for q in candidates:
         nearest = snapshot.exact.nearest(q)
-        to_objects = snapshot.exact.nearest(q, itself=False)
-        if nearest.distance > 0.0 and to_objects.distance <= snapshot.world.margin:
-            obstacles.append(to_objects)
-        elif nearest.distance > 0.0 and (end := _end(snapshot, q, seed, stop)):
+        if nearest.distance > 0.0 and (end := _end(snapshot, q, seed, stop)):
             ends.append(end)
         else:
             obstacles.append(nearest)
     if not ends:
         nearest = max(obstacles, key=lambda nearest: nearest.distance)
-        reason = f"in collision: {_overlap(nearest)}" if nearest.distance <= 0.0 else f"too near: {_gap(nearest)}"
+        reason = f"in collision: {_overlap(nearest)}" if nearest.distance <= 0.0 else f"out of reach: {_gap(nearest)}"
         ways = f" in all {len(candidates)} ways to reach it" if len(candidates) > 1 else ""
         raise PlanningFailed(
             f"the goal is{ways} {reason}; choose another one, lower margin, or correct the scene",

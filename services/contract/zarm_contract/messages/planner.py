@@ -203,7 +203,10 @@ class CheckResults(Message):
 
 
 class PlannerSettings(Message):
-    """Defaults for plan requests; `margin` (m) is kept free around the robot by search and goal states."""
+    """Defaults for plan requests; `margin` (m) is kept to objects on the way, except from a start and to a goal that are nearer.
+
+    Of the ways to reach a pose those that keep it are preferred.
+    """
 
     planner: PlannerKind = "auto"
     timeout: Timeout = 5.0
