@@ -17,8 +17,9 @@ from zarm_planner.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-3
-"""By which part of a limit a motion may be over it."""
+TOLERANCE = 2e-4
+"""By which part a motion may be too fast: then velocity is at most so much over its limit, acceleration twice and jerk three
+times as much, all within 0.1 %."""
 MAX_SAMPLES = 15_000
 """The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
 
