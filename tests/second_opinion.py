@@ -10,7 +10,7 @@ import fcl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_contract.messages import Cuboid, Cylinder, Quaternion, SceneObject, Sphere
+from zarm_contract.messages import Attached, Cuboid, Cylinder, Quaternion, SceneObject, Sphere
 from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere, Robot
 from zarm_contract.urdf import Joint
 
@@ -35,33 +35,53 @@ def tip_error(robot: Robot, q: ArrayLike, position: Sequence[float], orientation
 
 
 class Collisions:
-    """Whether the robot's exact geometry touches an object or itself, as the descriptor demands."""
+    """Whether the robot's exact geometry touches an object or itself, as the descriptor and the scene demand.
 
-    def __init__(self, robot: Robot, objects: Sequence[SceneObject]) -> None:
+    What is on one rigid body is not looked at.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        objects: Sequence[SceneObject],
+        attached: Sequence[Attached] = (),
+        ignored_links: Sequence[str] = (),
+    ) -> None:
         descriptor = robot.descriptor
         self._robot = robot
-        self._links = {
+        self._parts = {
             link: [(pose, fcl.CollisionObject(geometry)) for geometry, pose in map(_link_shape, items)]
             for link, items in descriptor.collision.items()
+            if link not in ignored_links
         }
+        self._frame = {name: name for name in self._parts}
+        for one in attached:
+            geometry, pose = _object_shape(one.object)
+            self._parts[one.object.name] = [(pose, fcl.CollisionObject(geometry))]
+            self._frame[one.object.name] = descriptor.tip_link
         self._objects = [_placed(*_object_shape(item)) for item in objects]
         moving = set(descriptor.joints)
-        self._movable = {
-            link
-            for link in self._links
-            if moving & {joint.name for joint in robot.urdf.chain(descriptor.base_link, link)}
+        passed = {
+            name: [joint.name for joint in robot.urdf.chain(descriptor.base_link, frame) if joint.name in moving]
+            for name, frame in self._frame.items()
         }
+        self._movable = {name for name in self._parts if passed[name]}
         ignored = {frozenset(pair) for pair in descriptor.self_collision_ignore}
-        self._pairs = [pair for pair in itertools.combinations(self._links, 2) if frozenset(pair) not in ignored]
+        ignored |= {frozenset((one.object.name, link)) for one in attached for link in one.touch_links}
+        self._pairs = [
+            (a, b)
+            for a, b in itertools.combinations(self._parts, 2)
+            if frozenset((a, b)) not in ignored and passed[a] != passed[b]
+        ]
 
     def at(self, q: ArrayLike) -> bool:
         """Whether there is one at the configuration `q`."""
-        for link, shapes in self._links.items():
-            frame = link_pose(self._robot, link, q)
+        for name, shapes in self._parts.items():
+            frame = link_pose(self._robot, self._frame[name], q)
             for pose, shape in shapes:
                 shape.setTransform(_transform(frame @ pose))
-        return any(self._touch(self._links[link], self._objects) for link in self._movable) or any(
-            self._touch(self._links[a], [shape for _, shape in self._links[b]]) for a, b in self._pairs
+        return any(self._touch(self._parts[name], self._objects) for name in self._movable) or any(
+            self._touch(self._parts[a], [shape for _, shape in self._parts[b]]) for a, b in self._pairs
         )
 
     @staticmethod
