@@ -49,6 +49,7 @@ class Collisions:
     ) -> None:
         descriptor = robot.descriptor
         self._robot = robot
+        self._origins = {child: _origin(joint) for child, joint in robot.urdf.joint_of_child.items()}
         self._parts = {
             link: [(pose, fcl.CollisionObject(geometry)) for geometry, pose in map(_link_shape, items)]
             for link, items in descriptor.collision.items()
@@ -59,7 +60,8 @@ class Collisions:
             geometry, pose = _object_shape(one.object)
             self._parts[one.object.name] = [(pose, fcl.CollisionObject(geometry))]
             self._frame[one.object.name] = descriptor.tip_link
-        self._objects = [_placed(*_object_shape(item)) for item in objects]
+        self._managers = {name: _managed([shape for _, shape in shapes]) for name, shapes in self._parts.items()}
+        self._objects = _managed([_placed(*_object_shape(item)) for item in objects])
         moving = set(descriptor.joints)
         passed = {
             name: [joint.name for joint in robot.urdf.chain(descriptor.base_link, frame) if joint.name in moving]
@@ -76,22 +78,37 @@ class Collisions:
 
     def at(self, q: ArrayLike) -> bool:
         """Whether there is one at the configuration `q`."""
+        poses = {self._robot.descriptor.base_link: np.eye(4)}
+        position = dict(zip(self._robot.descriptor.joints, np.asarray(q), strict=True))
         for name, shapes in self._parts.items():
-            frame = link_pose(self._robot, self._frame[name], q)
+            frame = self._pose(self._frame[name], position, poses)
             for pose, shape in shapes:
                 shape.setTransform(_transform(frame @ pose))
-        return any(self._touch(self._parts[name], self._objects) for name in self._movable) or any(
-            self._touch(self._parts[a], [shape for _, shape in self._parts[b]]) for a, b in self._pairs
+            self._managers[name].update()
+        return any(_touch(self._managers[name], self._objects) for name in self._movable) or any(
+            _touch(self._managers[a], self._managers[b]) for a, b in self._pairs
         )
 
-    @staticmethod
-    def _touch(shapes: list[tuple[Array, fcl.CollisionObject]], others: list[fcl.CollisionObject]) -> bool:
-        return any(
-            fcl.collide(shape, other, _REQUEST, fcl.CollisionResult()) for _, shape in shapes for other in others
-        )
+    def _pose(self, link: str, position: dict[str, float], known: dict[str, Array]) -> Array:
+        """As `link_pose`, with what is known of other links."""
+        if link not in known:
+            joint = self._robot.urdf.joint_of_child[link]
+            parent = self._pose(joint.parent, position, known)
+            known[link] = parent @ self._origins[link] @ _motion(joint, position.get(joint.name, 0.0))
+        return known[link]
 
 
-_REQUEST = fcl.CollisionRequest()
+def _managed(shapes: Sequence[fcl.CollisionObject]) -> fcl.DynamicAABBTreeCollisionManager:
+    manager = fcl.DynamicAABBTreeCollisionManager()
+    manager.registerObjects(shapes)
+    manager.setup()
+    return manager
+
+
+def _touch(some: fcl.DynamicAABBTreeCollisionManager, others: fcl.DynamicAABBTreeCollisionManager) -> bool:
+    found = fcl.CollisionData()
+    some.collide(others, found, fcl.defaultCollisionCallback)
+    return bool(found.result.is_collision)
 
 
 def _link_shape(item: CollisionPrimitive) -> tuple[object, Array]:
