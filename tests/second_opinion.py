@@ -10,7 +10,7 @@ import fcl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_contract.messages import Cuboid, Cylinder, Quaternion, SceneObject, Sphere
+from zarm_contract.messages import Attached, Cuboid, Cylinder, Quaternion, SceneObject, Sphere
 from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere, Robot
 from zarm_contract.urdf import Joint
 
@@ -35,43 +35,80 @@ def tip_error(robot: Robot, q: ArrayLike, position: Sequence[float], orientation
 
 
 class Collisions:
-    """Whether the robot's exact geometry touches an object or itself, as the descriptor demands."""
+    """Whether the robot's exact geometry touches an object or itself, as the descriptor and the scene demand.
 
-    def __init__(self, robot: Robot, objects: Sequence[SceneObject]) -> None:
+    What is on one rigid body is not looked at.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        objects: Sequence[SceneObject],
+        attached: Sequence[Attached] = (),
+        ignored_links: Sequence[str] = (),
+    ) -> None:
         descriptor = robot.descriptor
         self._robot = robot
-        self._links = {
+        self._origins = {child: _origin(joint) for child, joint in robot.urdf.joint_of_child.items()}
+        self._parts = {
             link: [(pose, fcl.CollisionObject(geometry)) for geometry, pose in map(_link_shape, items)]
             for link, items in descriptor.collision.items()
+            if link not in ignored_links
         }
-        self._objects = [_placed(*_object_shape(item)) for item in objects]
+        self._frame = {name: name for name in self._parts}
+        for one in attached:
+            geometry, pose = _object_shape(one.object)
+            self._parts[one.object.name] = [(pose, fcl.CollisionObject(geometry))]
+            self._frame[one.object.name] = descriptor.tip_link
+        self._managers = {name: _managed([shape for _, shape in shapes]) for name, shapes in self._parts.items()}
+        self._objects = _managed([_placed(*_object_shape(item)) for item in objects])
         moving = set(descriptor.joints)
-        self._movable = {
-            link
-            for link in self._links
-            if moving & {joint.name for joint in robot.urdf.chain(descriptor.base_link, link)}
+        passed = {
+            name: [joint.name for joint in robot.urdf.chain(descriptor.base_link, frame) if joint.name in moving]
+            for name, frame in self._frame.items()
         }
+        self._movable = {name for name in self._parts if passed[name]}
         ignored = {frozenset(pair) for pair in descriptor.self_collision_ignore}
-        self._pairs = [pair for pair in itertools.combinations(self._links, 2) if frozenset(pair) not in ignored]
+        ignored |= {frozenset((one.object.name, link)) for one in attached for link in one.touch_links}
+        self._pairs = [
+            (a, b)
+            for a, b in itertools.combinations(self._parts, 2)
+            if frozenset((a, b)) not in ignored and passed[a] != passed[b]
+        ]
 
     def at(self, q: ArrayLike) -> bool:
         """Whether there is one at the configuration `q`."""
-        for link, shapes in self._links.items():
-            frame = link_pose(self._robot, link, q)
+        poses = {self._robot.descriptor.base_link: np.eye(4)}
+        position = dict(zip(self._robot.descriptor.joints, np.asarray(q), strict=True))
+        for name, shapes in self._parts.items():
+            frame = self._pose(self._frame[name], position, poses)
             for pose, shape in shapes:
                 shape.setTransform(_transform(frame @ pose))
-        return any(self._touch(self._links[link], self._objects) for link in self._movable) or any(
-            self._touch(self._links[a], [shape for _, shape in self._links[b]]) for a, b in self._pairs
+            self._managers[name].update()
+        return any(_touch(self._managers[name], self._objects) for name in self._movable) or any(
+            _touch(self._managers[a], self._managers[b]) for a, b in self._pairs
         )
 
-    @staticmethod
-    def _touch(shapes: list[tuple[Array, fcl.CollisionObject]], others: list[fcl.CollisionObject]) -> bool:
-        return any(
-            fcl.collide(shape, other, _REQUEST, fcl.CollisionResult()) for _, shape in shapes for other in others
-        )
+    def _pose(self, link: str, position: dict[str, float], known: dict[str, Array]) -> Array:
+        """As `link_pose`, with what is known of other links."""
+        if link not in known:
+            joint = self._robot.urdf.joint_of_child[link]
+            parent = self._pose(joint.parent, position, known)
+            known[link] = parent @ self._origins[link] @ _motion(joint, position.get(joint.name, 0.0))
+        return known[link]
 
 
-_REQUEST = fcl.CollisionRequest()
+def _managed(shapes: Sequence[fcl.CollisionObject]) -> fcl.DynamicAABBTreeCollisionManager:
+    manager = fcl.DynamicAABBTreeCollisionManager()
+    manager.registerObjects(shapes)
+    manager.setup()
+    return manager
+
+
+def _touch(some: fcl.DynamicAABBTreeCollisionManager, others: fcl.DynamicAABBTreeCollisionManager) -> bool:
+    found = fcl.CollisionData()
+    some.collide(others, found, fcl.defaultCollisionCallback)
+    return bool(found.result.is_collision)
 
 
 def _link_shape(item: CollisionPrimitive) -> tuple[object, Array]:

@@ -293,6 +293,25 @@ def test_an_object_without_its_dimensions_is_refused_by_field(up: Up) -> None:
     assert "ghost" in refused(up, "scene", "remove", "ghost")
 
 
+def test_the_robot_picks_up_and_puts_down(up: Up, empty_scene: None) -> None:
+    done(up, "scene", "add", "sphere", "ball", "--at", "0.559,0.034,0.551", "--radius", "0.03")
+    assert data(up, "scene", "attach", "ball", "--touch", "link_5", "--touch", "link_4")["count"] == 0
+    carried = data(up, "scene", "list")["attached"][0]
+    assert (carried["object"]["name"], carried["touch_links"]) == ("ball", ["link_5", "link_4"])
+    assert "carries ball" in done(up, "scene", "list")
+    assert "link_9" in refused(up, "scene", "attach", "ball", "--touch", "link_9")
+    assert data(up, "scene", "detach", "ball", "--joints", vector(HOME))["count"] == 1
+    assert "does not carry ball" in refused(up, "scene", "detach", "ball")
+
+
+def test_links_are_switched_off_and_on(up: Up, empty_scene: None) -> None:
+    done(up, "scene", "links", "link_6", "link_5", "--off")
+    assert data(up, "scene", "list")["ignored_links"] == ["link_6", "link_5"]
+    assert "not looked at: link_6, link_5" in done(up, "scene", "list")
+    done(up, "scene", "links", "link_5", "link_6", "--on")
+    assert data(up, "scene", "list")["ignored_links"] == []
+
+
 # -- kinematics --
 
 
@@ -314,6 +333,9 @@ def test_check_tells_what_a_configuration_would_hit(up: Up, empty_scene: None) -
     assert result["in_collision"] is True
     assert "ball" in result["pair"]
     assert "ball" in done(up, "check", "--joints", vector(HOME))
+    assert "spheres" not in done(up, "check", "--joints", vector(HOME))
+    assert "spheres" in done(up, "check", "--joints", vector(HOME), "--spheres")
+    assert min(data(up, "check", "--joints", vector(HOME), "--spheres")["results"][0]["spheres"]) < 0.0
 
 
 # -- looking --

@@ -71,11 +71,17 @@ def ik(
             out.print(f"{numbers(solution, 4)}   ({degrees(solution)} deg)")
 
 
-def check(at: At = None, as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
+def check(
+    at: At = None,
+    spheres: Annotated[bool, typer.Option("--spheres", help="The distance of each collision sphere as well.")] = False,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
     """How close the robot comes to the scene and to itself at these joint positions."""
     where = joints(at, "--joints")
     with connected(connect, name) as client:
-        request = message(CheckRequest, joints=None if where is None else [where])
+        request = message(CheckRequest, joints=None if where is None else [where], spheres=spheres)
         results = client.ask(client.keys.check, CheckResults, request)
     if as_json:
         print_json(results)
@@ -89,5 +95,6 @@ def check(at: At = None, as_json: AsJson = False, connect: Connect = DEFAULT_END
                 f"{result.clearance * 1e3:.1f} mm" + (f" ({' - '.join(result.pair)})" if result.pair else ""),
             ),
             ("limits", "held" if result.within_limits else "violated"),
+            *([] if result.spheres is None else [("spheres", f"{numbers(result.spheres)} m")]),
         )
     )

@@ -10,7 +10,7 @@ import typer
 import yaml
 from rich.table import Table
 
-from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, message
+from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import counted, numbers, out, print_json
 from zarm_cli.planning import read_bytes, write_text
 from zarm_contract.errors import InvalidRequest
@@ -22,13 +22,13 @@ app = typer.Typer(no_args_is_help=True, help="Show and change the objects that m
 
 @app.command("list")
 def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """List the objects."""
+    """List the objects, what the robot carries, and the links that are not looked at."""
     scene = _read(connect, name)
     if as_json:
         print_json(scene)
         return
     table = Table("name", "kind", "position (m)", "orientation (x, y, z, w)", "dimensions (m)", box=None)
-    for one in scene.objects:
+    for one in (*scene.objects, *(carried.object for carried in scene.attached)):
         fields = one.model_dump(exclude={"kind", "name", "position", "orientation"})
         table.add_row(
             one.name,
@@ -39,7 +39,13 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
                 f"{key} {numbers(value if isinstance(value, tuple) else (value,))}" for key, value in fields.items()
             ),
         )
-    out.print(table if scene.objects else "the scene is empty", f"revision {scene.revision}", sep="\n")
+    out.print(table if table.rows else "the scene is empty")
+    for carried in scene.attached:
+        touches = f"; it may touch {', '.join(carried.touch_links)}" if carried.touch_links else ""
+        out.print(f"the robot carries {carried.object.name}, placed from its tip{touches}")
+    if scene.ignored_links:
+        out.print(f"links that are not looked at: {', '.join(scene.ignored_links)}")
+    out.print(f"revision {scene.revision}")
 
 
 @app.command()
@@ -87,6 +93,52 @@ def clear(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Na
     _edit(connect, name, as_json, op="clear")
 
 
+At = Annotated[
+    str | None,
+    typer.Option("--joints", metavar="A,B,C,...", help="Where the robot is (rad); left out: the measured joints."),
+]
+
+
+@app.command()
+def attach(
+    object_name: Annotated[str, typer.Argument(metavar="NAME")],
+    touch: Annotated[
+        list[str] | None, typer.Option(metavar="LINK", help="A link that it may touch; repeatable.")
+    ] = None,
+    at: At = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """From now on the robot carries an object: `zarm scene attach box --touch link_5`."""
+    where = joints(at, "--joints")
+    _edit(connect, name, as_json, op="attach", name=object_name, touch_links=touch or [], joints=where)
+
+
+@app.command()
+def detach(
+    object_name: Annotated[str, typer.Argument(metavar="NAME")],
+    at: At = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Put down what the robot carries, where it is now."""
+    _edit(connect, name, as_json, op="detach", name=object_name, joints=joints(at, "--joints"))
+
+
+@app.command()
+def links(
+    names: Annotated[list[str], typer.Argument(metavar="LINK...")],
+    enabled: Annotated[bool, typer.Option("--on/--off", help="Look at their collisions, or no longer.")],
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Switch the collisions of links of the robot off, and on again: `zarm scene links link_6 --off`."""
+    _edit(connect, name, as_json, op="links", names=names, enabled=enabled)
+
+
 @app.command()
 def load(
     file: Annotated[Path, typer.Argument(help="YAML: `objects`, a list with the fields that `scene save` writes.")],
@@ -119,9 +171,9 @@ def _read(connect: str, name: str | None) -> Scene:
         return client.ask(client.keys.scene, Scene)
 
 
-def _edit(connect: str, name: str | None, as_json: bool, **edit: object) -> None:
+def _edit(connect: str, robot: str | None, as_json: bool, **edit: object) -> None:
     request = message(SceneEdit, edit=edit)
-    with connected(connect, name) as client:
+    with connected(connect, robot) as client:
         _apply(client, request, as_json)
 
 

@@ -11,11 +11,13 @@ import numpy as np
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
+    AttachObject,
     CancelledPlan,
     CancelPlan,
     CheckRequest,
     CheckResult,
     CheckResults,
+    DetachObject,
     FkPoses,
     FkRequest,
     IkRequest,
@@ -25,6 +27,9 @@ from zarm_contract.messages import (
     PlannerSettings,
     PlanRequest,
     PlanTimings,
+    Scene,
+    SceneEdit,
+    SetLinkCollision,
     SettingsChange,
 )
 from zarm_planner.ends import Snapshot
@@ -37,6 +42,7 @@ from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.running import Running
 from zarm_planner.scene import SceneStore
+from zarm_planner.sphere_distances import sphere_distances
 from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
@@ -125,14 +131,13 @@ class Planner:
         near = self._measured_or_home() if request.near is None else checked(model, request.near, "near")
 
         def work(stop: Stop) -> IkSolutions:
-            world = self._look().world if request.collision_free else None
-            solutions = []
+            snapshot, solutions = self._look(), []
             for pose in request.poses:
                 found = solve_ik(
-                    model,
+                    snapshot.model,
                     matrix(pose.position, pose.orientation),
                     near,
-                    world=world,
+                    world=snapshot.world if request.collision_free else None,
                     max_solutions=request.max_solutions,
                     seed=request.seed,
                     stop=stop,
@@ -157,21 +162,57 @@ class Planner:
             joints = [checked(model, q, f"joints.{i}") for i, q in enumerate(request.joints)]
 
         def work(stop: Stop) -> CheckResults:
-            exact, results = self._look().exact, []
+            snapshot, results = self._look(), []
             for q in joints:
                 stop.check()
-                nearest = exact.nearest(q)
+                nearest = snapshot.exact.nearest(q)
+                spheres = tuple(sphere_distances(model, snapshot.world, q).tolist()) if request.spheres else None
                 results.append(
                     CheckResult(
                         in_collision=nearest.distance <= 0.0,
                         within_limits=bool(np.all((q >= model.lower) & (q <= model.upper))),
                         clearance=nearest.distance,
                         pair=nearest.pair,
+                        spheres=spheres,
                     )
                 )
             return CheckResults(results=tuple(results))
 
         return self._running.run(work, _BATCH_TIMEOUT)
+
+    def edit(self, request: SceneEdit) -> Scene:
+        """Apply an edit of the scene and return the result.
+
+        Raises InvalidRequest for a fault of the edit, ExecutionRefused where it needs joints and nothing is measured, and
+        Unavailable where it cannot be saved; then nothing has changed.
+        """
+        match request.edit:
+            case SetLinkCollision(names=names, enabled=enabled):
+                self._check_links(names, "edit.names")
+                if not enabled and {*self._model.links} <= {*names, *self._store.scene.ignored_links}:
+                    raise InvalidRequest(
+                        "no link would be looked at any more, so that nothing would keep the robot from colliding; leave one",
+                        field="edit.names",
+                    )
+            case AttachObject(name=name, touch_links=touch_links):
+                self._check_links(touch_links, "edit.touch_links")
+                if name in self._model.links:
+                    raise InvalidRequest(
+                        f"{name} is a link of the robot; add the object under another name", field="edit.name"
+                    )
+        if not isinstance(request.edit, AttachObject | DetachObject):
+            return self._store.edit(request)
+        given = request.edit.joints
+        q = self._measured() if given is None else checked(self._model, given, "edit.joints")
+        return self._store.edit(request, self._model.fk_tip(q))
+
+    def _check_links(self, names: tuple[str, ...], field: str) -> None:
+        links = self._model.links
+        for i, name in enumerate(names):
+            if name not in links:
+                raise InvalidRequest(
+                    f"{name} is no link that can collide; those are {', '.join(links)}", field=f"{field}.{i}"
+                )
 
     def change_settings(self, change: SettingsChange) -> PlannerSettings:
         """Apply what the change names, all of it at once, and return all settings."""
@@ -185,8 +226,9 @@ class Planner:
             scene, margin = self._store.scene, self._settings.margin
             ready = self._snapshot
             if ready is None or (ready.revision, ready.world.margin) != (scene.revision, margin):
+                model = self._model.carrying(scene.attached, scene.ignored_links)
                 world = World(scene.objects, margin)
-                ready = Snapshot(scene.revision, self._model, world, ExactScene(self._model, world))
+                ready = Snapshot(scene.revision, model, world, ExactScene(model, world))
                 self._snapshot = ready
             return ready
 

@@ -3,23 +3,47 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Vector3
+from zarm_contract.messages import Attached, Vector3
 from zarm_contract.robot import Robot
 from zarm_contract.urdf import Joint
+from zarm_planner.cover import cover
 from zarm_planner.frames import rotation_to
 from zarm_planner.kernels.arrays import RobotArrays
 from zarm_planner.kernels.kinematics import frames
 from zarm_planner.kernels.lanes import LANES
-from zarm_planner.shapes import Shape, link_shape
+from zarm_planner.shapes import Shape, link_shape, object_shape
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Body:
+    """What collides as one: a link, or an object that the robot carries.
+
+    It is fixed at `pose` (4, 4) to the moving joint `joint`, or to the base where that is -1. In its own frame `balls`
+    (n, 4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies that `touches` names.
+    """
+
+    name: str
+    joint: int
+    pose: Array
+    balls: Array
+    shapes: tuple[Shape, ...]
+    touches: frozenset[str]
+
+    @property
+    def placed_balls(self) -> Array:
+        """The balls (n, 4) in the joint's frame."""
+        return np.column_stack((self.balls[:, :3] @ self.pose[:3, :3].T + self.pose[:3, 3], self.balls[:, 3]))
 
 
 @dataclass(frozen=True)
@@ -27,9 +51,9 @@ class RobotModel:
     """One robot in arrays; every joint vector follows the descriptor's `joints`, every pose is in its `base_link`.
 
     `lower`, `upper` (rad, m for a prismatic joint), `velocity`, `acceleration` and `jerk` have the shape (dof,).
-    `links` are those that carry geometry; `link_joint` (links,) is the moving joint that carries each, -1 for the base.
-    `pairs` (n, 2) are the indices in `links` of the pairs that can collide with each other: all except the descriptor's
-    `self_collision_ignore` and links on one rigid body. `parts` are the exact shapes, each with the index of the link in
+    `bodies` are all that can collide, in kinematic order, and `links` their names; `link_joint` (links,) is the moving
+    joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other: all
+    except what may touch, and what is on one rigid body. `parts` are the exact shapes, each with the index of the link in
     whose frame it is.
     """
 
@@ -40,6 +64,7 @@ class RobotModel:
     velocity: Array
     acceleration: Array
     jerk: Array
+    bodies: tuple[Body, ...]
     links: tuple[str, ...]
     link_joint: NDArray[np.int32]
     pairs: NDArray[np.int32]
@@ -52,33 +77,45 @@ class RobotModel:
 
     @classmethod
     def of(cls, robot: Robot) -> Self:
-        """Pack a robot."""
+        """Pack a robot that carries nothing."""
         descriptor = robot.descriptor
         origins, tip = _along(robot.urdf.chain(descriptor.base_link, descriptor.tip_link))
-        mounts: dict[str, tuple[int, Array]] = {}
-        for link in descriptor.spheres:
-            passed, pose = _along(robot.urdf.chain(descriptor.base_link, link))
-            mounts[link] = (len(passed) - 1, pose)
-        # Links in kinematic order, so that kernels finish the links of one joint before they move on to the next.
-        links = tuple(sorted(mounts, key=lambda link: mounts[link][0]))
-        link_joint = np.array([mounts[link][0] for link in links], np.int32)
-        offset = np.array([*(mounts[link][1] for link in links), tip])
-        origin = np.array(origins)
+        bodies = [_link(robot, link) for link in descriptor.spheres]
+        return cls._packed(robot, np.array(origins), tip, bodies)
+
+    def carrying(self, attached: Sequence[Attached], ignored_links: Sequence[str]) -> Self:
+        """This robot with one more body for each object that it carries, and without the links that are ignored.
+
+        A carried object is fixed to the tip and named as in the scene; it may touch its `touch_links`.
+        """
+        if not attached and not ignored_links:
+            return self
+        tip = self.offset[-1]
+        bodies = [body for body in self.bodies if body.name not in ignored_links]
+        for item in attached:
+            shape = object_shape(item.object)
+            bodies.append(
+                Body(shape.name, self.dof - 1, tip, cover(shape), (shape,), touches=frozenset(item.touch_links))
+            )
+        return self._packed(self.robot, self.origin, tip, bodies)
+
+    @classmethod
+    def _packed(cls, robot: Robot, origin: Array, tip: Array, bodies: Sequence[Body]) -> Self:
+        """The model of a robot with these bodies; `origin` (dof, 3, 4) and `tip` (4, 4) as in `_along`."""
+        descriptor = robot.descriptor
+        # In kinematic order, so that kernels finish the links of one joint before they move on to the next.
+        bodies = sorted(bodies, key=lambda body: body.joint)
+        link_joint = np.array([body.joint for body in bodies], np.int32)
         moving = {joint.name: joint for joint in robot.urdf.joint_of_child.values()}
         revolute = np.array([moving[name].type != "prismatic" for name in descriptor.joints])
-        ignored = {frozenset(pair) for pair in descriptor.self_collision_ignore}
         pairs = [
-            (a, b)
-            for a in range(len(links))
-            for b in range(a + 1, len(links))
-            if link_joint[a] != link_joint[b] and frozenset((links[a], links[b])) not in ignored
+            (i, j)
+            for (i, a), (j, b) in combinations(enumerate(bodies), 2)
+            if a.joint != b.joint and a.name not in b.touches and b.name not in a.touches
         ]
-        lower, upper = np.array(robot.lower), np.array(robot.upper)
         pair_array = np.array(pairs, np.int32).reshape(-1, 2)
-        spheres = [
-            np.array([[*(pose[:3] @ [*ball.center, 1.0]), ball.radius] for ball in descriptor.spheres[link]])
-            for link, pose in zip(links, offset, strict=False)
-        ]
+        lower, upper = np.array(robot.lower), np.array(robot.upper)
+        spheres = [body.placed_balls for body in bodies]
         reach = _reach(origin, revolute, np.maximum(abs(lower), abs(upper)), link_joint, spheres)
         return cls(
             robot=robot,
@@ -88,15 +125,14 @@ class RobotModel:
             velocity=np.array(descriptor.cspace.velocity),
             acceleration=np.array(descriptor.cspace.acceleration),
             jerk=np.array(descriptor.cspace.jerk),
-            links=links,
+            bodies=tuple(bodies),
+            links=tuple(body.name for body in bodies),
             link_joint=link_joint,
             pairs=pair_array,
-            parts=tuple(
-                (i, link_shape(link, item)) for i, link in enumerate(links) for item in descriptor.collision[link]
-            ),
+            parts=tuple((i, shape) for i, body in enumerate(bodies) for shape in body.shapes),
             origin=origin,
             revolute=revolute,
-            offset=offset,
+            offset=np.array([*(body.pose for body in bodies), tip]),
             weight=_weight(reach),
             arrays=RobotArrays(
                 origin=origin.astype(np.float32),
@@ -129,6 +165,21 @@ class RobotModel:
         out = np.empty((len(flat), len(joint), 4, 4))
         frames(self.origin, self.revolute, joint, offset, flat, out)
         return out.reshape(*joints.shape[:-1], len(joint), 4, 4)
+
+
+def _link(robot: Robot, link: str) -> Body:
+    """A link of the descriptor as a body; it may touch the links that it stands beside in `self_collision_ignore`."""
+    descriptor = robot.descriptor
+    passed, pose = _along(robot.urdf.chain(descriptor.base_link, link))
+    beside = [set(pair) for pair in descriptor.self_collision_ignore if link in pair]
+    return Body(
+        name=link,
+        joint=len(passed) - 1,
+        pose=pose,
+        balls=np.array([[*ball.center, ball.radius] for ball in descriptor.spheres[link]]),
+        shapes=tuple(link_shape(link, item) for item in descriptor.collision[link]),
+        touches=frozenset().union(*beside),
+    )
 
 
 def _along(chain: tuple[Joint, ...]) -> tuple[list[Array], Array]:

@@ -9,24 +9,34 @@ import time
 from pathlib import Path
 from typing import Literal, assert_never
 
+import numpy as np
+from numpy.typing import NDArray
+
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import (
     MAX_OBJECTS,
     AddObjects,
+    AttachObject,
     ClearScene,
     Cuboid,
+    DetachObject,
     LoadScene,
     Message,
     RemoveObjects,
     Scene,
     SceneEdit,
     SceneObject,
+    SetLinkCollision,
     Sphere,
 )
+from zarm_planner.carrying import attach, detach, refuse_carried, set_links
 
 log = logging.getLogger(__name__)
 
+Array = NDArray[np.float64]
+
+_AT_BASE = np.eye(4)
 _FARTHEST = 1e3
 _THINNEST = 1e-4
 
@@ -63,14 +73,14 @@ class SceneStore:
         """The present scene, which never changes; an edit makes a new one."""
         return self._scene
 
-    def edit(self, request: SceneEdit) -> Scene:
-        """Apply an edit, save the result and return it.
+    def edit(self, request: SceneEdit, tip: Array = _AT_BASE) -> Scene:
+        """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
 
         Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved; then nothing has changed.
         """
         with self._lock:
-            objects = _edited({item.name: item for item in self._scene.objects}, request)
-            scene = Scene(revision=self._scene.revision + 1, objects=tuple(objects.values()))
+            scene = _edited(self._scene, request, tip)
+            scene = scene.model_copy(update={"revision": self._scene.revision + 1})
             try:
                 _replace(self._path, encode(_File(scene=scene)))
             except OSError as error:
@@ -107,25 +117,36 @@ class SceneStore:
         return Scene(revision=int(time.time()))
 
 
-def _edited(objects: dict[str, SceneObject], request: SceneEdit) -> dict[str, SceneObject]:
-    """The objects after an edit, by name, in the order in which they came."""
+def _edited(scene: Scene, request: SceneEdit, tip: Array) -> Scene:
+    """The scene after an edit, still of the same revision; objects stay in the order in which they came."""
+    objects = {item.name: item for item in scene.objects}
     match request.edit:
+        case AttachObject() as edit:
+            return attach(scene, edit, tip)
+        case DetachObject() as edit:
+            return detach(scene, edit, tip)
+        case SetLinkCollision() as edit:
+            return set_links(scene, edit)
         case ClearScene():
-            return {}
+            objects = {}
         case RemoveObjects(names=names):
+            refuse_carried(scene, names, "edit.names.{}")
             for index, name in enumerate(names):
                 if name not in objects:
                     raise InvalidRequest(
                         f"there is no object {name} in the scene; read the names from the scene first",
                         field=f"edit.names.{index}",
                     )
-            return {name: item for name, item in objects.items() if name not in names}
+            objects = {name: item for name, item in objects.items() if name not in names}
         case LoadScene(objects=items):
-            return _added({}, items, replace=False)
+            refuse_carried(scene, [item.name for item in items], "edit.objects.{}.name")
+            objects = _added({}, items, replace=False)
         case AddObjects(objects=items, replace=replace):
-            return _added(objects, items, replace)
+            refuse_carried(scene, [item.name for item in items], "edit.objects.{}.name")
+            objects = _added(objects, items, replace)
         case unknown:
             assert_never(unknown)
+    return scene.model_copy(update={"objects": tuple(objects.values())})
 
 
 def _added(objects: dict[str, SceneObject], items: tuple[SceneObject, ...], replace: bool) -> dict[str, SceneObject]:

@@ -84,7 +84,7 @@ def start(service: Service) -> Iterator[None]:
         return answer
 
     try:
-        _serve_scene(service, store)
+        _serve_scene(service, store.scene, planner.edit)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
         bus.serve(keys.plan_cancel, CancelPlan, planner.cancel)
         bus.serve(keys.plan, PlanRequest, when_warm(plan), workers=(os.cpu_count() or 1) + PLANS_WAITING, backlog=0)
@@ -99,8 +99,8 @@ def start(service: Service) -> Iterator[None]:
         planner.close()
 
 
-def _serve_scene(service: Service, store: SceneStore) -> None:
-    """Answer for the scene and its objects, and publish every change."""
+def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Scene]) -> None:
+    """Answer for the scene, which is `now`, and its objects; `change` it where asked to, and publish every change."""
     bus, keys = service.bus, service.keys
     revision = bus.latched(keys.scene_revision, SceneEdited)
     whole = bus.latched(keys.scene, Scene)
@@ -122,9 +122,9 @@ def _serve_scene(service: Service, store: SceneStore) -> None:
         return answer
 
     def edit(request: SceneEdit) -> SceneEdited:
-        return show(store.edit(request))
+        return show(change(request))
 
-    show(store.scene)
+    show(now)
     bus.serve(keys.scene_edit, SceneEdit, edit, workers=1)
 
 

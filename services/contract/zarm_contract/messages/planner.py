@@ -185,8 +185,8 @@ class CheckRequest(Message):
 class CheckResult(Message):
     """Exact distance of one configuration. `clearance` < 0 is the depth of penetration (m); `pair` names the nearest two.
 
-    `spheres` (m) are the distances of the robot's collision spheres to the scene, link by link in the descriptor's order,
-    capped at 1 m.
+    `spheres` (m) are the distances of the robot's collision spheres to the scene's objects, link by link in the
+    descriptor's order, below 0 inside one and capped at 1 m; those of links on the base and of ignored ones are there too.
     """
 
     in_collision: bool

@@ -115,7 +115,7 @@ class Scene(Message):
 
 
 class AddObjects(Message):
-    """Add objects; a name that exists is refused unless `replace`."""
+    """Add objects; a name that exists is refused unless `replace`, that of a carried object always."""
 
     op: Literal["add"]
     objects: tuple[Annotated[SceneObject | PointCloud, Field(discriminator="kind")], ...] = Field(
@@ -125,20 +125,20 @@ class AddObjects(Message):
 
 
 class RemoveObjects(Message):
-    """Remove objects by name; an unknown name is refused."""
+    """Remove objects by name; an unknown name is refused, and that of a carried object: detach it first."""
 
     op: Literal["remove"]
     names: tuple[Name, ...] = Field(min_length=1)
 
 
 class ClearScene(Message):
-    """Remove every object."""
+    """Remove every object; what is attached, and which links are ignored, stays."""
 
     op: Literal["clear"]
 
 
 class LoadScene(Message):
-    """Replace every object at once; what is attached, and which links are ignored, stays."""
+    """Replace every object at once; what is attached, and which links are ignored, stays. Names must not be carried ones."""
 
     op: Literal["load"]
     objects: tuple[SceneObject, ...] = Field(max_length=MAX_OBJECTS)
@@ -147,7 +147,8 @@ class LoadScene(Message):
 class AttachObject(Message):
     """From now on the robot carries an object of the scene; it keeps its place seen from the tip at `joints`.
 
-    `joints` left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers.
+    `joints` left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers; links on one rigid
+    body with the tip are never checked against it. Meshes and voxels cannot be carried.
     """
 
     op: Literal["attach"]
@@ -165,7 +166,7 @@ class DetachObject(Message):
 
 
 class SetLinkCollision(Message):
-    """Look at the collisions of these links of the robot, or no longer."""
+    """Look at the collisions of these links of the robot, or no longer; one link at least stays."""
 
     op: Literal["links"]
     names: tuple[str, ...] = Field(min_length=1, max_length=64)

@@ -1,0 +1,214 @@
+"""What the robot carries, over the bus: attached and detached where the robot is measured, planned with, published, kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import PATIENCE, ServiceProcess, eventually, router
+from second_opinion import Collisions, link_pose
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed, Unavailable
+from zarm_contract.keys import Keys
+from zarm_contract.messages import (
+    AddObjects,
+    AttachObject,
+    Capsule,
+    CheckRequest,
+    CheckResults,
+    Cuboid,
+    DetachObject,
+    IkRequest,
+    IkSolutions,
+    JointGoal,
+    JointState,
+    LoadScene,
+    Nothing,
+    Plan,
+    PlanRequest,
+    Pose,
+    Scene,
+    SceneEdit,
+    SceneEdited,
+    SceneObject,
+    SetLinkCollision,
+)
+from zarm_contract.robot import load_robot
+from zarm_executor.checks import executable
+
+ROBOT = load_robot("doosan_m1013")
+KEYS = Keys("doosan_m1013")
+HOME = ROBOT.descriptor.home
+SWUNG = (1.2, *HOME[1:])
+
+TIP = link_pose(ROBOT, ROBOT.descriptor.tip_link, HOME)
+X, Y, Z = TIP[:3, 3].tolist()
+POLE = Capsule(kind="capsule", name="pole", position=(X, Y, Z - 0.25), radius=0.02, length=0.3)
+"""Hangs down from the tip at HOME."""
+
+
+def wall() -> Cuboid:
+    """Half-way from HOME to SWUNG, so low that the bare robot passes above it."""
+    x, y, _ = link_pose(ROBOT, ROBOT.descriptor.tip_link, (0.6, *HOME[1:]))[:3, 3].tolist()
+    return Cuboid(kind="cuboid", name="wall", position=(x, y, (Z - 0.2) / 2), size=(0.1, 0.1, Z - 0.2))
+
+
+@pytest.fixture(scope="module")
+def planner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+    """A session to a planner that is ready; each test gives it the scene it needs."""
+    with (
+        router() as place,
+        Bus(place) as bus,
+        ServiceProcess("planner", place, tmp_path_factory.mktemp("planner")) as process,
+    ):
+        process.wait_ready(bus, KEYS)
+        yield bus
+        assert process.process.poll() is None
+
+
+def edit(bus: Bus, what: AddObjects | AttachObject | DetachObject | LoadScene | SetLinkCollision) -> SceneEdited:
+    return bus.call(KEYS.scene_edit, SceneEdit(edit=what), SceneEdited, timeout=PATIENCE)
+
+
+def begin(bus: Bus, *objects: SceneObject) -> SceneEdited:
+    """A scene in which nothing is carried and all links are looked at."""
+    for carried in scene(bus).attached:
+        edit(bus, DetachObject(op="detach", name=carried.object.name, joints=HOME))
+    edit(bus, SetLinkCollision(op="links", names=tuple(ROBOT.descriptor.spheres), enabled=True))
+    return edit(bus, LoadScene(op="load", objects=objects))
+
+
+def scene(bus: Bus) -> Scene:
+    return bus.call(KEYS.scene, Nothing(), Scene, timeout=PATIENCE)
+
+
+def attach(bus: Bus, name: str) -> SceneEdited:
+    return edit(bus, AttachObject(op="attach", name=name, joints=HOME))
+
+
+def plan(bus: Bus, request: PlanRequest) -> Plan:
+    return bus.call(KEYS.plan, request, Plan, timeout=PATIENCE)
+
+
+def swing(bus: Bus, goal: tuple[float, ...] = SWUNG) -> Plan:
+    return plan(bus, PlanRequest(start=HOME, goal=JointGoal(kind="joints", position=goal)))
+
+
+def hits(plan: Plan, now: Scene) -> bool:
+    path = executable(plan.trajectory, ROBOT)
+    collisions = Collisions(ROBOT, now.objects, now.attached, now.ignored_links)
+    return any(collisions.at(path.at(t)[0]) for t in np.linspace(0.0, path.duration, int(path.duration / 0.004) + 2))
+
+
+def test_a_motion_leads_around_what_only_the_carried_object_would_hit(planner: Bus) -> None:
+    begin(planner, POLE, wall())
+    edited = attach(planner, "pole")
+    loaded = scene(planner)
+    assert [one.object.name for one in loaded.attached] == ["pole"]
+    with_pole = swing(planner)
+    assert with_pole.scene_revision == edited.revision
+    assert not hits(with_pole, loaded)
+    begin(planner, wall())
+    bare = swing(planner)
+    assert not hits(bare, scene(planner))
+    assert hits(bare, loaded)
+
+
+def test_the_robot_without_its_links_moves_through_what_they_would_hit(planner: Bus) -> None:
+    begin(planner, POLE.model_copy(update={"radius": 0.1}))
+    with pytest.raises(PlanningFailed, match="start is in collision"):
+        swing(planner)
+    (hit,) = planner.call(KEYS.check, CheckRequest(joints=(HOME,)), CheckResults, timeout=PATIENCE).results
+    assert hit.pair is not None
+    edit(planner, SetLinkCollision(op="links", names=("link_5", "link_6"), enabled=False))
+    (free,) = planner.call(KEYS.check, CheckRequest(joints=(HOME,)), CheckResults, timeout=PATIENCE).results
+    assert not free.in_collision
+    assert not hits(swing(planner), scene(planner))
+
+
+def test_a_goal_that_the_carried_object_would_hit_is_refused_with_its_name(planner: Bus) -> None:
+    begin(planner, POLE, wall())
+    attach(planner, "pole")
+    with pytest.raises(PlanningFailed, match=r"pole is \d+\.\d mm inside wall") as refused:
+        swing(planner, (0.6, *HOME[1:]))
+    assert refused.value.code == "goal_in_collision"
+    there = link_pose(ROBOT, ROBOT.descriptor.tip_link, (0.6, *HOME[1:]))[:3, 3].tolist()
+    request = IkRequest(poses=(Pose(position=tuple(there), orientation=(1.0, 0.0, 0.0, 0.0)),), near=HOME)
+    assert planner.call(KEYS.ik, request, IkSolutions, timeout=PATIENCE).solutions == ((),)
+
+
+def test_objects_are_attached_and_detached_where_the_robot_is_measured(planner: Bus) -> None:
+    begin(planner, POLE)
+    attached, detached = AttachObject(op="attach", name="pole"), DetachObject(op="detach", name="pole")
+    with pytest.raises(ExecutionRefused) as refused:
+        edit(planner, attached)
+    assert refused.value.code == "no_joint_state"
+    states = planner.publisher(KEYS.joint_states, JointState)
+
+    def where_measured(q: tuple[float, ...], what: AttachObject | DetachObject) -> SceneEdited:
+        state = JointState(stamp=0.0, joint_names=ROBOT.descriptor.joints, position=q, velocity=(0.0,) * 6)
+
+        def arrived() -> bool:
+            states.put(state)
+            try:
+                return plan(planner, PlanRequest(goal=JointGoal(kind="joints", position=q))).path_length == 0.0
+            except ExecutionRefused:
+                return False
+
+        eventually(arrived, "the planner has received the measured state")
+        states.put(state)
+        return edit(planner, what)
+
+    where_measured(HOME, attached)
+    assert scene(planner).objects == ()
+    where_measured(SWUNG, detached)
+    turned = link_pose(ROBOT, ROBOT.descriptor.tip_link, SWUNG) @ np.linalg.inv(TIP)
+    (pole,) = scene(planner).objects
+    np.testing.assert_allclose(pole.position, (turned @ [*POLE.position, 1.0])[:3], atol=1e-9)
+
+
+def test_a_carried_object_is_no_object_of_the_scene_until_it_is_put_down(planner: Bus) -> None:
+    begin(planner, POLE)
+    seen: list[Scene] = []
+    planner.watch(KEYS.scene, Scene, lambda _, message: seen.append(message))
+    assert attach(planner, "pole").count == 0
+    carried = eventually(
+        lambda: [one for one in seen if one.attached], "the scene with its carried object is published"
+    )
+    assert (carried[0].objects, carried[0].attached[0].object.name) == ((), "pole")
+    with pytest.raises(Unavailable):
+        planner.call(KEYS.scene_object("pole"), Nothing(), Capsule, timeout=PATIENCE)
+    with pytest.raises(InvalidRequest, match="detach it first"):
+        edit(planner, AddObjects(op="add", objects=(POLE,)))
+    assert edit(planner, DetachObject(op="detach", name="pole", joints=HOME)).count == 1
+    put_down = planner.call(KEYS.scene_object("pole"), Nothing(), Capsule, timeout=PATIENCE)
+    np.testing.assert_allclose(put_down.position, POLE.position, atol=1e-9)
+
+
+def test_what_is_carried_survives_a_crash(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    with ServiceProcess("planner", endpoint, tmp_path) as first:
+        first.wait_ready(bus, KEYS)
+        begin(bus, POLE, wall())
+        attach(bus, "pole")
+        before = scene(bus)
+        first.kill()
+    with Bus(endpoint) as fresh, ServiceProcess("planner", endpoint, tmp_path) as second:
+        second.wait_ready(fresh, KEYS)
+        assert scene(fresh) == before
+        assert not hits(swing(fresh), before)
+
+
+def test_a_check_tells_the_distance_of_each_collision_sphere(planner: Bus) -> None:
+    begin(planner, wall())
+    request = CheckRequest(joints=(HOME, (0.6, *HOME[1:])), spheres=True)
+    home, above = planner.call(KEYS.check, request, CheckResults, timeout=PATIENCE).results
+    assert home.spheres is not None
+    assert above.spheres is not None
+    count = sum(len(balls) for balls in ROBOT.descriptor.spheres.values())
+    assert len(home.spheres) == len(above.spheres) == count
+    assert 0.0 < min(above.spheres) < 0.2 < min(home.spheres)
+    without = request.model_copy(update={"spheres": False})
+    assert planner.call(KEYS.check, without, CheckResults, timeout=PATIENCE).results[0].spheres is None
