@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import threading
@@ -39,6 +40,8 @@ from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
 
+log = logging.getLogger(__name__)
+
 _BATCH_TIMEOUT = 60.0
 """Seconds that a batch of kinematics or checks may take."""
 
@@ -63,7 +66,10 @@ class Planner:
         """Compile what plans run on, or load it; `report` is told what comes next."""
         warm_up(self._model, report)
         report("loading the scene")
-        self._look()
+        try:
+            self._look()
+        except Unavailable as error:  # every plan will say so, until the scene is edited
+            log.error("scene cannot be used reason=%s", error)
 
     def close(self) -> None:
         """End all work in hand; from now on there is only Unavailable."""
@@ -164,13 +170,19 @@ class Planner:
             return self._settings
 
     def _look(self) -> Snapshot:
-        """The present scene, made ready for planning once per revision and margin."""
+        """The present scene, made ready for planning once per revision and margin.
+
+        Raises Unavailable while the file of one of its meshes is missing.
+        """
         with self._lock:
             scene, margin = self._store.scene, self._settings.margin
             ready = self._snapshot
             if ready is None or (ready.revision, ready.world.margin) != (scene.revision, margin):
                 ready = Snapshot(
-                    scene.revision, self._model, World(scene.objects, margin), ExactScene(self._model, scene.objects)
+                    scene.revision,
+                    self._model,
+                    World(scene.objects, margin, self._store.meshes),
+                    ExactScene(self._model, scene.objects),
                 )
                 self._snapshot = ready
             return ready

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar
 
 from zarm_contract.errors import Unavailable, ZarmError
@@ -27,6 +28,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_planner.joints import MeasuredJoints
+from zarm_planner.meshes import Meshes
 from zarm_planner.planner import Planner
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
@@ -44,7 +46,7 @@ def start(service: Service) -> Iterator[None]:
     """The planner, from warm-up until the last plan in hand is answered."""
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    store = SceneStore(service.options.state / keys.robot)
+    store = SceneStore(service.options.state / keys.robot, Meshes(service.options.meshes))
     planner = Planner(model, keys.robot, store, MeasuredJoints(model, bus.latest(keys.joint_states, JointState)))
     warm = False
 
@@ -130,7 +132,16 @@ def _serve_scene(service: Service, store: SceneStore) -> None:
 
 def main() -> int:
     """Run the planner of one robot until SIGTERM or SIGINT; the exit code."""
-    return run_service("planner", service_parser("planner"), start)
+    parser = service_parser("planner")
+    parser.add_argument(
+        "--meshes",
+        type=Path,
+        action="append",
+        default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
+        metavar="FOLDER",
+        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES; may stand more than once",
+    )
+    return run_service("planner", parser, start)
 
 
 if __name__ == "__main__":
