@@ -47,6 +47,4 @@ def merged(cells: Cells) -> tuple[Cells, Cells]:
 
 def edges(low: Cells, high: Cells, resolution: float) -> tuple[Array, Array]:
     """Corners (n, 3), in m, of boxes from their first and last cells."""
-    lower: Array = (low - 0.5) * resolution
-    upper: Array = (high + 0.5) * resolution
-    return lower, upper
+    return (low.astype(np.float64) - 0.5) * resolution, (high.astype(np.float64) + 0.5) * resolution
