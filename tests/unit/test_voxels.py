@@ -34,7 +34,7 @@ def test_every_point_lies_in_a_box(resolution: float) -> None:
 
 
 def test_a_cell_is_occupied_once_and_only_where_a_point_is() -> None:
-    assert occupied([(0.009, 0.0, -0.009), (0.0, 0.0, 0.0), (0.031, -0.011, 0.0)], 0.02).tolist() == [
+    assert occupied(np.array([(0.009, 0.0, -0.009), (0.0, 0.0, 0.0), (0.031, -0.011, 0.0)]), 0.02).tolist() == [
         [0, 0, 0],
         [2, -1, 0],
     ]

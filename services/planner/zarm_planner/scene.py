@@ -31,7 +31,7 @@ from zarm_contract.messages import (
     Voxels,
 )
 from zarm_planner.meshes import Meshes
-from zarm_planner.voxels import occupied
+from zarm_planner.voxels import check_reach, voxels_of
 
 log = logging.getLogger(__name__)
 
@@ -182,17 +182,11 @@ def _kept(item: SceneObject | PointCloud, field: str, meshes: Meshes) -> SceneOb
     """What the scene keeps of an object: of a cloud the occupied cells, and of a mesh the digest of its file, too."""
     if isinstance(item, Mesh):
         return meshes.checked(item, field)
+    if isinstance(item, Voxels):
+        check_reach(np.array(item.cells) * item.resolution, f"{field}.cells")
     if not isinstance(item, PointCloud):
         return item
-    cells = tuple(map(tuple, occupied(item.points, item.resolution).tolist()))
-    return Voxels.model_construct(  # the fields are checked already
-        kind="voxels",
-        name=item.name,
-        position=item.position,
-        orientation=item.orientation,
-        resolution=item.resolution,
-        cells=cells,
-    )
+    return voxels_of(item, field)
 
 
 def _parts(item: SceneObject, meshes: Meshes) -> int:
@@ -212,11 +206,8 @@ def _check_size(item: SceneObject | PointCloud, field: str) -> None:
         sizes = {f"size.{i}": edge for i, edge in enumerate(item.size)}
     elif isinstance(item, Sphere):
         sizes = {"radius": item.radius}
-    elif isinstance(item, Mesh):
-        sizes = {}  # its corners are looked at where its file is read
-    elif isinstance(item, Voxels | PointCloud):
-        _check_places(item, field)
-        sizes = {}
+    elif isinstance(item, Mesh | Voxels | PointCloud):
+        sizes = {}  # how far they reach is looked at where they are turned to shapes
     else:
         sizes = {"radius": item.radius, "length": item.length}
     for name, size in sizes.items():
@@ -225,18 +216,6 @@ def _check_size(item: SceneObject | PointCloud, field: str) -> None:
                 f"{item.name}: {size:g} m is outside {_THINNEST:g} to {_FARTHEST:g} m; sizes are in m",
                 field=f"{field}.{name}",
             )
-
-
-def _check_places(item: Voxels | PointCloud, field: str) -> None:
-    """Refuse points and cells that are further away than anything."""
-    name, places = ("points", item.points) if isinstance(item, PointCloud) else ("cells", item.cells)
-    scale = 1.0 if isinstance(item, PointCloud) else item.resolution
-    far = np.abs(np.array(places)).max(axis=1) * scale > _FARTHEST
-    if far.any():
-        raise InvalidRequest(
-            f"{item.name} reaches further than {_FARTHEST:g} m from its origin; places are in m",
-            field=f"{field}.{name}.{int(np.argmax(far))}",
-        )
 
 
 def _replace(path: Path, content: bytes) -> None:
