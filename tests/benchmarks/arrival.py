@@ -70,7 +70,8 @@ def main() -> None:
 
 def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> tuple[float, ...] | None:
     """Durations (s), times to compute and to verify (s) and refusals, of one problem; None where the margin rules it out."""
-    world, scene, limits = World(problem.objects, margin), ExactScene(model, problem.objects), Limits.of(model)
+    world, limits = World(problem.objects, margin), Limits.of(model)
+    scene = ExactScene(model, world)
     start, goals = np.array(problem.start), np.array(problem.goals)
     if not all(is_free(model, world, end) for end in (start, *goals)):
         return None

@@ -33,7 +33,8 @@ def post(model: RobotModel) -> SceneObject:
 
 
 def snapshot(model: RobotModel, *objects: SceneObject) -> Snapshot:
-    return Snapshot(1, model, World(objects, 0.005), ExactScene(model, objects))
+    world = World(objects, 0.005)
+    return Snapshot(1, model, world, ExactScene(model, world))
 
 
 def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Found:

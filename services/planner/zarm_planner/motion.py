@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
+from zarm_planner.kernels import quintic
 from zarm_planner.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -20,8 +21,6 @@ TOLERANCE = 1e-3
 """By which part of a limit a motion may be over it."""
 MAX_SAMPLES = 15_000
 """The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
-_CHECKS = 8
-"""Moments per interval between samples at which velocity and acceleration are checked."""
 
 
 @dataclass(frozen=True)
@@ -67,33 +66,18 @@ class Motion:
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at times `t` (k,) within the motion, each (k, dof)."""
-        i = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
-        h = (self.time[i + 1] - self.time[i])[:, None]
-        x = (t - self.time[i])[:, None] / h
-        p0, v0, a0 = self.position[i], self.velocity[i] * h, self.acceleration[i] * h * h
-        p1, v1, a1 = self.position[i + 1], self.velocity[i + 1] * h, self.acceleration[i + 1] * h * h
-        # With x from 0 to 1 the start fixes c0, c1 and c2 = a0 / 2; the end gives three equations for the others.
-        p, v, a = p1 - p0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
-        c3, c4, c5 = 10 * p - 4 * v + a / 2, -15 * p + 7 * v - a, 6 * p - 3 * v + a / 2
-        return (
-            p0 + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5)))),
-            (v0 + x * (a0 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h,
-            (a0 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h),
-        )
+        out = np.empty((3, len(t), self.position.shape[1]))
+        quintic.sample(self.time, self.position, self.velocity, self.acceleration, np.ascontiguousarray(t), out)
+        return out[0], out[1], out[2]
 
     def load(self, limits: Limits) -> float:
         """How far the limits are used, 1 being fully: slower by this factor, the motion just keeps all of them.
 
         Velocity and acceleration are taken also between samples, jerk as the mean from sample to sample.
         """
-        h = np.diff(self.time)
-        _, velocity, acceleration = self.at((self.time[:-1, None] + h[:, None] * np.arange(_CHECKS) / _CHECKS).ravel())
-        jerk = np.diff(self.acceleration, axis=0) / h[:, None]
-        return max(
-            float(np.max(np.abs(velocity) / limits.velocity)),
-            float(np.sqrt(np.max(np.abs(acceleration) / limits.acceleration))),
-            float(np.cbrt(np.max(np.abs(jerk) / limits.jerk))),
-        )
+        most = limits.velocity, limits.acceleration, limits.jerk
+        velocity, acceleration, jerk = quintic.load(self.time, self.position, self.velocity, self.acceleration, most)
+        return float(np.max((velocity, math.sqrt(acceleration), math.cbrt(jerk))))
 
     def slower(self, factor: float) -> Motion:
         """The same motion, taking `factor` times as long."""

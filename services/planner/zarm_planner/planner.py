@@ -178,12 +178,8 @@ class Planner:
             scene, margin = self._store.scene, self._settings.margin
             ready = self._snapshot
             if ready is None or (ready.revision, ready.world.margin) != (scene.revision, margin):
-                ready = Snapshot(
-                    scene.revision,
-                    self._model,
-                    World(scene.objects, margin, self._store.meshes),
-                    ExactScene(self._model, scene.objects),
-                )
+                world = World(scene.objects, margin, self._store.meshes)
+                ready = Snapshot(scene.revision, self._model, world, ExactScene(self._model, world))
                 self._snapshot = ready
             return ready
 

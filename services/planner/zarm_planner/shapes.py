@@ -1,4 +1,4 @@
-"""The exact shapes of robot links and scene objects: for FCL, and as bounds that numpy handles many at a time."""
+"""The exact shapes of robot links and obstacles, and what FCL says about two of them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.messages import Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import CollisionCuboid, CollisionCylinder, CollisionPrimitive, CollisionSphere
 from zarm_planner.frames import matrix, rotation_to
 
 Array = NDArray[np.float64]
 
-_BALLS = 6
-"""At most so many balls cover one shape."""
+_DISTANCE = fcl.DistanceRequest()
+_IGNORED = fcl.DistanceResult(-math.inf)
+"""Where FCL's bindings find nothing to improve, so that nearest points are not copied. Not for triangles: with those FCL
+itself looks for nothing but improvements."""
+_TOUCHING = 1e-9
+"""What is no further apart (m) overlaps: FCL finds a distance of 1e-17 m between a ball and a triangle deep in it."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +29,8 @@ class Shape:
     """One convex shape, centred in its frame `pose` (4, 4), which is given in a link's frame or in the base frame.
 
     It is all points within `rounding` of a box of half extents `core` (3,) that is widened by a disc of radius `disc`
-    about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc. It lies
-    within `across` of a straight line along `axis`, its longest.
+    about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc. With `disc`
+    below 0 it is a triangle with its first corner in the origin, `core` then being as in `zarm_planner.rows`.
     """
 
     name: str
@@ -36,29 +39,25 @@ class Shape:
     core: Array
     disc: float
     rounding: float
-    axis: int
-    across: float
 
     @property
-    def half(self) -> Array:
-        """Half extents (3,) of the box that, grown by the rounding, bounds the shape."""
-        half: Array = self.core + np.array([self.disc, self.disc, 0.0])
-        return half
+    def radius(self) -> float:
+        """From the centre to the farthest point (m)."""
+        return math.hypot(math.hypot(self.core[0], self.core[1]) + self.disc, self.core[2]) + self.rounding
+
+    @property
+    def corners(self) -> Array:
+        """Those of a triangle (3, 3), in its frame."""
+        b, c, d = self.core
+        return np.array([(0.0, 0.0, 0.0), (b, 0.0, 0.0), (c, d, 0.0)])
 
     def support(self, directions: Array) -> Array:
-        """How far (n,) the shape reaches from its centre along unit `directions` (n, 3) in its frame."""
+        """How far (n,) the shape reaches from the origin of its frame along unit `directions` (n, 3) in it."""
+        if self.disc < 0.0:
+            far: Array = (directions @ self.corners.T).max(axis=1)
+            return far
         reach: Array = np.abs(directions) @ self.core + self.disc * np.hypot(directions[:, 0], directions[:, 1])
         return reach + self.rounding
-
-    def balls(self) -> tuple[Array, float]:
-        """Centres (n, 3) in the shape's frame and the radius of balls that cover it, in a row along its axis."""
-        if not self.half.any():
-            return np.zeros((1, 3)), self.rounding
-        length = self.half[self.axis] + self.rounding
-        count = min(_BALLS, math.ceil(2 * length / self.across))
-        centers = np.zeros((count, 3))
-        centers[:, self.axis] = length / count * (2 * np.arange(count) + 1 - count)
-        return centers, math.hypot(self.across, length / count)
 
 
 def link_shape(link: str, primitive: CollisionPrimitive) -> Shape:
@@ -77,15 +76,31 @@ def link_shape(link: str, primitive: CollisionPrimitive) -> Shape:
     return make(link, pose, primitive.radius, length)
 
 
-def object_shape(item: SceneObject) -> Shape:
-    """A scene object, in the base frame."""
-    if isinstance(item, Sphere):
-        return _ball(item.name, matrix(item.position), item.radius)
-    pose = matrix(item.position, item.orientation)
-    if isinstance(item, Cuboid):
-        return _cuboid(item.name, pose, item.size)
-    make = _cylinder if isinstance(item, Cylinder) else _capsule
-    return make(item.name, pose, item.radius, item.length)
+def obstacle_shape(name: str, row: Array) -> Shape:
+    """One row (17,) of `World.rows`, in the base frame; it was made from a primitive of one of these kinds."""
+    turn = row[:12].reshape(3, 4)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn[:, :3].T, -turn[:, :3].T @ turn[:, 3]
+    x, y, z, disc, rounding = row[12:].tolist()
+    if disc < 0.0:
+        return _triangle(name, pose, (x, y, z))
+    if disc > 0.0:
+        return _cylinder(name, pose, disc, 2 * z)
+    if x > 0.0:
+        return _cuboid(name, pose, (2 * x, 2 * y, 2 * z))
+    return _capsule(name, pose, rounding, 2 * z) if z > 0.0 else _ball(name, pose, rounding)
+
+
+def distance(a: Shape, pose_a: Array, b: Shape, pose_b: Array, upper: float = math.inf) -> float:
+    """The distance (m) of two shapes by FCL, at most `upper`; below 0 the depth of penetration. Poses (4, 4) in one frame."""
+    measured: float = fcl.distance(
+        fcl.CollisionObject(a.geometry, fcl.Transform(pose_a[:3, :3], pose_a[:3, 3])),
+        fcl.CollisionObject(b.geometry, fcl.Transform(pose_b[:3, :3], pose_b[:3, 3])),
+        _DISTANCE,
+        fcl.DistanceResult() if b.disc < 0.0 else _IGNORED,
+    )
+    nearest = min(measured, upper)
+    return nearest if nearest > _TOUCHING else -depth(a, pose_a, b, pose_b)
 
 
 def depth(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> float:
@@ -104,7 +119,9 @@ def depth(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> float:
     directions = np.concatenate([axes, -axes, _SPHERE])
     width = 0.2
     while True:
-        extents = directions @ between + a.support(directions @ pose_a[:3, :3]) + b.support(directions @ pose_b[:3, :3])
+        extents = (
+            directions @ between + a.support(directions @ pose_a[:3, :3]) + b.support(-directions @ pose_b[:3, :3])
+        )
         if width < 1e-4:
             return float(extents.min())
         best = directions[int(np.argmin(extents))]
@@ -131,21 +148,26 @@ _SPHERE = _sphere(256)
 
 
 def _ball(name: str, pose: Array, radius: float) -> Shape:
-    return Shape(name, fcl.Sphere(radius), pose, np.zeros(3), 0.0, radius, axis=0, across=radius)
+    return Shape(name, fcl.Sphere(radius), pose, np.zeros(3), 0.0, radius)
 
 
 def _cuboid(name: str, pose: Array, size: Sequence[float]) -> Shape:
-    half = np.array(size) / 2
-    axis = int(np.argmax(half))
-    return Shape(name, fcl.Box(*size), pose, half, 0.0, 0.0, axis, across=math.hypot(*np.delete(half, axis)))
+    return Shape(name, fcl.Box(*size), pose, np.array(size) / 2, 0.0, 0.0)
 
 
 def _capsule(name: str, pose: Array, radius: float, length: float) -> Shape:
-    core = np.array([0.0, 0.0, length / 2])
-    return Shape(name, fcl.Capsule(radius, length), pose, core, 0.0, radius, axis=2, across=radius)
+    return Shape(name, fcl.Capsule(radius, length), pose, np.array([0.0, 0.0, length / 2]), 0.0, radius)
 
 
 def _cylinder(name: str, pose: Array, radius: float, length: float) -> Shape:
-    core = np.array([0.0, 0.0, length / 2])
-    axis, across = (2, radius) if length > 2 * radius else (0, math.hypot(radius, length / 2))
-    return Shape(name, fcl.Cylinder(radius, length), pose, core, radius, 0.0, axis, across)
+    return Shape(name, fcl.Cylinder(radius, length), pose, np.array([0.0, 0.0, length / 2]), radius, 0.0)
+
+
+def _triangle(name: str, pose: Array, core: Sequence[float]) -> Shape:
+    # FCL's own triangle cannot be measured against anything: it says that all is free. A mesh of one can.
+    geometry = fcl.BVHModel()
+    shape = Shape(name, geometry, pose, np.array(core), -1.0, 0.0)
+    geometry.beginModel(1, 3)
+    geometry.addSubModel(shape.corners, np.array([[0, 1, 2]]))
+    geometry.endModel()
+    return shape

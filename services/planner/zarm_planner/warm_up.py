@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from zarm_contract.robot import load_robot
+from zarm_planner.exact import ExactScene
 from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
@@ -40,7 +41,11 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     shorten(model, world, np.array((home, home)), seed=0, stop=stop)
     report("loading the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
-    smooth_path(model, world, np.array((home, away)), Limits.of(model), 0.01, seed=0, stop=stop)
+    limits = Limits.of(model)
+    motion = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, stop=stop)
+    report("loading the verification of motions")
+    motion.load(limits)
+    ExactScene(model, world).nearest(motion.at(motion.time)[0])
 
 
 def _print_line(text: str) -> None:

@@ -1,0 +1,80 @@
+"""Quintic polynomials between the samples of a motion: what they pass through, and how they use the limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.kernels.compiled import inlined, kernel
+
+Array = NDArray[np.float64]
+
+CHECKS = 8
+"""Moments per interval between samples at which velocity and acceleration are checked."""
+
+
+@inlined
+def _coefficients(
+    position: Array, velocity: Array, acceleration: Array, i: int, joint: int, h: float
+) -> tuple[float, float, float, float, float, float]:
+    """From sample `i` to the next, `h` s later, as x goes from 0 to 1.
+
+    The start fixes three of them; the end gives three equations for the others.
+    """
+    p0, v0, a0 = position[i, joint], velocity[i, joint] * h, acceleration[i, joint] * h * h
+    p1, v1, a1 = position[i + 1, joint], velocity[i + 1, joint] * h, acceleration[i + 1, joint] * h * h
+    p, v, a = p1 - p0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+    return p0, v0, a0 / 2, 10 * p - 4 * v + a / 2, -15 * p + 7 * v - a, 6 * p - 3 * v + a / 2
+
+
+@kernel
+def sample(time: Array, position: Array, velocity: Array, acceleration: Array, t: Array, out: Array) -> None:
+    """Position, velocity and acceleration `out` (3, k, dof) at times `t` (k,) of the motion with samples at `time` (n,)."""
+    for m in range(t.shape[0]):
+        low, high = 0, time.shape[0] - 1
+        while high - low > 1:
+            middle = (low + high) // 2
+            if time[middle] <= t[m]:
+                low = middle
+            else:
+                high = middle
+        h = time[low + 1] - time[low]
+        x = (t[m] - time[low]) / h
+        for joint in range(position.shape[1]):
+            c0, c1, c2, c3, c4, c5 = _coefficients(position, velocity, acceleration, low, joint, h)
+            out[0, m, joint] = c0 + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
+            out[1, m, joint] = (c1 + x * (2 * c2 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h
+            out[2, m, joint] = (2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h)
+
+
+@inlined
+def _larger(worst: float, value: float) -> float:
+    """The larger one; NaN where one is."""
+    return value if value > worst or math.isnan(value) else worst
+
+
+@kernel
+def load(
+    time: Array, position: Array, velocity: Array, acceleration: Array, most: tuple[Array, Array, Array]
+) -> tuple[float, float, float]:
+    """The largest parts of the limits `most`, each (dof,), that velocity, acceleration and jerk come to.
+
+    Velocity and acceleration are taken also between samples, jerk as the mean from sample to sample.
+    """
+    fastest = hardest = jerkiest = 0.0
+    last = time.shape[0] - 1
+    for i in range(last):
+        h = time[i + 1] - time[i]
+        for joint in range(position.shape[1]):
+            _, c1, c2, c3, c4, c5 = _coefficients(position, velocity, acceleration, i, joint, h)
+            for check in range(CHECKS):
+                x = check / CHECKS
+                v = abs(c1 + x * (2 * c2 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h
+                a = abs(2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h)
+                fastest = _larger(fastest, v / most[0][joint])
+                hardest = _larger(hardest, a / most[1][joint])
+            jerk = abs(acceleration[i + 1, joint] - acceleration[i, joint]) / h
+            jerkiest = _larger(jerkiest, jerk / most[2][joint])
+    return fastest, hardest, jerkiest
