@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import fcl
 import numba
 import numpy as np
 import pytest
@@ -15,16 +16,20 @@ from sphere_model import gaps_to_itself, random_joints, spheres
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit
-from zarm_contract.robot import load_robot
+from zarm_contract.robot import CollisionCuboid, CollisionCylinder, load_robot
 from zarm_planner import meshes as limits
 from zarm_planner import rows
+from zarm_planner.exact import FARTHEST, ExactScene
+from zarm_planner.frames import matrix
 from zarm_planner.kernels.arrays import Single
 from zarm_planner.kernels.collision import squared_distance
+from zarm_planner.kernels.convex import core_gap
 from zarm_planner.kernels.lanes import LANES, load, pointer, store
 from zarm_planner.meshes import Meshes
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
 from zarm_planner.search import is_free
+from zarm_planner.shapes import distance, link_shape, obstacle_shape
 from zarm_planner.world import World
 
 Array = NDArray[np.float64]
@@ -51,6 +56,18 @@ def squared_distances(shapes: Single, x: Single, y: Single, z: Single, found: Si
     for i in range(0, x.shape[0], LANES):
         at = load(pointer(x), i), load(pointer(y), i), load(pointer(z), i)
         store(pointer(found), i, squared_distance(pointer(shapes), 0, at[0], at[1], at[2]))
+
+
+@numba.njit
+def bounds(center: Array, turn: Array, one: Array, other: Array) -> tuple[float, float]:
+    """Of the distance of a core, placed in the frame of another, to that."""
+    return core_gap(
+        (center[0], center[1], center[2]),
+        (turn[0, 0], turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 1], turn[1, 2], turn[2, 0], turn[2, 1], turn[2, 2]),
+        (one[0], one[1], one[2], one[3]),
+        (other[0], other[1], other[2], other[3]),
+        np.inf,
+    )
 
 
 def kernel_distances(row: Array, points: Array) -> Array:
@@ -96,6 +113,71 @@ def test_triangles_that_are_only_lines_are_left_out() -> None:
     corners[2, 2] = 0.3 * corners[2, 0] + 0.7 * corners[2, 1]
     corners[3] = corners[3, 0]
     assert len(rows.triangles(corners)) == 1
+
+
+@pytest.mark.parametrize("robot", ["panda", "doosan_m1013"])
+def test_exact_distances_to_a_mesh_are_those_of_fcl_to_the_whole_of_it(tmp_path: Path, robot: str) -> None:
+    model = RobotModel.of(load_robot(robot))
+    shape = trimesh.creation.torus(0.15, 0.05, major_sections=16, minor_sections=8)
+    meshes = Meshes((tmp_path,))
+    item = meshes.checked(
+        mesh(saved(shape, tmp_path / "ring.stl").name, position=(0.5, 0.3, 0.6), orientation=TURNED), ""
+    )
+    whole = fcl.BVHModel()
+    whole.beginModel(len(shape.faces), len(shape.vertices))
+    whole.addSubModel(shape.vertices, shape.faces)
+    whole.endModel()
+    pose = matrix(item.position, item.orientation)
+    there = fcl.CollisionObject(whole, fcl.Transform(pose[:3, :3], pose[:3, 3]))
+
+    exact = ExactScene(model, World((item,), 0.005, meshes))
+    found = []
+    for q in random_joints(model, 40, np.random.default_rng(5)):
+        links = model.link_transforms(q)
+        apart = np.inf
+        for link, part in model.parts:
+            if model.link_joint[link] >= 0:
+                place = links[link] @ part.pose
+                moved = fcl.CollisionObject(part.geometry, fcl.Transform(place[:3, :3], place[:3, 3]))
+                apart = min(apart, fcl.distance(moved, there, fcl.DistanceRequest(), fcl.DistanceResult()))
+        nearest = exact.nearest(q, itself=False)
+        found.append(nearest.distance > 0.0)
+        if apart > 1e-6 or nearest.distance > 0.0:
+            assert nearest.distance == pytest.approx(min(apart, FARTHEST), abs=2e-4)
+    assert len(set(found)) == 2
+
+
+def test_bounds_on_the_distance_to_a_triangle_enclose_what_fcl_measures() -> None:
+    rng = np.random.default_rng(6)
+    box = CollisionCuboid(kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.2, 0.3, 0.4))
+    can = CollisionCylinder(kind="cylinder", a=(0.0, 0.0, -0.2), b=(0.0, 0.0, 0.2), radius=0.1)
+    apart = overlapping = 0
+    for number in range(400):
+        part = link_shape("link", can if number % 2 else box)
+        size, far = rng.choice([0.02, 0.3, 1.0]), rng.choice([0.05, 0.5])
+        row = rows.triangles(far * rng.normal(size=(1, 1, 3)) + size * rng.normal(size=(1, 3, 3)))[0]
+        triangle = obstacle_shape("triangle", row)
+        between = np.linalg.inv(triangle.pose) @ part.pose
+        lower, upper = bounds(between[:3, 3], between[:3, :3], np.array((*part.core, part.disc)), row[12:16])
+        measured = distance(part, part.pose, triangle, triangle.pose)
+        if measured > 0.0:
+            apart += 1
+            assert lower - 1e-9 <= measured <= upper + 5e-4
+            assert upper >= lower - 1e-12
+        else:
+            overlapping += 1
+            assert lower <= 0.0
+            assert upper < 1e-6
+    assert min(apart, overlapping) > 50
+
+
+def test_a_plate_deep_in_a_link_is_as_deep_as_moving_it_out_takes() -> None:
+    part = link_shape("link", CollisionCuboid(kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.2, 0.3, 0.4)))
+    for x in (0.09, 0.03, 0.0):
+        corners = np.array([[(x, -0.1, -0.1), (x, 0.2, 0.0), (x, 0.0, 0.2)]])
+        for turned in (corners, corners[:, ::-1]):
+            triangle = obstacle_shape("plate", rows.triangles(turned)[0])
+            assert distance(part, part.pose, triangle, triangle.pose) == pytest.approx(x - 0.1, abs=1e-5)
 
 
 @pytest.mark.parametrize(("suffix", "closed"), [("stl", True), ("obj", False)])

@@ -97,7 +97,7 @@ def distance(a: Shape, pose_a: Array, b: Shape, pose_b: Array, upper: float = ma
         fcl.CollisionObject(a.geometry, fcl.Transform(pose_a[:3, :3], pose_a[:3, 3])),
         fcl.CollisionObject(b.geometry, fcl.Transform(pose_b[:3, :3], pose_b[:3, 3])),
         _DISTANCE,
-        fcl.DistanceResult() if b.disc < 0.0 else _IGNORED,
+        fcl.DistanceResult() if min(a.disc, b.disc) < 0.0 else _IGNORED,
     )
     nearest = min(measured, upper)
     return nearest if nearest > _TOUCHING else -depth(a, pose_a, b, pose_b)
