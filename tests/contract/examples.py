@@ -49,6 +49,7 @@ _MESH = m.Mesh(
     orientation=(0.0, 0.0, 0.6, 0.8),
     file="fixtures/vice.stl",
     scale=(0.001, 0.001, 0.001),
+    sha256="5f" * 32,
 )
 _VOXELS = m.Voxels(
     kind="voxels",

@@ -42,9 +42,10 @@ from zarm_planner.exact import ExactScene
 from zarm_planner.frames import matrix
 from zarm_planner.planner import Planner
 from zarm_planner.robot_model import RobotModel
+from zarm_planner.rows import primitives
 from zarm_planner.scene import SceneStore
 from zarm_planner.search import is_free
-from zarm_planner.shapes import object_shape
+from zarm_planner.shapes import obstacle_shape
 from zarm_planner.sphere_distances import sphere_distances
 from zarm_planner.world import World
 
@@ -68,7 +69,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
 def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     item = random_object(kind, "thing", rng.normal(size=3), size, rng)
-    balls = cover(object_shape(item))
+    balls = cover(obstacle_shape(item.name, primitives([item])[0]))
     around = rng.uniform(-size, size, (20_000, 3)) + item.position
     inside = around[distance(item, around) == 0.0]
     deepest = (np.linalg.norm(inside[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1)
@@ -82,7 +83,7 @@ def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> N
 def test_the_balls_stand_out_by_little(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     item = random_object(kind, "thing", np.zeros(3), size, rng)
-    balls = cover(object_shape(item))
+    balls = cover(obstacle_shape(item.name, primitives([item])[0]))
     directions = rng.normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     surface = balls[:, :3] + balls[:, 3:] * directions[:, None]
@@ -101,7 +102,7 @@ def load(rng: np.random.Generator) -> Attached:
 def test_what_is_carried_collides_where_it_is_carried(arm: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
     attached, objects = (load(rng),), random_objects(2, 0.3, rng)
-    scene = ExactScene(arm.carrying(attached, ()), objects)
+    scene = ExactScene(arm.carrying(attached, ()), World(objects, 0.0))
     collisions = Collisions(arm.robot, objects, attached)
     answers = [(scene.nearest(q).distance <= 0.0, collisions.at(q)) for q in random_joints(arm, 60, rng)]
     assert all(found == expected for found, expected in answers)
@@ -133,7 +134,7 @@ def test_a_collision_names_the_carried_object(arm: RobotModel) -> None:
     tip = link_pose(arm.robot, "rod", UP)
     x, y, z = (tip @ [0.0, 0.0, 0.4, 1.0])[:3].tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.05)
-    nearest = ExactScene(arm.carrying((Attached(object=ROD),), ()), (ball,)).nearest(UP)
+    nearest = ExactScene(arm.carrying((Attached(object=ROD),), ()), World((ball,), 0.0)).nearest(UP)
     assert nearest.pair == ("pole", "ball")
     assert nearest.distance == pytest.approx(-0.07, abs=1e-3)
 
@@ -141,14 +142,14 @@ def test_a_collision_names_the_carried_object(arm: RobotModel) -> None:
 def test_a_carried_object_may_touch_its_own_body_and_its_touch_links_and_nothing_else(arm: RobotModel) -> None:
     long = Capsule(kind="capsule", name="pole", position=(0.0, 0.0, -0.2), radius=0.02, length=0.6)
     folded = np.array([0.0, 0.0, 0.0, 0.0])  # the pole runs back through cover, fore and upper
-    hit = ExactScene(arm.carrying((Attached(object=long),), ()), ()).nearest(folded)
+    hit = ExactScene(arm.carrying((Attached(object=long),), ()), World((), 0.0)).nearest(folded)
     assert hit.pair is not None
     assert hit.distance < 0.0
     assert "pole" in hit.pair
     assert "rod" not in hit.pair
     touching = Attached(object=long, touch_links=("fore", "upper", "cover", "turret"))
     model = arm.carrying((touching,), ())
-    assert ExactScene(model, ()).nearest(folded).distance > 0.0
+    assert ExactScene(model, World((), 0.0)).nearest(folded).distance > 0.0
     others = {model.links[a] for a, b in model.pairs.tolist() if model.links[b] == "pole"}
     assert others == {"stand"}
 
@@ -157,11 +158,11 @@ def test_an_ignored_link_collides_with_nothing(arm: RobotModel) -> None:
     x, y, z = link_pose(arm.robot, "rod", UP)[:3, 3].tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.02)
     world = World((ball,), 0.0)
-    assert ExactScene(arm, (ball,)).nearest(UP).pair == ("rod", "ball")
+    assert ExactScene(arm, World((ball,), 0.0)).nearest(UP).pair == ("rod", "ball")
     assert not is_free(arm, world, UP)
     model = arm.carrying((), ("rod", "cover"))
     assert model.links == ("stand", "turret", "upper", "fore")
-    assert ExactScene(model, (ball,)).nearest(UP).distance > 0.0
+    assert ExactScene(model, World((ball,), 0.0)).nearest(UP).distance > 0.0
     assert is_free(model, world, UP)
 
 

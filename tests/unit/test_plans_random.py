@@ -21,7 +21,7 @@ from zarm_executor.checks import executable
 from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
 from zarm_planner.motion import Limits
-from zarm_planner.pipeline import plan
+from zarm_planner.pipeline import Options, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
@@ -75,10 +75,12 @@ def test_every_motion_is_free_and_within_limits(name: str, changed: str, tmp_pat
         collisions = Collisions(robot, objects, attached, ignored)
         start, goal = free_near_home(robot, collisions, rng)
         model = bare.carrying(attached, ignored)
-        snapshot = Snapshot(1, model, World(objects, 0.005), ExactScene(model, objects))
+        world = World(objects, 0.005)
+        snapshot = Snapshot(1, model, world, ExactScene(model, world))
+        options = Options(Limits.of(model), max_attempts=100, optimize_s=0.0, seed=seed)
         wanted = JointGoal(kind="joints", position=tuple(goal.tolist()))
         try:
-            found = plan(snapshot, start, wanted, Limits.of(model), seed, Stop(2.0))
+            found, _ = plan(snapshot, start, wanted, options, Stop(2.0))
         except (PlanningFailed, DeadlineExceeded):
             continue  # not every pair has a way between
         planned += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,6 +72,7 @@ def launch(
     connect: str | None = None,
     listen: str = DEFAULT_ENDPOINT,
     state: Path,
+    meshes: Sequence[Path] = (),
     log_level: str | None = None,
 ) -> Iterator[Stack]:
     """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
@@ -84,8 +85,9 @@ def launch(
     endpoint = connect or listen
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
     choice = [] if strategy is None else ["--strategy", strategy]
+    folders = [word for folder in meshes for word in ("--meshes", str(folder))]
     programs = {
-        "planner": ("zarm_planner.service", arguments),
+        "planner": ("zarm_planner.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
     }
     environment = {"ZARM_COLOUR": "1"} if sys.stderr.isatty() else {}
@@ -137,6 +139,12 @@ def up(
     state: Annotated[
         Path | None, typer.Option(help=f"Folder for what outlives the processes.  [default: {default_state()}]")
     ] = None,
+    meshes: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOLDER", help="A folder whose mesh files the scene may use, besides those in $ZARM_MESHES."
+        ),
+    ] = None,
 ) -> None:
     """Start router, planner and executor for one robot; Ctrl-C stops them, the robot first."""
     if connect is not None and listen is not None:
@@ -152,6 +160,7 @@ def up(
             connect=connect,
             listen=listen or DEFAULT_ENDPOINT,
             state=state or default_state(),
+            meshes=meshes or (),
         ) as stack,
     ):
         stack.wait_ready(lambda _: None)  # the services' own log lines say it

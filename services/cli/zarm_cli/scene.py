@@ -14,7 +14,7 @@ from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, jo
 from zarm_cli.output import counted, numbers, out, print_json
 from zarm_cli.planning import read_bytes, write_text
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Scene, SceneEdit, SceneEdited
+from zarm_contract.messages import Scene, SceneEdit, SceneEdited, Voxels
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 app = typer.Typer(no_args_is_help=True, help="Show and change the objects that motions are planned around.")
@@ -29,15 +29,15 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
         return
     table = Table("name", "kind", "position (m)", "orientation (x, y, z, w)", "dimensions (m)", box=None)
     for one in (*scene.objects, *(carried.object for carried in scene.attached)):
-        fields = one.model_dump(exclude={"kind", "name", "position", "orientation"})
+        fields = one.model_dump(exclude={"kind", "name", "position", "orientation", "sha256"})
+        if isinstance(one, Voxels):
+            fields["cells"] = len(one.cells)
         table.add_row(
             one.name,
             one.kind,
             numbers(one.position),
             numbers(getattr(one, "orientation", ())),
-            ", ".join(
-                f"{key} {numbers(value if isinstance(value, tuple) else (value,))}" for key, value in fields.items()
-            ),
+            ", ".join(f"{key} {_shown(value)}" for key, value in fields.items()),
         )
     out.print(table if table.rows else "the scene is empty")
     for carried in scene.attached:
@@ -48,14 +48,26 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
     out.print(f"revision {scene.revision}")
 
 
+def _shown(value: object) -> str:
+    if isinstance(value, tuple | float):
+        return numbers(value if isinstance(value, tuple) else (value,))
+    return str(value)
+
+
 @app.command()
 def add(
-    kind: Annotated[Literal["cuboid", "sphere", "capsule", "cylinder"], typer.Argument()],
+    kind: Annotated[Literal["cuboid", "sphere", "capsule", "cylinder", "mesh"], typer.Argument()],
     object_name: Annotated[str, typer.Argument(metavar="NAME")],
     at: Annotated[str, typer.Option(metavar="X,Y,Z[,QX,QY,QZ,QW]", help="Pose of its centre in the base frame (m).")],
     size: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Edge lengths of a cuboid (m).")] = None,
     radius: Annotated[float | None, typer.Option(help="Of a sphere, capsule or cylinder (m).")] = None,
     length: Annotated[float | None, typer.Option(help="Of a capsule or cylinder, along its own z (m).")] = None,
+    file: Annotated[
+        str | None, typer.Option(help="Of a mesh: an STL or OBJ file (m), as named in a mesh folder of the planner's.")
+    ] = None,
+    scale: Annotated[
+        str | None, typer.Option(metavar="S or X,Y,Z", help="Of a mesh: what its file is multiplied by; 0.001 for mm.")
+    ] = None,
     replace: Annotated[bool, typer.Option("--replace", help="Take the place of an object of that name.")] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
@@ -63,6 +75,7 @@ def add(
 ) -> None:
     """Add an object: `zarm scene add cuboid table --at 0.5,0,0.2 --size 1,1,0.02`."""
     pose = floats(at, "--at", 3, 7)
+    factors = None if scale is None else floats(scale, "--scale", 1, 3)
     fields = {
         "kind": kind,
         "name": object_name,
@@ -71,6 +84,8 @@ def add(
         "size": None if size is None else floats(size, "--size", 3),
         "radius": radius,
         "length": length,
+        "file": file,
+        "scale": factors and (factors * 3)[:3],
     }
     thing = {key: value for key, value in fields.items() if value is not None}
     _edit(connect, name, as_json, op="add", objects=[thing], replace=replace)

@@ -15,8 +15,8 @@ from zarm_contract.messages import (
     AttachObject,
     DetachObject,
     Mesh,
+    Primitive,
     Scene,
-    SceneObject,
     SetLinkCollision,
     Sphere,
     Voxels,
@@ -77,7 +77,7 @@ def refuse_carried(scene: Scene, names: Sequence[str], field: str) -> None:
             raise InvalidRequest(f"the robot carries {name}; detach it first", field=field.format(index))
 
 
-def _moved(item: SceneObject, frame: Array) -> SceneObject:
+def _moved(item: Primitive, frame: Array) -> Primitive:
     """An object whose pose is given in `frame` (4, 4), in the frame that this one is given in."""
     if isinstance(item, Sphere):
         return item.model_copy(update={"position": pose_of(frame @ matrix(item.position)).position})

@@ -24,6 +24,11 @@ def rotation(q: Quaternion) -> Array:
     )
 
 
+def rotations(q: Array) -> Array:
+    """The rotation matrices (n, 3, 3) of unit quaternions (n, 4)."""
+    return np.moveaxis(rotation(tuple(q.T)), 2, 0)
+
+
 def rotation_to(axis: ArrayLike) -> Array:
     """A rotation matrix (3, 3) that takes z to the direction of `axis` (3,)."""
     z = np.asarray(axis, np.float64) / np.linalg.norm(axis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import threading
@@ -47,6 +48,8 @@ from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
 
+log = logging.getLogger(__name__)
+
 _PLANNER: dict[str, PlannerKind] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
 """Which planner a kind of goal is for."""
 _BATCH_TIMEOUT = 60.0
@@ -73,7 +76,10 @@ class Planner:
         """Compile what plans run on, or load it; `report` is told what comes next."""
         warm_up(self._model, report)
         report("loading the scene")
-        self._look()
+        try:
+            self._look()
+        except Unavailable as error:  # every plan will say so, until the scene is edited
+            log.error("scene cannot be used reason=%s", error)
 
     def close(self) -> None:
         """End all work in hand; from now on there is only Unavailable."""
@@ -221,13 +227,16 @@ class Planner:
             return self._settings
 
     def _look(self) -> Snapshot:
-        """The present scene, made ready for planning once per revision and margin."""
+        """The present scene, made ready for planning once per revision and margin.
+
+        Raises Unavailable while the file of one of its meshes is missing.
+        """
         with self._lock:
             scene, margin = self._store.scene, self._settings.margin
             ready = self._snapshot
             if ready is None or (ready.revision, ready.world.margin) != (scene.revision, margin):
                 model = self._model.carrying(scene.attached, scene.ignored_links)
-                world = World(scene.objects, margin)
+                world = World(scene.objects, margin, self._store.meshes)
                 ready = Snapshot(scene.revision, model, world, ExactScene(model, world))
                 self._snapshot = ready
             return ready

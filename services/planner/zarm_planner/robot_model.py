@@ -20,7 +20,8 @@ from zarm_planner.frames import rotation_to
 from zarm_planner.kernels.arrays import RobotArrays
 from zarm_planner.kernels.kinematics import frames
 from zarm_planner.kernels.lanes import LANES
-from zarm_planner.shapes import Shape, link_shape, object_shape
+from zarm_planner.rows import primitives
+from zarm_planner.shapes import Shape, link_shape, obstacle_shape
 
 Array = NDArray[np.float64]
 
@@ -93,7 +94,7 @@ class RobotModel:
         tip = self.offset[-1]
         bodies = [body for body in self.bodies if body.name not in ignored_links]
         for item in attached:
-            shape = object_shape(item.object)
+            shape = obstacle_shape(item.object.name, primitives([item.object])[0])
             bodies.append(
                 Body(shape.name, self.dof - 1, tip, cover(shape), (shape,), touches=frozenset(item.touch_links))
             )

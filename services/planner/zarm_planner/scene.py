@@ -6,13 +6,14 @@ import logging
 import os
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.codec import decode, encode
+from zarm_contract.codec import MAX_BYTES, decode, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import (
     MAX_OBJECTS,
@@ -22,15 +23,20 @@ from zarm_contract.messages import (
     Cuboid,
     DetachObject,
     LoadScene,
+    Mesh,
     Message,
+    PointCloud,
     RemoveObjects,
     Scene,
     SceneEdit,
     SceneObject,
     SetLinkCollision,
     Sphere,
+    Voxels,
 )
 from zarm_planner.carrying import attach, detach, refuse_carried, set_links
+from zarm_planner.meshes import Meshes
+from zarm_planner.voxels import check_reach, voxels_of
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +45,8 @@ Array = NDArray[np.float64]
 _AT_BASE = np.eye(4)
 _FARTHEST = 1e3
 _THINNEST = 1e-4
+MAX_PARTS = 300_000
+"""Objects, occupied cells and shapes of meshes in one scene."""
 
 
 class _File(Message):
@@ -47,17 +55,18 @@ class _File(Message):
 
 
 class SceneStore:
-    """The scene of one robot, in `<folder>/scene.json`. Safe for use by any number of threads.
+    """The scene of one robot, in `<folder>/scene.json`, with the shapes of its meshes. Safe for use by any number of threads.
 
     A file that cannot be read is put aside as `scene.json.broken`. From then on `lost` says so, until the first edit:
     the objects that it held may still stand around the robot.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, meshes: Meshes | None = None) -> None:
         """Raises Unavailable where the folder cannot be used, or holds the scene of a newer zarm."""
         self._path = folder / "scene.json"
         self._broken = folder / "scene.json.broken"
         self._lock = threading.Lock()
+        self.meshes = meshes or Meshes()
         self.lost: str | None = None
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -79,16 +88,24 @@ class SceneStore:
         Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved; then nothing has changed.
         """
         with self._lock:
-            scene = _edited(self._scene, request, tip)
+            scene = _edited(self._scene, request, tip, self.meshes)
             scene = scene.model_copy(update={"revision": self._scene.revision + 1})
+            content = encode(_File(scene=scene))
+            if len(content) > MAX_BYTES:
+                raise InvalidRequest(
+                    f"the scene would take {len(content)} bytes, more than the {MAX_BYTES} of one message; remove objects "
+                    "first, or use a coarser resolution",
+                    field="edit.objects",
+                )
             try:
-                _replace(self._path, encode(_File(scene=scene)))
+                _replace(self._path, content)
             except OSError as error:
                 raise Unavailable(
                     f"cannot save the scene to {self._path}: {error.strerror or error}; the edit was not applied. Make room "
                     "or make the folder writable, then send it again"
                 ) from error
             self._scene, self.lost = scene, None
+            self.meshes.keep(item for item in scene.objects if isinstance(item, Mesh))
             return scene
 
     def _read(self) -> Scene:
@@ -117,7 +134,7 @@ class SceneStore:
         return Scene(revision=int(time.time()))
 
 
-def _edited(scene: Scene, request: SceneEdit, tip: Array) -> Scene:
+def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Scene:
     """The scene after an edit, still of the same revision; objects stay in the order in which they came."""
     objects = {item.name: item for item in scene.objects}
     match request.edit:
@@ -140,16 +157,18 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array) -> Scene:
             objects = {name: item for name, item in objects.items() if name not in names}
         case LoadScene(objects=items):
             refuse_carried(scene, [item.name for item in items], "edit.objects.{}.name")
-            objects = _added({}, items, replace=False)
+            objects = _added({}, items, False, meshes)
         case AddObjects(objects=items, replace=replace):
             refuse_carried(scene, [item.name for item in items], "edit.objects.{}.name")
-            objects = _added(objects, items, replace)
+            objects = _added(objects, items, replace, meshes)
         case unknown:
             assert_never(unknown)
     return scene.model_copy(update={"objects": tuple(objects.values())})
 
 
-def _added(objects: dict[str, SceneObject], items: tuple[SceneObject, ...], replace: bool) -> dict[str, SceneObject]:
+def _added(
+    objects: dict[str, SceneObject], items: Sequence[SceneObject | PointCloud], replace: bool, meshes: Meshes
+) -> dict[str, SceneObject]:
     added: dict[str, SceneObject] = {}
     for index, item in enumerate(items):
         field = f"edit.objects.{index}"
@@ -162,16 +181,40 @@ def _added(objects: dict[str, SceneObject], items: tuple[SceneObject, ...], repl
                 f"there is already an object {item.name}; set replace, or choose another name", field=f"{field}.name"
             )
         _check_size(item, field)
-        added[item.name] = item
+        added[item.name] = _kept(item, field, meshes)
     if len(objects | added) > MAX_OBJECTS:
         raise InvalidRequest(
             f"the scene would hold {len(objects | added)} objects, more than {MAX_OBJECTS}; remove some first",
             field="edit.objects",
         )
+    parts = sum(_parts(item, meshes) for item in (objects | added).values())
+    if parts > MAX_PARTS:
+        raise InvalidRequest(
+            f"the scene would consist of {parts} objects, cells and triangles, more than {MAX_PARTS}; use a coarser "
+            "resolution or simpler meshes",
+            field="edit.objects",
+        )
     return objects | added
 
 
-def _check_size(item: SceneObject, field: str) -> None:
+def _kept(item: SceneObject | PointCloud, field: str, meshes: Meshes) -> SceneObject:
+    """What the scene keeps of an object: of a cloud the occupied cells, and of a mesh the digest of its file, too."""
+    if isinstance(item, Mesh):
+        return meshes.checked(item, field)
+    if isinstance(item, Voxels):
+        check_reach(np.array(item.cells) * item.resolution, f"{field}.cells")
+    if not isinstance(item, PointCloud):
+        return item
+    return voxels_of(item, field)
+
+
+def _parts(item: SceneObject, meshes: Meshes) -> int:
+    if isinstance(item, Mesh):
+        return meshes.count(item)
+    return len(item.cells) if isinstance(item, Voxels) else 1
+
+
+def _check_size(item: SceneObject | PointCloud, field: str) -> None:
     """Refuse what no robot meets and what distances cannot be computed with."""
     if not all(abs(x) <= _FARTHEST for x in item.position):
         raise InvalidRequest(
@@ -182,6 +225,8 @@ def _check_size(item: SceneObject, field: str) -> None:
         sizes = {f"size.{i}": edge for i, edge in enumerate(item.size)}
     elif isinstance(item, Sphere):
         sizes = {"radius": item.radius}
+    elif isinstance(item, Mesh | Voxels | PointCloud):
+        sizes = {}  # how far they reach is looked at where they are turned to shapes
     else:
         sizes = {"radius": item.radius, "length": item.length}
     for name, size in sizes.items():

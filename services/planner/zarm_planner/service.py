@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar
 
 from zarm_contract.errors import Unavailable, ZarmError
@@ -27,6 +29,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_planner.joints import MeasuredJoints
+from zarm_planner.meshes import Meshes
 from zarm_planner.planner import Planner
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
@@ -44,7 +47,7 @@ def start(service: Service) -> Iterator[None]:
     """The planner, from warm-up until the last plan in hand is answered."""
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    store = SceneStore(service.options.state / keys.robot)
+    store = SceneStore(service.options.state / keys.robot, Meshes(service.options.meshes))
     planner = Planner(model, keys.robot, store, MeasuredJoints(model, bus.latest(keys.joint_states, JointState)))
     warm = False
 
@@ -92,6 +95,7 @@ def start(service: Service) -> Iterator[None]:
         bus.serve(keys.fk, FkRequest, when_warm(planner.fk))
         bus.serve(keys.check, CheckRequest, when_warm(planner.check))
         planner.warm_up(service.starting)
+        gc.freeze()  # what is loaded stays; looking for garbage in it again and again would delay a plan by 0.1 s at times
         warm = True
         service.ready()
         yield
@@ -130,7 +134,16 @@ def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Sce
 
 def main() -> int:
     """Run the planner of one robot until SIGTERM or SIGINT; the exit code."""
-    return run_service("planner", service_parser("planner"), start)
+    parser = service_parser("planner")
+    parser.add_argument(
+        "--meshes",
+        type=Path,
+        action="append",
+        default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
+        metavar="FOLDER",
+        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES; may stand more than once",
+    )
+    return run_service("planner", parser, start)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,10 @@ Array = NDArray[np.float64]
 
 _DISTANCE = fcl.DistanceRequest()
 _IGNORED = fcl.DistanceResult(-math.inf)
-"""Where FCL's bindings find nothing to improve, so that nearest points are not copied."""
+"""Where FCL's bindings find nothing to improve, so that nearest points are not copied. Not for triangles: with those FCL
+itself looks for nothing but improvements."""
+_TOUCHING = 1e-9
+"""What is no further apart (m) overlaps: FCL finds a distance of 1e-17 m between a ball and a triangle deep in it."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,8 @@ class Shape:
     """One convex shape, centred in its frame `pose` (4, 4), which is given in a link's frame or in the base frame.
 
     It is all points within `rounding` of a box of half extents `core` (3,) that is widened by a disc of radius `disc`
-    about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc.
+    about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc. With `disc`
+    below 0 it is a triangle with its first corner in the origin, `core` then being as in `zarm_planner.rows`.
     """
 
     name: str
@@ -37,12 +41,27 @@ class Shape:
     rounding: float
 
     @property
+    def half(self) -> Array:
+        """Half extents (3,) of the box around it without the rounding."""
+        half: Array = self.core + np.array([self.disc, self.disc, 0.0])
+        return half
+
+    @property
     def radius(self) -> float:
         """From the centre to the farthest point (m)."""
         return math.hypot(math.hypot(self.core[0], self.core[1]) + self.disc, self.core[2]) + self.rounding
 
+    @property
+    def corners(self) -> Array:
+        """Those of a triangle (3, 3), in its frame."""
+        b, c, d = self.core
+        return np.array([(0.0, 0.0, 0.0), (b, 0.0, 0.0), (c, d, 0.0)])
+
     def support(self, directions: Array) -> Array:
-        """How far (n,) the shape reaches from its centre along unit `directions` (n, 3) in its frame."""
+        """How far (n,) the shape reaches from the origin of its frame along unit `directions` (n, 3) in it."""
+        if self.disc < 0.0:
+            far: Array = (directions @ self.corners.T).max(axis=1)
+            return far
         reach: Array = np.abs(directions) @ self.core + self.disc * np.hypot(directions[:, 0], directions[:, 1])
         return reach + self.rounding
 
@@ -69,6 +88,8 @@ def obstacle_shape(name: str, row: Array) -> Shape:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn[:, :3].T, -turn[:, :3].T @ turn[:, 3]
     x, y, z, disc, rounding = row[12:].tolist()
+    if disc < 0.0:
+        return _triangle(name, pose, (x, y, z))
     if disc > 0.0:
         return _cylinder(name, pose, disc, 2 * z)
     if x > 0.0:
@@ -82,10 +103,10 @@ def distance(a: Shape, pose_a: Array, b: Shape, pose_b: Array, upper: float = ma
         fcl.CollisionObject(a.geometry, fcl.Transform(pose_a[:3, :3], pose_a[:3, 3])),
         fcl.CollisionObject(b.geometry, fcl.Transform(pose_b[:3, :3], pose_b[:3, 3])),
         _DISTANCE,
-        _IGNORED,
+        fcl.DistanceResult() if min(a.disc, b.disc) < 0.0 else _IGNORED,
     )
     nearest = min(measured, upper)
-    return nearest if nearest > 0.0 else -depth(a, pose_a, b, pose_b)
+    return nearest if nearest > _TOUCHING else -depth(a, pose_a, b, pose_b)
 
 
 def depth(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> float:
@@ -104,7 +125,9 @@ def depth(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> float:
     directions = np.concatenate([axes, -axes, _SPHERE])
     width = 0.2
     while True:
-        extents = directions @ between + a.support(directions @ pose_a[:3, :3]) + b.support(directions @ pose_b[:3, :3])
+        extents = (
+            directions @ between + a.support(directions @ pose_a[:3, :3]) + b.support(-directions @ pose_b[:3, :3])
+        )
         if width < 1e-4:
             return float(extents.min())
         best = directions[int(np.argmin(extents))]
@@ -144,3 +167,13 @@ def _capsule(name: str, pose: Array, radius: float, length: float) -> Shape:
 
 def _cylinder(name: str, pose: Array, radius: float, length: float) -> Shape:
     return Shape(name, fcl.Cylinder(radius, length), pose, np.array([0.0, 0.0, length / 2]), radius, 0.0)
+
+
+def _triangle(name: str, pose: Array, core: Sequence[float]) -> Shape:
+    # FCL's own triangle cannot be measured against anything: it says that all is free. A mesh of one can.
+    geometry = fcl.BVHModel()
+    shape = Shape(name, geometry, pose, np.array(core), -1.0, 0.0)
+    geometry.beginModel(1, 3)
+    geometry.addSubModel(shape.corners, np.array([[0, 1, 2]]))
+    geometry.endModel()
+    return shape

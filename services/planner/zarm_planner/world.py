@@ -7,9 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.messages import Cuboid, Cylinder, SceneObject, Sphere
-from zarm_planner.frames import rotation
+from zarm_contract.messages import Mesh, Primitive, SceneObject, Voxels
+from zarm_planner import rows
+from zarm_planner.frames import matrix
 from zarm_planner.kernels.arrays import WorldArrays
+from zarm_planner.meshes import Meshes
+from zarm_planner.voxels import edges, merged
 
 Array = NDArray[np.float64]
 
@@ -20,47 +23,43 @@ BRANCHES = 4
 class World:
     """Scene objects in the base frame, with `margin` (m) added all around in `arrays`. Immutable.
 
-    `rows` (n, 17) are the convex shapes that the objects consist of, in the order of the tree and without the margin, as
-    `WorldArrays.shapes` describes them; `owner` (n,) is the index in `names` of the object that each is part of.
+    `rows` (n, 17) are the convex shapes that the objects consist of, in the order of the tree and without the margin, see
+    `zarm_planner.rows`; `owner` (n,) is the index in `names` of the object that each is part of. Raises Unavailable for a
+    mesh that is not in `meshes`.
     """
 
-    def __init__(self, objects: Sequence[SceneObject], margin: float) -> None:
-        parts = [_rows(item) for item in objects]
-        rows = np.concatenate([np.empty((0, 17)), *parts])
-        owner = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        lower, upper = _corners(rows)
+    def __init__(self, objects: Sequence[SceneObject], margin: float, meshes: Meshes | None = None) -> None:
+        shapes, owner = _shapes(objects, meshes or Meshes())
+        lower, upper = rows.bounds(shapes)
         order = _along_a_curve((lower + upper) / 2)
         self.names = tuple(item.name for item in objects)
         self.margin = margin
-        self.rows, self.owner = rows[order], owner[order]
-        grown = self.rows + margin * (np.arange(17) == 16)
+        self.rows, self.owner = shapes[order], owner[order]
+        grown = self.rows + margin * (np.arange(rows.WIDTH) == rows.WIDTH - 1)
         self.arrays = _packed(grown, lower[order] - margin, upper[order] + margin)
 
 
-def _rows(item: SceneObject) -> Array:
-    """The shapes (n, 17) of one object."""
-    turn = np.eye(3) if isinstance(item, Sphere) else rotation(item.orientation).T
-    place = np.column_stack((turn, -turn @ np.array(item.position)))
-    if isinstance(item, Cuboid):
-        x, y, z = item.size
-        core = (x / 2, y / 2, z / 2, 0.0, 0.0)
-    elif isinstance(item, Sphere):
-        core = (0.0, 0.0, 0.0, 0.0, item.radius)
-    elif isinstance(item, Cylinder):
-        core = (0.0, 0.0, item.length / 2, item.radius, 0.0)
-    else:
-        core = (0.0, 0.0, item.length / 2, 0.0, item.radius)
-    return np.array([[*place.ravel(), *core]])
+def _shapes(objects: Sequence[SceneObject], meshes: Meshes) -> tuple[Array, NDArray[np.intp]]:
+    """The shapes (n, 17) of objects, and the index (n,) of the object that each belongs to."""
+    single: list[Primitive] = []
+    indices: list[int] = []
+    parts, owners = [], []
+    for index, item in enumerate(objects):
+        if isinstance(item, Mesh | Voxels):
+            own = meshes.rows(item) if isinstance(item, Mesh) else _boxes(item)
+            parts.append(rows.placed(own, matrix(item.position, item.orientation)))
+            owners.append(np.full(len(own), index))
+        else:
+            single.append(item)
+            indices.append(index)
+    parts.append(rows.primitives(single))
+    owners.append(np.array(indices, np.intp))
+    return np.concatenate(parts), np.concatenate(owners)
 
 
-def _corners(shapes: Array) -> tuple[Array, Array]:
-    """Lower and upper corners (n, 3) of the axis-aligned boxes around shapes."""
-    turn = shapes[:, :12].reshape(-1, 3, 4)
-    center = -np.einsum("nij,ni->nj", turn[:, :, :3], turn[:, :, 3])
-    # A disc of radius r across the axis a reaches r * sqrt(1 - a_i^2) along the direction i.
-    disc = shapes[:, 15:16] * np.sqrt(np.maximum(0.0, 1.0 - turn[:, 2, :3] ** 2))
-    half = np.einsum("nij,ni->nj", np.abs(turn[:, :, :3]), shapes[:, 12:15]) + disc + shapes[:, 16:17]
-    return center - half, center + half
+def _boxes(item: Voxels) -> Array:
+    """The shapes (n, 17) of voxels, in their own frame."""
+    return rows.boxes(*edges(*merged(np.array(item.cells)), item.resolution))
 
 
 def _along_a_curve(points: Array) -> NDArray[np.intp]:
@@ -68,11 +67,13 @@ def _along_a_curve(points: Array) -> NDArray[np.intp]:
     low = points.min(axis=0, initial=0.0)
     high = points.max(axis=0, initial=0.0)
     cells = ((points - low) / np.maximum(high - low, 1e-9) * 1023).astype(np.int64)
-    code = np.zeros(len(points), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    for shift, mask in _SPREAD:
+        cells = (cells | cells << shift) & mask
+    return np.argsort(cells @ np.array([1, 2, 4]), kind="stable")
+
+
+_SPREAD = ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249))
+"""Steps that put two zeros between the bits of a number below 1024."""
 
 
 def _packed(shapes: Array, lower: Array, upper: Array) -> WorldArrays:

@@ -57,7 +57,10 @@ class Cylinder(Message):
 
 
 class Mesh(Message):
-    """Triangles from an STL or OBJ `file` (m), a path inside one of the planner's mesh folders; a closed mesh is solid."""
+    """Triangles from an STL or OBJ `file` (m), a path inside one of the planner's mesh folders; a closed mesh is solid.
+
+    `sha256` is that of the file's content. The scene fills it in, and refuses a file with another one.
+    """
 
     kind: Literal["mesh"]
     name: Name
@@ -65,9 +68,13 @@ class Mesh(Message):
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     file: Annotated[str, Field(min_length=1, max_length=255)]
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
 
 
 Resolution = Annotated[float, Field(ge=0.002, le=1)]
+
+
+Index = Annotated[int, Field(ge=-500_000, le=500_000)]
 
 
 class Voxels(Message):
@@ -78,7 +85,7 @@ class Voxels(Message):
     position: Vector3 = (0.0, 0.0, 0.0)
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     resolution: Resolution
-    cells: tuple[tuple[int, int, int], ...] = Field(min_length=1, max_length=MAX_CELLS)
+    cells: tuple[tuple[Index, Index, Index], ...] = Field(min_length=1, max_length=MAX_CELLS)
 
 
 class PointCloud(Message):
@@ -92,13 +99,14 @@ class PointCloud(Message):
     points: tuple[Vector3, ...] = Field(min_length=1, max_length=MAX_POINTS)
 
 
+Primitive = Annotated[Cuboid | Sphere | Capsule | Cylinder, Field(discriminator="kind")]
 SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Field(discriminator="kind")]
 
 
 class Attached(Message):
     """An object that the robot carries: its pose is in the frame of the tip; it may touch `touch_links`."""
 
-    object: SceneObject
+    object: Primitive
     touch_links: tuple[str, ...] = ()
 
 

@@ -45,7 +45,8 @@ class WorldArrays(NamedTuple):
 
     `shapes` (n, 17): the base frame in the obstacle's (3, 4), row by row; then half extents x, y, z of its core, the
     radius of the core about z, and what is added all around. So a cuboid is its extents, a sphere a point, a capsule a
-    segment, each with a rounding, and a cylinder a segment with a radius.
+    segment, each with a rounding, and a cylinder a segment with a radius. A radius below 0 marks a triangle: (0, 0), (b, 0),
+    (c, d) in the plane z = 0, with b, c, d in place of the half extents, and a rounding.
     `boxes` (m, 6): centre and half extents of the tree's nodes, depth first; `skip` (m,): the node after the subtree;
     `leaf` (m,): the obstacle in a leaf, -1 for an inner node.
     """

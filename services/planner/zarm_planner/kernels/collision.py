@@ -6,7 +6,21 @@ import numpy as np
 
 from zarm_planner.kernels.arrays import SHAPE, Pointer, Space
 from zarm_planner.kernels.compiled import inlined
-from zarm_planner.kernels.lanes import LANES, Lanes, Mask, below, larger, load, magnitude, nearest, root, splat, store
+from zarm_planner.kernels.lanes import (
+    LANES,
+    Lanes,
+    Mask,
+    below,
+    larger,
+    load,
+    magnitude,
+    nearest,
+    root,
+    smaller,
+    splat,
+    store,
+    where_positive,
+)
 
 RESOLUTION = 0.01
 """No sphere centre moves further (m) between two checked configurations of an edge than this, unless it is proven free
@@ -30,15 +44,39 @@ def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
 
 
 @inlined
+def squared_distance_in_plane(b: float, c: float, d: float, x: Lanes, y: Lanes) -> Lanes:
+    """Squared distance from points of a plane to the triangle (0, 0), (b, 0), (c, d) in it, b and d > 0; 0 inside.
+
+    Outside, it is that to the nearest of the edges.
+    """
+    zero, one = splat(0.0), splat(1.0)
+    right, left = c - b, np.float32(1.0) / (c * c + d * d)
+    down = np.float32(1.0) / (right * right + d * d)
+    ex = x - smaller(larger(x, zero), splat(b))
+    apart = ex * ex + y * y
+    t = smaller(larger((c * x + d * y) * left, zero), one)
+    ex, ey = x - c * t, y - d * t
+    apart = smaller(apart, ex * ex + ey * ey)
+    bx = x - b
+    t = smaller(larger((right * bx + d * y) * down, zero), one)
+    ex, ey = bx - right * t, y - d * t
+    apart = smaller(apart, ex * ex + ey * ey)
+    inside = smaller(y, smaller(d * x - c * y, right * y - d * bx))
+    return where_positive(zero - inside, apart)
+
+
+@inlined
 def squared_distance(shape: Pointer, i: int, x: Lanes, y: Lanes, z: Lanes) -> Lanes:
     """Squared distance from points to the core of the obstacle that starts at `shape[i]`; 0 inside."""
     zero = splat(0.0)
-    px = magnitude(shape[i] * x + shape[i + 1] * y + shape[i + 2] * z + shape[i + 3])
-    py = magnitude(shape[i + 4] * x + shape[i + 5] * y + shape[i + 6] * z + shape[i + 7])
-    pz = magnitude(shape[i + 8] * x + shape[i + 9] * y + shape[i + 10] * z + shape[i + 11])
-    dx = larger(px - shape[i + 12], zero)
-    dy = larger(py - shape[i + 13], zero)
-    dz = larger(pz - shape[i + 14], zero)
+    px = shape[i] * x + shape[i + 1] * y + shape[i + 2] * z + shape[i + 3]
+    py = shape[i + 4] * x + shape[i + 5] * y + shape[i + 6] * z + shape[i + 7]
+    pz = shape[i + 8] * x + shape[i + 9] * y + shape[i + 10] * z + shape[i + 11]
+    if shape[i + 15] < 0.0:
+        return squared_distance_in_plane(shape[i + 12], shape[i + 13], shape[i + 14], px, py) + pz * pz
+    dx = larger(magnitude(px) - shape[i + 12], zero)
+    dy = larger(magnitude(py) - shape[i + 13], zero)
+    dz = larger(magnitude(pz) - shape[i + 14], zero)
     across = dx * dx + dy * dy
     if shape[i + 15] > 0.0:
         rim = larger(root(across) - shape[i + 15], zero)

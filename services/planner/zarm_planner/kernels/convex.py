@@ -1,7 +1,8 @@
 """Bounds on the distance of two convex shapes, in float64, that are proven whatever rounds of work went into them.
 
 A shape is what a row of `WorldArrays.shapes` describes: its core, all around which `rounding` is added. Cores alone are
-handled here, each by its extents: half extents x, y, z of a box, and the radius of a disc about z by which it is widened.
+handled here, each by its extents: half extents x, y, z of a box, and the radius of a disc about z by which it is widened;
+or, where that is below 0, b, c, d of the triangle (0, 0), (b, 0), (c, d) in the plane z = 0.
 """
 
 from __future__ import annotations
@@ -43,8 +44,35 @@ def turned_back(turn: Turn, v: Vector) -> Vector:
 
 
 @inlined
+def _segment_point(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> tuple[float, float, float]:
+    """The point of the segment from a to b that is nearest to (x, y), and the square of how near it is."""
+    ux, uy = bx - ax, by - ay
+    t = min(max(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy), 0.0), 1.0)
+    ux, uy = ax + t * ux, ay + t * uy
+    return ux, uy, (x - ux) * (x - ux) + (y - uy) * (y - uy)
+
+
+@inlined
+def triangle_point(p: Vector, b: float, c: float, d: float) -> Vector:
+    """The point of a triangle that is nearest to `p`: below it, or on one of the edges."""
+    x, y = p[0], p[1]
+    if y >= 0.0 and d * x - c * y >= 0.0 and (c - b) * y - d * (x - b) >= 0.0:
+        return x, y, 0.0
+    near = _segment_point(x, y, 0.0, 0.0, b, 0.0)
+    other = _segment_point(x, y, 0.0, 0.0, c, d)
+    if other[2] < near[2]:
+        near = other
+    other = _segment_point(x, y, b, 0.0, c, d)
+    if other[2] < near[2]:
+        near = other
+    return near[0], near[1], 0.0
+
+
+@inlined
 def core_point(p: Vector, core: Extents) -> Vector:
     """The point of a core that is nearest to `p`: `p` itself inside."""
+    if core[3] < 0.0:
+        return triangle_point(p, core[0], core[1], core[2])
     x = min(max(p[0], -core[0]), core[0])
     y = min(max(p[1], -core[1]), core[1])
     z = min(max(p[2], -core[2]), core[2])
@@ -57,7 +85,9 @@ def core_point(p: Vector, core: Extents) -> Vector:
 
 @inlined
 def core_reach(n: Vector, core: Extents) -> float:
-    """How far a core reaches from its centre along the unit vector `n`."""
+    """How far a core reaches from its centre, a triangle from its first corner, along the unit vector `n`."""
+    if core[3] < 0.0:
+        return max(0.0, n[0] * core[0], n[0] * core[1] + n[1] * core[2])
     return (
         abs(n[0]) * core[0] + abs(n[1]) * core[1] + abs(n[2]) * core[2] + core[3] * math.sqrt(n[0] * n[0] + n[1] * n[1])
     )
@@ -77,7 +107,8 @@ def separation(n: Vector, c: Vector, turn: Turn, a: Extents, b: Extents) -> floa
 
     For every `n` the distance is at least that; where it is negative, moving one by so much along `n` parts them.
     """
-    return n[0] * c[0] + n[1] * c[1] + n[2] * c[2] - core_reach(n, b) - core_reach(turned_back(turn, n), a)
+    back = turned_back(turn, (-n[0], -n[1], -n[2]))
+    return n[0] * c[0] + n[1] * c[1] + n[2] * c[2] - core_reach(n, b) - core_reach(back, a)
 
 
 @inlined

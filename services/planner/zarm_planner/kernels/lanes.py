@@ -95,6 +95,12 @@ def larger(typing: Any, a: Any, b: Any) -> Any:
 
 
 @intrinsic
+def smaller(typing: Any, a: Any, b: Any) -> Any:
+    """The smaller of two, lane by lane."""
+    return lanes(lanes, lanes), _llvm("minnum", 2)
+
+
+@intrinsic
 def magnitude(typing: Any, a: Any) -> Any:
     """Absolute value."""
     return lanes(lanes), _llvm("fabs", 1)
@@ -127,6 +133,17 @@ def below(typing: Any, a: Any, b: Any) -> Any:
         return builder.zext(builder.bitcast(mask, ir.IntType(LANES)), ir.IntType(32))
 
     return types.uint32(lanes, lanes), build
+
+
+@intrinsic
+def where_positive(typing: Any, a: Any, value: Any) -> Any:
+    """`value` in the lanes in which `a` > 0, and 0 in the others."""
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        zero = ir.Constant(_FLOATS, [0.0] * LANES)
+        return builder.select(builder.fcmp_ordered(">", args[0], zero, flags=_FAST), args[1], zero)
+
+    return lanes(lanes, lanes), build
 
 
 def _pointer(builder: Any, args: Any) -> Any:

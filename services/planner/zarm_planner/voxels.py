@@ -1,0 +1,85 @@
+"""Occupied cells of a regular grid, found around points and merged to boxes."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import PointCloud, Voxels
+
+Array = NDArray[np.float64]
+Cells = NDArray[np.int64]
+
+_BITS = 21
+_MIDDLE = 1 << (_BITS - 1)
+FARTHEST_CELL = _MIDDLE - 1
+"""No index of a cell is further from 0."""
+FARTHEST = 1e3
+"""No cell is further (m) from the origin of its frame."""
+
+
+def voxels_of(cloud: PointCloud, field: str) -> Voxels:
+    """The voxels that a cloud's points lie in. Raises InvalidRequest for points that are too far away."""
+    points = np.fromiter(chain.from_iterable(cloud.points), np.float64, 3 * len(cloud.points)).reshape(-1, 3)
+    check_reach(points, f"{field}.points")
+    cells = tuple(map(tuple, occupied(points, cloud.resolution).tolist()))
+    return Voxels.model_construct(  # whose fields are those of a valid cloud
+        kind="voxels",
+        name=cloud.name,
+        position=cloud.position,
+        orientation=cloud.orientation,
+        resolution=cloud.resolution,
+        cells=cells,
+    )
+
+
+def check_reach(points: Array, field: str) -> None:
+    """Refuse points (n, 3) that are further away than anything. Raises InvalidRequest."""
+    far = np.any(np.abs(points) > FARTHEST, axis=1)
+    if far.any():
+        at = int(np.argmax(far))
+        raise InvalidRequest(
+            f"{field}.{at} is further than {FARTHEST:g} m from the origin of its frame; places are in m",
+            field=f"{field}.{at}",
+        )
+
+
+def occupied(points: Array, resolution: float) -> Cells:
+    """The cells (m, 3) that points (n, 3) lie in, each once, in order; cell `(i, j, k)` is centred at itself times `resolution`."""
+    return distinct(np.rint(points / resolution).astype(np.int64))
+
+
+def distinct(cells: Cells) -> Cells:
+    """Cells (n, 3), each once, sorted by x, then y, then z."""
+    i, j, k = cells.T + _MIDDLE
+    codes = np.unique((i << 2 * _BITS) | (j << _BITS) | k)
+    mask = (1 << _BITS) - 1
+    return np.column_stack([codes >> 2 * _BITS, (codes >> _BITS) & mask, codes & mask]) - _MIDDLE
+
+
+def merged(cells: Cells) -> tuple[Cells, Cells]:
+    """Boxes that cover cells (n, 3) and nothing else, without overlap: their first and last cells (m, 3).
+
+    Greedy: cells are joined to rows along z, equal rows side by side to plates, equal plates to boxes.
+    """
+    boxes = np.vstack([distinct(cells).T] * 2)  # first x, y, z, last x, y, z
+    for axis, alike in ((2, (0, 1)), (1, (0, 2, 5)), (0, (1, 2, 4, 5))):
+        if axis < 2:  # at first they are in order
+            boxes = boxes[:, np.lexsort(boxes[[axis, *alike]])]
+        fresh = np.ones(boxes.shape[1], bool)
+        fresh[1:] = boxes[axis, 1:] != boxes[axis + 3, :-1] + 1
+        for row in alike:
+            fresh[1:] |= boxes[row, 1:] != boxes[row, :-1]
+        first = np.flatnonzero(fresh)
+        last = boxes[axis + 3, np.append(first, len(fresh))[1:] - 1]
+        boxes = boxes[:, first]
+        boxes[axis + 3] = last
+    return boxes[:3].T, boxes[3:].T
+
+
+def edges(low: Cells, high: Cells, resolution: float) -> tuple[Array, Array]:
+    """Corners (n, 3), in m, of boxes from their first and last cells."""
+    return (low.astype(np.float64) - 0.5) * resolution, (high.astype(np.float64) + 0.5) * resolution

@@ -1,0 +1,400 @@
+"""What meshes promise: the same distances as trimesh, nothing hidden inside, files from the configured folders only."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import fcl
+import numba
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from sphere_model import gaps_to_itself, random_joints, spheres
+
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit
+from zarm_contract.robot import CollisionCuboid, CollisionCylinder, load_robot
+from zarm_planner import meshes as limits
+from zarm_planner import rows
+from zarm_planner.exact import FARTHEST, ExactScene
+from zarm_planner.frames import matrix
+from zarm_planner.kernels.arrays import Single
+from zarm_planner.kernels.collision import squared_distance
+from zarm_planner.kernels.convex import core_gap
+from zarm_planner.kernels.lanes import LANES, load, pointer, store
+from zarm_planner.meshes import Meshes
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.scene import SceneStore
+from zarm_planner.search import is_free
+from zarm_planner.shapes import distance, link_shape, obstacle_shape
+from zarm_planner.world import World
+
+Array = NDArray[np.float64]
+
+TURNED = (0.1, -0.5, 0.3, float(np.sqrt(1 - 0.35)))
+
+
+def mesh(file: str, name: str = "vice", **fields: object) -> Mesh:
+    return Mesh.model_validate({"kind": "mesh", "name": name, "position": (0.0, 0.0, 0.0), "file": file} | fields)
+
+
+def add(*items: Mesh, replace: bool = False) -> SceneEdit:
+    return SceneEdit(edit=AddObjects(op="add", objects=items, replace=replace))
+
+
+def saved(shape: trimesh.Trimesh, path: Path) -> Path:
+    shape.export(path)
+    return path
+
+
+@numba.njit
+def squared_distances(shapes: Single, x: Single, y: Single, z: Single, found: Single) -> None:
+    """Of the first shape to many points."""
+    for i in range(0, x.shape[0], LANES):
+        at = load(pointer(x), i), load(pointer(y), i), load(pointer(z), i)
+        store(pointer(found), i, squared_distance(pointer(shapes), 0, at[0], at[1], at[2]))
+
+
+@numba.njit
+def bounds(center: Array, turn: Array, one: Array, other: Array) -> tuple[float, float]:
+    """Of the distance of a core, placed in the frame of another, to that."""
+    return core_gap(
+        (center[0], center[1], center[2]),
+        (turn[0, 0], turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 1], turn[1, 2], turn[2, 0], turn[2, 1], turn[2, 2]),
+        (one[0], one[1], one[2], one[3]),
+        (other[0], other[1], other[2], other[3]),
+        np.inf,
+    )
+
+
+def kernel_distances(row: Array, points: Array) -> Array:
+    x, y, z = np.ascontiguousarray(points.T, np.float32)
+    found = np.empty_like(x)
+    squared_distances(row.astype(np.float32)[None], x, y, z, found)
+    return np.sqrt(found.astype(np.float64))
+
+
+def test_the_distance_to_a_triangle_is_that_of_trimesh() -> None:
+    rng = np.random.default_rng(0)
+    for number in range(60):
+        corners = rng.normal(size=(1, 3, 3))
+        if number % 3 == 0:  # a needle
+            corners[0, 2] = corners[0, 0] + 0.7 * (corners[0, 1] - corners[0, 0]) + 1e-4 * rng.normal(size=3)
+        points = rng.normal(size=(LANES * 20, 3))
+        points[: LANES * 5] = rng.dirichlet((1, 1, 1), LANES * 5) @ corners[0]
+        triangle = rows.triangles(corners)
+        assert len(triangle) == 1
+        expected = trimesh.triangles.closest_point(np.repeat(corners, len(points), axis=0), points) - points
+        np.testing.assert_allclose(
+            kernel_distances(triangle[0], points), np.linalg.norm(expected, axis=1), rtol=1e-4, atol=2e-6
+        )
+
+
+def test_a_row_gives_back_the_corners_of_its_triangle_wherever_it_is_placed() -> None:
+    corners = np.random.default_rng(1).normal(size=(50, 3, 3))
+    pose = trimesh.transformations.compose_matrix(angles=(0.3, 1.0, -2.0), translate=(1.0, -2.0, 0.5))
+    moved = rows.placed(rows.triangles(corners), pose)
+    expected = trimesh.transform_points(corners.reshape(-1, 3), pose).reshape(-1, 3, 3)
+    for found, wanted in zip(rows.corners(moved), expected, strict=True):
+        apart = np.linalg.norm(found[:, None] - wanted, axis=2)
+        assert apart.min(axis=1).max() < 1e-12
+        assert apart.min(axis=0).max() < 1e-12
+    lower, upper = rows.bounds(moved)
+    np.testing.assert_allclose(lower, expected.min(axis=1), atol=1e-12)
+    np.testing.assert_allclose(upper, expected.max(axis=1), atol=1e-12)
+
+
+def test_triangles_that_are_only_lines_are_left_out() -> None:
+    corners = np.random.default_rng(2).normal(size=(4, 3, 3))
+    corners[1, 2] = corners[1, 1]
+    corners[2, 2] = 0.3 * corners[2, 0] + 0.7 * corners[2, 1]
+    corners[3] = corners[3, 0]
+    assert len(rows.triangles(corners)) == 1
+
+
+@pytest.mark.parametrize("robot", ["panda", "doosan_m1013"])
+def test_exact_distances_to_a_mesh_are_those_of_fcl_to_the_whole_of_it(tmp_path: Path, robot: str) -> None:
+    model = RobotModel.of(load_robot(robot))
+    shape = trimesh.creation.torus(0.15, 0.05, major_sections=16, minor_sections=8)
+    meshes = Meshes((tmp_path,))
+    item = meshes.checked(
+        mesh(saved(shape, tmp_path / "ring.stl").name, position=(0.5, 0.3, 0.6), orientation=TURNED), ""
+    )
+    whole = fcl.BVHModel()
+    whole.beginModel(len(shape.faces), len(shape.vertices))
+    whole.addSubModel(shape.vertices, shape.faces)
+    whole.endModel()
+    pose = matrix(item.position, item.orientation)
+    there = fcl.CollisionObject(whole, fcl.Transform(pose[:3, :3], pose[:3, 3]))
+
+    exact = ExactScene(model, World((item,), 0.005, meshes))
+    found = []
+    for q in random_joints(model, 40, np.random.default_rng(5)):
+        links = model.link_transforms(q)
+        apart = np.inf
+        for link, part in model.parts:
+            if model.link_joint[link] >= 0:
+                place = links[link] @ part.pose
+                moved = fcl.CollisionObject(part.geometry, fcl.Transform(place[:3, :3], place[:3, 3]))
+                apart = min(apart, fcl.distance(moved, there, fcl.DistanceRequest(), fcl.DistanceResult()))
+        nearest = exact.nearest(q, itself=False)
+        found.append(nearest.distance > 0.0)
+        if apart > 1e-6 or nearest.distance > 0.0:
+            assert nearest.distance == pytest.approx(min(apart, FARTHEST), abs=2e-4)
+    assert len(set(found)) == 2
+
+
+def test_bounds_on_the_distance_to_a_triangle_enclose_what_fcl_measures() -> None:
+    rng = np.random.default_rng(6)
+    box = CollisionCuboid(kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.2, 0.3, 0.4))
+    can = CollisionCylinder(kind="cylinder", a=(0.0, 0.0, -0.2), b=(0.0, 0.0, 0.2), radius=0.1)
+    apart = overlapping = 0
+    for number in range(400):
+        part = link_shape("link", can if number % 2 else box)
+        size, far = rng.choice([0.02, 0.3, 1.0]), rng.choice([0.05, 0.5])
+        row = rows.triangles(far * rng.normal(size=(1, 1, 3)) + size * rng.normal(size=(1, 3, 3)))[0]
+        triangle = obstacle_shape("triangle", row)
+        between = np.linalg.inv(triangle.pose) @ part.pose
+        lower, upper = bounds(between[:3, 3], between[:3, :3], np.array((*part.core, part.disc)), row[12:16])
+        measured = distance(part, part.pose, triangle, triangle.pose)
+        if measured > 0.0:
+            apart += 1
+            assert lower - 1e-9 <= measured <= upper + 5e-4
+            assert upper >= lower - 1e-12
+        else:
+            overlapping += 1
+            assert lower <= 0.0
+            assert upper < 1e-6
+    assert min(apart, overlapping) > 50
+
+
+def test_a_plate_deep_in_a_link_is_as_deep_as_moving_it_out_takes() -> None:
+    part = link_shape("link", CollisionCuboid(kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.2, 0.3, 0.4)))
+    for x in (0.09, 0.03, 0.0):
+        corners = np.array([[(x, -0.1, -0.1), (x, 0.2, 0.0), (x, 0.0, 0.2)]])
+        for turned in (corners, corners[:, ::-1]):
+            triangle = obstacle_shape("plate", rows.triangles(turned)[0])
+            assert distance(part, part.pose, triangle, triangle.pose) == pytest.approx(x - 0.1, abs=1e-5)
+
+
+@pytest.mark.parametrize(("suffix", "closed"), [("stl", True), ("obj", False)])
+def test_a_configuration_is_free_exactly_when_no_sphere_touches_the_mesh(
+    tmp_path: Path, suffix: str, closed: bool
+) -> None:
+    rng, model = np.random.default_rng(3), RobotModel.of(load_robot("panda"))
+    shape = trimesh.creation.torus(0.15, 0.05, major_sections=16, minor_sections=8)
+    if not closed:
+        shape.update_faces(np.arange(len(shape.faces)) % 5 > 0)
+    file = saved(shape, tmp_path / f"ring.{suffix}").name
+    meshes = Meshes((tmp_path,))
+    item = meshes.checked(mesh(file, position=(0.5, 0.3, 0.6), orientation=TURNED, scale=(1.0, 0.8, 1.5)), "")
+    pose = trimesh.transformations.quaternion_matrix(np.roll(TURNED, 1))
+    pose[:3, 3] = item.position
+    there = shape.copy().apply_transform(pose @ np.diag((*item.scale, 1.0)))
+
+    joints = random_joints(model, 60, rng)
+    gaps = gaps_to_itself(model, joints)
+    for joint, (centers, radii) in zip(model.link_joint, spheres(model, joints), strict=True):
+        if joint >= 0:
+            _, apart, _ = trimesh.proximity.closest_point_naive(there, centers.reshape(-1, 3))
+            gaps = np.minimum(gaps, (apart.reshape(centers.shape[:2]) - radii).min(axis=1))
+    world = World((item,), 0.0, meshes)
+    answers = []
+    for q, gap in zip(joints, gaps, strict=True):
+        if abs(gap) > 1e-5:  # no sphere is wholly inside the ring without another one on its surface
+            answers.append(is_free(model, world, q))
+            assert answers[-1] == (gap > 0.0)
+    assert len(set(answers)) == 2
+
+
+SHAPES: dict[str, Callable[[], trimesh.Trimesh]] = {
+    "box": lambda: trimesh.creation.box((1.0, 0.5, 0.3)),
+    "ball": lambda: trimesh.creation.icosphere(3, 0.4),
+    "torus": lambda: trimesh.creation.torus(0.4, 0.15, major_sections=24, minor_sections=12),
+    "rod": lambda: trimesh.creation.cylinder(0.1, 1.0, sections=300),
+    "two": lambda: (
+        trimesh.creation.box((0.5, 0.5, 0.5))
+        + trimesh.creation.box((0.5, 0.5, 0.5), transform=trimesh.transformations.translation_matrix((0.2, 0.2, 0.1)))
+    ),
+    "room": lambda: trimesh.creation.box((2.0, 2.0, 2.0)) + turned_inside_out(trimesh.creation.box((1.6, 1.6, 1.6))),
+}
+
+
+def turned_inside_out(shape: trimesh.Trimesh) -> trimesh.Trimesh:
+    shape.invert()
+    return shape
+
+
+def winding(triangles: Array, points: Array) -> Array:
+    """How often a surface winds around points, by solid angles (Van Oosterom and Strackee, 1983)."""
+    a, b, c = np.moveaxis(triangles[None] - points[:, None, None], 2, 0)
+    la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
+    ab, bc, ca = ((x * y).sum(axis=2) for x, y in ((a, b), (b, c), (c, a)))
+    volume = np.einsum("pti,pti->pt", a, np.cross(b, c))
+    return np.asarray(np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum(axis=1) / (2 * np.pi))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, name: str, turn: float) -> None:
+    shape = SHAPES[name]().apply_transform(trimesh.transformations.euler_matrix(turn, 2 * turn, -turn))
+    found = Meshes((tmp_path,))
+    item = found.checked(mesh(saved(shape, tmp_path / "shape.stl").name), "")
+    parts = found.rows(item)
+    solid = parts[parts[:, 15] >= 0.0]
+    lower, upper = rows.bounds(solid)
+    rng = np.random.default_rng(4)
+    points = rng.uniform(shape.bounds[0] - 0.05, shape.bounds[1] + 0.05, (300, 3))
+    filled = np.any(np.all((points[:, None] > lower) & (points[:, None] < upper), axis=2), axis=1)
+    inside = np.abs(winding(np.asarray(shape.triangles), points)) > 0.5
+    _, apart, _ = trimesh.proximity.closest_point_naive(shape, points)
+    assert not np.any(filled & ~inside)
+    diagonal = np.sqrt(3) * shape.extents.max() / 32
+    assert np.all(apart[inside & ~filled] <= diagonal)
+    assert filled.any()
+
+
+def test_a_robot_link_cannot_hide_inside_a_closed_mesh_but_inside_an_open_one(tmp_path: Path) -> None:
+    model = RobotModel.of(load_robot("panda"))
+    q = np.array(load_robot("panda").descriptor.home)
+    x, y, z = np.min([centers.min(axis=(0, 1)) for centers, _ in spheres(model, q[None])], axis=0).tolist()
+    shape = trimesh.creation.box((6.0, 6.0, 6.0))
+    saved(shape, tmp_path / "hall.stl")
+    shape.update_faces(np.arange(len(shape.faces)) > 0)
+    saved(shape, tmp_path / "open.stl")
+    meshes = Meshes((tmp_path,))
+    hall = meshes.checked(mesh("hall.stl", position=(x, y, z)), "")
+    still_open = meshes.checked(mesh("open.stl", position=(x, y, z)), "")
+    assert not is_free(model, World((hall,), 0.0, meshes), q)
+    assert is_free(model, World((still_open,), 0.0, meshes), q)
+
+
+NOTHING = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+FILES = {
+    "empty.stl": b"",
+    "text.stl": b"this is no mesh\n" * 10,
+    "noise.stl": bytes(range(256)) * 4,
+    "noise.obj": bytes(range(256)) * 4,
+    "points.obj": NOTHING,
+    "missing_corner.obj": NOTHING + b"f 1 2 9\n",
+    "flat.obj": b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n",
+    "nan.obj": b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    "far.obj": b"v 9000 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    "line.obj": b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("file", "says"),
+    [
+        ("empty.stl", "no triangles"),
+        ("text.stl", "no triangles"),
+        ("noise.stl", "no triangles"),
+        ("noise.obj", "no triangles"),
+        ("points.obj", "no triangles"),
+        ("missing_corner.obj", "cannot be read as OBJ"),
+        ("flat.obj", "no triangles in space"),
+        ("nan.obj", "no numbers"),
+        ("far.obj", "scale 0.001"),
+        ("line.obj", "without area"),
+        ("nowhere.stl", "no file nowhere.stl"),
+        ("picture.png", "neither"),
+        ("folder.stl", "not a file"),
+        ("pipe.stl", "not a file"),
+        ("loop.stl", "cannot read loop.stl"),
+        ("a\0b.stl", "cannot read"),
+        ("link.stl", "outside"),
+        ("../secret.stl", "outside"),
+        ("deep/../../secret.stl", "outside"),
+        ("/etc/hostname.stl", "check the name"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused_with_field_and_remedy(tmp_path: Path, file: str, says: str) -> None:
+    home = tmp_path / "meshes"
+    (home / "deep").mkdir(parents=True)
+    saved(trimesh.creation.box(), tmp_path / "secret.stl")
+    for name, content in FILES.items():
+        (home / name).write_bytes(content)
+    (home / "folder.stl").mkdir()
+    os.mkfifo(home / "pipe.stl")
+    (home / "loop.stl").symlink_to("loop.stl")
+    (home / "link.stl").symlink_to(tmp_path / "secret.stl")
+    store = SceneStore(tmp_path / "state", Meshes((home,)))
+    saved(trimesh.creation.box(), home / "good.stl")
+    with pytest.raises(InvalidRequest, match=says) as caught:
+        store.edit(add(mesh("good.stl", "good"), mesh(file)))
+    assert caught.value.problem.field == "edit.objects.1.file"
+    assert store.scene.objects == ()
+
+
+def test_an_absolute_path_is_refused_even_where_it_exists(tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    path = saved(trimesh.creation.box(), tmp_path / "secret.stl")
+    with pytest.raises(InvalidRequest, match="outside"):
+        Meshes((tmp_path / "meshes",)).checked(mesh(str(path)), "x")
+
+
+def test_a_planner_without_mesh_folders_says_how_to_give_it_one(tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest, match="--meshes"):
+        SceneStore(tmp_path).edit(add(mesh("box.stl")))
+
+
+def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved(trimesh.creation.icosphere(2), tmp_path / "ball.stl")
+    monkeypatch.setattr(limits, "MAX_TRIANGLES", 300)
+    with pytest.raises(InvalidRequest, match="320 triangles, more than 300"):
+        Meshes((tmp_path,)).checked(mesh("ball.stl"), "x")
+    monkeypatch.setattr(limits, "MAX_BYTES", 1000)
+    with pytest.raises(InvalidRequest, match="more than 1000"):
+        Meshes((tmp_path,)).checked(mesh("ball.stl"), "x")
+
+
+def test_single_triangles_without_area_are_dropped_and_the_rest_stays_closed(tmp_path: Path) -> None:
+    box = trimesh.creation.box()
+    box.faces = np.concatenate([box.faces, [[0, 0, 1], [2, 2, 2]]])
+    (tmp_path / "box.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in box.vertices)
+        + "".join(f"f {a} {b} {c}\n" for a, b, c in box.faces + 1)
+    )
+    meshes = Meshes((tmp_path,))
+    parts = meshes.rows(meshes.checked(mesh("box.obj"), ""))
+    assert np.count_nonzero(parts[:, 15] < 0.0) == 12
+    assert np.count_nonzero(parts[:, 15] >= 0.0) == 1
+
+
+def test_the_scene_keeps_which_file_it_was(tmp_path: Path) -> None:
+    saved(trimesh.creation.box(), tmp_path / "box.stl")
+    meshes = Meshes((tmp_path,))
+    store = SceneStore(tmp_path / "state", meshes)
+    (item,) = store.edit(add(mesh("box.stl"))).objects
+    assert isinstance(item, Mesh)
+    assert item.sha256 is not None
+    before = len(World((item,), 0.0, meshes).rows)
+
+    saved(trimesh.creation.icosphere(2), tmp_path / "box.stl")
+    assert len(World((item,), 0.0, meshes).rows) == before
+    with pytest.raises(InvalidRequest, match="sha256") as caught:
+        store.edit(add(item, replace=True))
+    assert caught.value.problem.field == "edit.objects.0.sha256"
+    (fresh,) = store.edit(add(mesh("box.stl"), replace=True)).objects
+    assert len(World((fresh,), 0.0, meshes).rows) > before
+
+
+@pytest.mark.parametrize("change", ["gone", "changed", "broken"])
+def test_no_world_is_made_while_a_mesh_of_the_scene_cannot_be_read(tmp_path: Path, change: str) -> None:
+    path = saved(trimesh.creation.box(), tmp_path / "box.stl")
+    content = path.read_bytes()
+    SceneStore(tmp_path / "state", Meshes((tmp_path,))).edit(add(mesh("box.stl")))
+    if change == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(b"broken" if change == "broken" else content[:-1] + b"\1")
+    store = SceneStore(tmp_path / "state", Meshes((tmp_path,)))
+    with pytest.raises(Unavailable, match=r"vice.*box\.stl.*removed or replaced"):
+        World(store.scene.objects, 0.0, store.meshes)
+    path.write_bytes(content)
+    World(store.scene.objects, 0.0, store.meshes)
+    assert store.edit(SceneEdit(edit=ClearScene(op="clear"))).objects == ()

@@ -1,0 +1,81 @@
+"""What voxels promise: no point of a cloud is left out, and merged boxes are the cells, no more and no less."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from zarm_contract.messages import PointCloud, SceneEdit, Voxels
+from zarm_contract.messages.scene import AddObjects
+from zarm_planner.scene import SceneStore
+from zarm_planner.voxels import FARTHEST_CELL, distinct, edges, merged, occupied
+from zarm_planner.world import World
+
+Cells = NDArray[np.int64]
+
+
+def covered(low: Cells, high: Cells) -> list[tuple[int, ...]]:
+    """Every cell of every box, as often as it is covered."""
+    return sorted(
+        tuple((first + np.array(step)).tolist())
+        for first, last in zip(low, high, strict=True)
+        for step in np.ndindex(*(last - first + 1))
+    )
+
+
+@pytest.mark.parametrize("resolution", [0.002, 0.02, 0.3])
+def test_every_point_lies_in_a_box(resolution: float) -> None:
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.normal(size=(500, 3)), resolution * (rng.integers(-9, 9, (500, 3)) + 0.5)])
+    lower, upper = edges(*merged(occupied(points, resolution)), resolution)
+    inside = np.all((points[:, None] >= lower - 1e-9) & (points[:, None] <= upper + 1e-9), axis=2)
+    assert inside.any(axis=1).all()
+
+
+def test_a_cell_is_occupied_once_and_only_where_a_point_is() -> None:
+    assert occupied(np.array([(0.009, 0.0, -0.009), (0.0, 0.0, 0.0), (0.031, -0.011, 0.0)]), 0.02).tolist() == [
+        [0, 0, 0],
+        [2, -1, 0],
+    ]
+
+
+@pytest.mark.parametrize("count", [0, 1, 30, 3000])
+def test_merged_boxes_cover_exactly_the_cells_each_once(count: int) -> None:
+    cells = np.random.default_rng(count).integers(-8, 8, (count, 3))
+    assert covered(*merged(cells)) == sorted(map(tuple, distinct(cells).tolist()))
+
+
+def test_a_full_block_is_one_box_and_a_room_is_a_few() -> None:
+    block = np.argwhere(np.ones((20, 30, 10), bool)) - 15
+    assert [ends.tolist() for ends in merged(block)] == [[[-15, -15, -15]], [[4, 14, -6]]]
+    room = np.ones((20, 30, 10), bool)
+    room[1:-1, 1:-1, 1:-1] = False
+    assert len(merged(np.argwhere(room))[0]) == 6
+
+
+def test_the_furthest_cells_are_told_apart() -> None:
+    ends = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * FARTHEST_CELL
+    assert distinct(ends[::-1]).tolist() == ends.tolist()
+
+
+def test_a_cloud_becomes_voxels_in_its_own_frame(tmp_path: pytest.TempPathFactory) -> None:
+    turned = (0.0, 0.0, float(np.sqrt(0.5)), float(np.sqrt(0.5)))
+    cloud = PointCloud(
+        kind="cloud",
+        name="seen",
+        position=(1.0, 0.0, 0.0),
+        orientation=turned,
+        resolution=0.1,
+        points=((0.5, 0.0, 0.0), (0.51, 0.0, 0.0)),
+    )
+    scene = SceneStore(tmp_path).edit(SceneEdit(edit=AddObjects(op="add", objects=(cloud,))))
+    voxels = Voxels(
+        kind="voxels", name="seen", position=(1.0, 0.0, 0.0), orientation=turned, resolution=0.1, cells=((5, 0, 0),)
+    )
+    assert scene.objects == (voxels,)
+    assert SceneStore(tmp_path).scene == scene
+    world = World(scene.objects, 0.0)
+    assert world.names == ("seen",)
+    box = world.arrays.boxes[0]
+    np.testing.assert_allclose(box, (1.0, 0.5, 0.0, 0.05, 0.05, 0.05), atol=1e-6)
