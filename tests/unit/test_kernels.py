@@ -20,8 +20,11 @@ from sphere_model import (
 
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, PlannerSettings, SceneObject, Sphere
 from zarm_contract.robot import load_robot
+from zarm_planner.exact import ExactScene
 from zarm_planner.frames import rotation
+from zarm_planner.kernels import quintic
 from zarm_planner.kernels.arrays import Single
+from zarm_planner.kernels.clearance import look
 from zarm_planner.kernels.collision import RESOLUTION, sine_cosine
 from zarm_planner.kernels.connect import connect
 from zarm_planner.kernels.edge import path_free
@@ -32,8 +35,11 @@ from zarm_planner.kernels.ramps import along
 from zarm_planner.kernels.shortcut import shortcut
 from zarm_planner.kernels.smoothing import smooth
 from zarm_planner.kernels.trees import Trees, add, make_trees, nearest_node
+from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free
+from zarm_planner.timing import time_path
+from zarm_planner.verify import verify
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
 
@@ -209,6 +215,11 @@ def test_what_is_compiled_for_one_robot_serves_all(arm: RobotModel) -> None:
     said: list[str] = []
     warm_up(arm, said.append)
     warm_up(RobotModel.of(load_robot("panda")), said.append)
-    assert len(set(said)) == 6
-    for kernel in (frames, path_free, connect, shortcut, solve, along, smooth):
+    home = np.array(arm.robot.descriptor.home)
+    path = home + np.array(((0.0, 0, 0, 0), (0.2, 0, 0, 0), (0.2, 0.1, 0, 0)))
+    motion = time_path(path, Limits.of(arm), 0.01, 0.0)
+    world = World([Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 2.0), radius=0.1)], 0.005)
+    verify(motion, path[0], path[-1], Limits.of(arm), ExactScene(arm, world), lambda: None)
+    assert len(set(said)) == 7
+    for kernel in (frames, path_free, connect, shortcut, solve, along, smooth, look, quintic.sample, quintic.load):
         assert len(kernel.signatures) == 1, kernel  # type: ignore[attr-defined]

@@ -56,6 +56,10 @@ class Motion:
         return cls(np.array([0.0, dt]), np.stack((position, position)), *np.zeros((2, 2, len(position))))
 
     @property
+    def _samples(self) -> quintic.Samples:
+        return quintic.Samples(*map(_packed, (self.time, self.position, self.velocity, self.acceleration)))
+
+    @property
     def duration(self) -> float:
         """Seconds from the first to the last sample."""
         return float(self.time[-1])
@@ -68,7 +72,7 @@ class Motion:
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at times `t` (k,) within the motion, each (k, dof)."""
         out = np.empty((3, len(t), self.position.shape[1]))
-        quintic.sample(self.time, self.position, self.velocity, self.acceleration, np.ascontiguousarray(t), out)
+        quintic.sample(self._samples, _packed(t), out)
         return out[0], out[1], out[2]
 
     def load(self, limits: Limits) -> float:
@@ -76,8 +80,8 @@ class Motion:
 
         Velocity and acceleration are taken also between samples, jerk as the mean from sample to sample.
         """
-        most = limits.velocity, limits.acceleration, limits.jerk
-        velocity, acceleration, jerk = quintic.load(self.time, self.position, self.velocity, self.acceleration, most)
+        most = _packed(limits.velocity), _packed(limits.acceleration), _packed(limits.jerk)
+        velocity, acceleration, jerk = quintic.load(self._samples, most)
         return float(np.max((velocity, math.sqrt(acceleration), math.cbrt(jerk))))
 
     def slower(self, factor: float) -> Motion:
@@ -96,6 +100,11 @@ class Motion:
             velocity=velocity,
             acceleration=acceleration,
         )
+
+
+def _packed(array: Array) -> Array:
+    """In the one layout in memory that kernels are compiled for; for another one they would be compiled anew."""
+    return np.ascontiguousarray(array, np.float64)
 
 
 def sample_times(duration: float, factor: float, dt: float) -> Array:

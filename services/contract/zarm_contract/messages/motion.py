@@ -106,6 +106,8 @@ class Trajectory(Message):
         cls, rows: tuple[tuple[float, ...], ...], info: ValidationInfo
     ) -> tuple[tuple[float, ...], ...]:
         _same_length(rows, info, "time")
-        for row in rows:
-            _same_length(row, info, "joint_names")
+        width: Sequence[str] | None = info.data.get("joint_names")
+        if width is not None and any(len(row) != len(width) for row in rows):  # thousands of rows: no call for each
+            for row in rows:
+                _same_length(row, info, "joint_names")
         return rows

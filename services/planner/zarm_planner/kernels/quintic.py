@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,22 @@ CHECKS = 8
 """Moments per interval between samples at which velocity and acceleration are checked."""
 
 
+class Samples(NamedTuple):
+    """A motion: `time` (n,) in s, the rest (n, dof) in rad, rad/s, rad/s^2."""
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+
 @inlined
-def _coefficients(
-    position: Array, velocity: Array, acceleration: Array, i: int, joint: int, h: float
-) -> tuple[float, float, float, float, float, float]:
+def _coefficients(motion: Samples, i: int, joint: int, h: float) -> tuple[float, float, float, float, float, float]:
     """From sample `i` to the next, `h` s later, as x goes from 0 to 1.
 
     The start fixes three of them; the end gives three equations for the others.
     """
+    position, velocity, acceleration = motion.position, motion.velocity, motion.acceleration
     p0, v0, a0 = position[i, joint], velocity[i, joint] * h, acceleration[i, joint] * h * h
     p1, v1, a1 = position[i + 1, joint], velocity[i + 1, joint] * h, acceleration[i + 1, joint] * h * h
     p, v, a = p1 - p0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
@@ -30,8 +39,9 @@ def _coefficients(
 
 
 @kernel
-def sample(time: Array, position: Array, velocity: Array, acceleration: Array, t: Array, out: Array) -> None:
-    """Position, velocity and acceleration `out` (3, k, dof) at times `t` (k,) of the motion with samples at `time` (n,)."""
+def sample(motion: Samples, t: Array, out: Array) -> None:
+    """Position, velocity and acceleration `out` (3, k, dof) at times `t` (k,) within the motion."""
+    time = motion.time
     for m in range(t.shape[0]):
         low, high = 0, time.shape[0] - 1
         while high - low > 1:
@@ -42,8 +52,8 @@ def sample(time: Array, position: Array, velocity: Array, acceleration: Array, t
                 high = middle
         h = time[low + 1] - time[low]
         x = (t[m] - time[low]) / h
-        for joint in range(position.shape[1]):
-            c0, c1, c2, c3, c4, c5 = _coefficients(position, velocity, acceleration, low, joint, h)
+        for joint in range(motion.position.shape[1]):
+            c0, c1, c2, c3, c4, c5 = _coefficients(motion, low, joint, h)
             out[0, m, joint] = c0 + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
             out[1, m, joint] = (c1 + x * (2 * c2 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h
             out[2, m, joint] = (2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h)
@@ -56,25 +66,23 @@ def _larger(worst: float, value: float) -> float:
 
 
 @kernel
-def load(
-    time: Array, position: Array, velocity: Array, acceleration: Array, most: tuple[Array, Array, Array]
-) -> tuple[float, float, float]:
+def load(motion: Samples, most: tuple[Array, Array, Array]) -> tuple[float, float, float]:
     """The largest parts of the limits `most`, each (dof,), that velocity, acceleration and jerk come to.
 
     Velocity and acceleration are taken also between samples, jerk as the mean from sample to sample.
     """
     fastest = hardest = jerkiest = 0.0
-    last = time.shape[0] - 1
-    for i in range(last):
+    time = motion.time
+    for i in range(time.shape[0] - 1):
         h = time[i + 1] - time[i]
-        for joint in range(position.shape[1]):
-            _, c1, c2, c3, c4, c5 = _coefficients(position, velocity, acceleration, i, joint, h)
+        for joint in range(motion.position.shape[1]):
+            _, c1, c2, c3, c4, c5 = _coefficients(motion, i, joint, h)
             for check in range(CHECKS):
                 x = check / CHECKS
                 v = abs(c1 + x * (2 * c2 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h
                 a = abs(2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h)
                 fastest = _larger(fastest, v / most[0][joint])
                 hardest = _larger(hardest, a / most[1][joint])
-            jerk = abs(acceleration[i + 1, joint] - acceleration[i, joint]) / h
+            jerk = abs(motion.acceleration[i + 1, joint] - motion.acceleration[i, joint]) / h
             jerkiest = _larger(jerkiest, jerk / most[2][joint])
     return fastest, hardest, jerkiest
