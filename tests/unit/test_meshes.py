@@ -18,7 +18,7 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit
 from zarm_contract.robot import CollisionCuboid, CollisionCylinder, load_robot
 from zarm_planner import meshes as limits
-from zarm_planner import rows
+from zarm_planner import rows, solid
 from zarm_planner.exact import FARTHEST, ExactScene
 from zarm_planner.frames import matrix
 from zarm_planner.kernels.arrays import Single
@@ -244,8 +244,7 @@ def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, 
     found = Meshes((tmp_path,))
     item = found.checked(mesh(saved(shape, tmp_path / "shape.stl").name), "")
     parts = found.rows(item)
-    solid = parts[parts[:, 15] >= 0.0]
-    lower, upper = rows.bounds(solid)
+    lower, upper = rows.bounds(parts[parts[:, 15] >= 0.0])
     rng = np.random.default_rng(4)
     points = rng.uniform(shape.bounds[0] - 0.05, shape.bounds[1] + 0.05, (300, 3))
     filled = np.any(np.all((points[:, None] > lower) & (points[:, None] < upper), axis=2), axis=1)
@@ -255,6 +254,15 @@ def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, 
     diagonal = np.sqrt(3) * shape.extents.max() / 32
     assert np.all(apart[inside & ~filled] <= diagonal)
     assert filled.any()
+
+
+def test_what_would_take_too_many_cells_is_filled_with_larger_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    shape = SHAPES["ball"]()
+    fine = solid.inside(np.asarray(shape.triangles))
+    monkeypatch.setattr(solid, "_PAIRS", 5000)
+    lower, upper = solid.inside(np.asarray(shape.triangles))
+    assert 0 < len(lower) < len(fine[0])
+    assert np.all(np.linalg.norm(np.maximum(abs(lower), abs(upper)), axis=1) < 0.4)
 
 
 def test_a_robot_link_cannot_hide_inside_a_closed_mesh_but_inside_an_open_one(tmp_path: Path) -> None:

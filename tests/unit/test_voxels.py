@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zarm_contract.messages import PointCloud, SceneEdit, Voxels
-from zarm_contract.messages.scene import AddObjects
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import AddObjects, PointCloud, SceneEdit, Voxels
+from zarm_planner import scene
 from zarm_planner.scene import SceneStore
 from zarm_planner.voxels import FARTHEST_CELL, distinct, edges, merged, occupied
 from zarm_planner.world import World
@@ -59,7 +62,41 @@ def test_the_furthest_cells_are_told_apart() -> None:
     assert distinct(ends[::-1]).tolist() == ends.tolist()
 
 
-def test_a_cloud_becomes_voxels_in_its_own_frame(tmp_path: pytest.TempPathFactory) -> None:
+def add(*items: PointCloud | Voxels) -> SceneEdit:
+    return SceneEdit(edit=AddObjects(op="add", objects=items))
+
+
+@pytest.mark.parametrize(
+    ("item", "field"),
+    [
+        (PointCloud(kind="cloud", name="seen", points=((0, 0, 0), (0, -1001, 0))), "edit.objects.0.points.1"),
+        (Voxels(kind="voxels", name="seen", resolution=0.1, cells=((0, 0, 10_001),)), "edit.objects.0.cells.0"),
+        (PointCloud(kind="cloud", name="seen", position=(0, 0, 2000), points=((0, 0, 0),)), "edit.objects.0.position"),
+    ],
+)
+def test_what_is_too_far_away_is_refused_by_field(tmp_path: Path, item: PointCloud | Voxels, field: str) -> None:
+    with pytest.raises(InvalidRequest, match="1000 m") as caught:
+        SceneStore(tmp_path).edit(add(item))
+    assert caught.value.problem.field == field
+
+
+def test_a_scene_of_too_many_parts_or_bytes_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = SceneStore(tmp_path)
+    one = Voxels(kind="voxels", name="one", resolution=0.1, cells=tuple((i, 0, 0) for i in range(60)))
+    store.edit(add(one))
+    other = one.model_copy(update={"name": "other"})
+    monkeypatch.setattr(scene, "MAX_PARTS", 100)
+    with pytest.raises(InvalidRequest, match="120 objects, cells and triangles"):
+        store.edit(add(other))
+    monkeypatch.setattr(scene, "MAX_PARTS", 1000)
+    monkeypatch.setattr(scene, "MAX_BYTES", 1000)
+    with pytest.raises(InvalidRequest, match="coarser resolution"):
+        store.edit(add(other))
+    assert store.scene.objects == (one,)
+    assert SceneStore(tmp_path).scene.objects == (one,)
+
+
+def test_a_cloud_becomes_voxels_in_its_own_frame(tmp_path: Path) -> None:
     turned = (0.0, 0.0, float(np.sqrt(0.5)), float(np.sqrt(0.5)))
     cloud = PointCloud(
         kind="cloud",
@@ -69,13 +106,13 @@ def test_a_cloud_becomes_voxels_in_its_own_frame(tmp_path: pytest.TempPathFactor
         resolution=0.1,
         points=((0.5, 0.0, 0.0), (0.51, 0.0, 0.0)),
     )
-    scene = SceneStore(tmp_path).edit(SceneEdit(edit=AddObjects(op="add", objects=(cloud,))))
+    kept = SceneStore(tmp_path).edit(add(cloud))
     voxels = Voxels(
         kind="voxels", name="seen", position=(1.0, 0.0, 0.0), orientation=turned, resolution=0.1, cells=((5, 0, 0),)
     )
-    assert scene.objects == (voxels,)
-    assert SceneStore(tmp_path).scene == scene
-    world = World(scene.objects, 0.0)
+    assert kept.objects == (voxels,)
+    assert SceneStore(tmp_path).scene == kept
+    world = World(kept.objects, 0.0)
     assert world.names == ("seen",)
     box = world.arrays.boxes[0]
     np.testing.assert_allclose(box, (1.0, 0.5, 0.0, 0.05, 0.05, 0.05), atol=1e-6)

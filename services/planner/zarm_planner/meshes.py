@@ -41,16 +41,7 @@ class Meshes:
 
     def checked(self, item: Mesh, field: str) -> Mesh:
         """The mesh with its file's digest; from now on its shapes are known. Raises InvalidRequest."""
-        content = self._content(item, field)
-        digest = hashlib.sha256(content).hexdigest()
-        if item.sha256 not in (None, digest):
-            raise InvalidRequest(
-                f"{item.name}: the file {item.file} is not the one with the given sha256; put that one back, or leave "
-                "sha256 out to take the file as it is now",
-                field=f"{field}.sha256",
-            )
-        if (digest, item.scale) not in self._known:
-            self._known[digest, item.scale] = _shapes(item, content, field)
+        digest, _ = self._read(item, field)
         return item.model_copy(update={"sha256": digest})
 
     def rows(self, item: Mesh) -> Array:
@@ -62,13 +53,12 @@ class Meshes:
         if known is not None:
             return known
         try:
-            checked = self.checked(item, "")
+            return self._read(item, "")[1]
         except InvalidRequest as error:
             raise Unavailable(
                 f"the scene holds the mesh {item.name}, which cannot be read: {error.problem.message}. Until its file is "
                 f"back, or {item.name} is removed or replaced, nothing can be planned"
             ) from error
-        return self._known[checked.sha256 or "", item.scale]
 
     def count(self, item: Mesh) -> int:
         """How many shapes a mesh consists of; 0 while its file cannot be read."""
@@ -77,7 +67,22 @@ class Meshes:
     def keep(self, items: Iterable[Mesh]) -> None:
         """Forget the shapes of all other meshes."""
         wanted = {(item.sha256, item.scale) for item in items}
-        self._known = {key: value for key, value in self._known.items() if key in wanted}
+        self._known = {key: value for key, value in list(self._known.items()) if key in wanted}
+
+    def _read(self, item: Mesh, field: str) -> tuple[str, Array]:
+        """The digest of a mesh's file, and its shapes."""
+        content = self._content(item, field)
+        digest = hashlib.sha256(content).hexdigest()
+        if item.sha256 not in (None, digest):
+            raise InvalidRequest(
+                f"{item.name}: the file {item.file} is not the one with the given sha256; put that one back, or leave "
+                "sha256 out to take the file as it is now",
+                field=f"{field}.sha256",
+            )
+        shapes = self._known.get((digest, item.scale))
+        if shapes is None:
+            shapes = self._known[digest, item.scale] = _shapes(item, content, field)
+        return digest, shapes
 
     def _content(self, item: Mesh, field: str) -> bytes:
         """What the mesh's file holds. A link that leads out of the folders is followed no further than that."""

@@ -12,7 +12,7 @@ Index = NDArray[np.int64]
 
 CELLS = 32
 """Along the longest side of the surface's bounding box, the inside is divided into at most so many cells."""
-_PAIRS = 4_000_000
+_PAIRS = 1_000_000
 """At most so many pairs of a triangle and a column of cells are looked at; the grid is made coarser until they are."""
 _SLACK = 1e-6
 """By this part of its size a cell is taken for larger, so that no rounding error lets a triangle slip between two."""
