@@ -174,7 +174,7 @@ def load(
 
 @app.command()
 def save(file: Path, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """Write the scene to a YAML file that `scene load` reads."""
+    """Write the objects of the scene to a YAML file that `scene load` reads; what the robot carries is not among them."""
     scene = _read(connect, name)
     objects = json.loads(scene.model_dump_json(include={"objects"}))
     write_text(file, yaml.safe_dump(objects, sort_keys=False, default_flow_style=None))
