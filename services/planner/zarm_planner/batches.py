@@ -196,6 +196,10 @@ def _has_gpu() -> bool:
 
 
 def _chain(model: RobotModel, device: Device) -> SerialChain:
+    import torch
+
+    # Plans have the other cores; and 1000 poses took two threads that share two busy cores nine times as long as one.
+    torch.set_num_threads(1)
     return _chain_of(_urdf(model), model.robot.descriptor.tip_link, device)
 
 
