@@ -1,18 +1,23 @@
-"""Search and shortening on MotionBenchMaker's problems: `python tests/benchmarks/mbm.py [--seeds 5] [--margin 0.0] [--quick]`.
+"""MotionBenchMaker's problems, beside OMPL and, where installed, RoboPlan: `python tests/benchmarks/mbm.py [--seeds 20]`.
 
-CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes. Needs the problems in ../shared/mbm. The margin is 0 by default, as in published
-results on these problems; with one, the problems whose start or goal is not free any more are left out.
+All run in turn on each problem, in CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes.
+OMPL is driven by zarm's own compiled checks, and shortens with its simplifyMax; RoboPlan (`pip install roboplan==0.7.0`) checks the same spheres itself. Both
+take fewer runs. The margin is 0 by default, as in published results on these problems; with one, problems whose start or
+goal is not free any more are left out. Needs the problems in ../shared/mbm; plots into tests/benchmarks/plots/mbm.png.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
@@ -20,123 +25,269 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import motion_bench
+import ompl_peer
+from ompl_peer import Run
 
-from zarm_planner.ik import solve_ik
+from zarm_planner.exact import ExactScene
+from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free, search
 from zarm_planner.shorten import shorten
+from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
+from zarm_planner.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
 
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+if ROBOPLAN := importlib.util.find_spec("roboplan") is not None:
+    import roboplan_peer
+
 Array = NDArray[np.float64]
 
-TIMEOUT = 5.0
+TIMEOUT = 1.0
+"""Seconds within which a search must be done to count as solved."""
+PEERS_TIMEOUT = 5.0
+"""What the others get: they look at the wall clock, which runs on while other programs have the processor."""
+OMPL_RUNS = 2
+ROBOPLAN_EVERY = 4
+"""RoboPlan runs once, on every so-many-th problem."""
+SLOW = 0.005
+"""Seconds of search and shortening above which a run is told by name."""
+PEERS: list[tuple[str, str, Callable[[Result], list[Run | None]]]] = [
+    ("OMPL RRTConnect on zarm's checks of edges", "tab:orange", lambda result: result.ompl_edges),
+    ("OMPL RRTConnect on zarm's checks of states", "tab:red", lambda result: result.ompl_states),
+    ("RoboPlan RRT-Connect", "tab:green", lambda result: result.roboplan),
+]
+"""Name, colour in the plot, and runs."""
+PLOT = Path(__file__).parent / "plots" / "mbm.png"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What became of a path: CPU seconds of smoothing and of verification, duration (s) and clearance (m, NaN if refused)."""
+
+    smooth: float
+    verify: float
+    duration: float
+    clearance: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """All runs of one problem, None where unsolved: zarm's in the order of their seeds; `motion` is that of the first."""
+
+    robot: str
+    scene: str
+    problem: int
+    zarm: list[Run | None]
+    motion: Motion | None
+    ompl_edges: list[Run | None]
+    ompl_states: list[Run | None]
+    roboplan: list[Run | None]
 
 
 def main() -> None:
-    """Print one table of problems and one of single kernels."""
+    """Print the tables and draw the plot."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=5, help="runs of each problem")
+    parser.add_argument("--seeds", type=int, default=20, help="zarm's runs of each problem")
     parser.add_argument("--margin", type=float, default=0.0, help="kept free around the robot (m)")
-    parser.add_argument("--quick", action="store_true", help="one run of every third problem")
+    parser.add_argument("--every", type=int, default=1, help="take every so-many-th problem")
     options = parser.parse_args()
     if not motion_bench.AVAILABLE:
         sys.exit(f"there is nothing to measure: MotionBenchMaker's problems are not in {motion_bench.PROBLEMS}")
-    console = Console(width=140)
-    seeds, every = (1, 3) if options.quick else (options.seeds, 1)
+    console = Console(width=175)
+    ompl_peer.quiet(seed=1)
+    results: list[Result] = []
     with tempfile.TemporaryDirectory() as folder:
         models = {name: RobotModel.of(motion_bench.robot(name, Path(folder))) for name in motion_bench.ROBOTS}
-    began = time.thread_time()
-    warm_up(models["panda"], lambda _: None)
-    console.print(f"warm-up {time.thread_time() - began:.2f} s (long only when kernels had to be compiled)")
-    console.print(problems_table(models, options.margin, seeds, every))
+        warm_up(models["panda"], lambda _: None)
+        for name, model in models.items():
+            for scene in motion_bench.SCENES:
+                for problem in motion_bench.problems(name, scene)[:: options.every]:
+                    result = run(model, name, scene, problem, options.margin, options.seeds)
+                    results += [result] if result else []
+    console.print(zarm_table(results))
+    for title, _, runs_of in PEERS:
+        if any(map(runs_of, results)):
+            console.print(peers_table(results, title, runs_of))
+    if not ROBOPLAN:
+        console.print("RoboPlan is not installed; pip install roboplan==0.7.0 puts it beside")
     console.print(kernels_table(models))
+    for line in outliers(results):
+        console.print(line)
+    draw(results)
+    console.print(f"plotted into {PLOT}")
 
 
-def problems_table(models: dict[str, RobotModel], margin: float, seeds: int, every: int) -> Table:
-    """Solved, times (median / 95th percentile) and path length per robot and scene."""
-    table = Table("robot", "scene", "solved", "search ms", "shorten ms", "together ms", "length rad", "was", "rows")
-    totals: list[tuple[float, ...]] = []
-    asked_in_all = 0
-    for name, model in models.items():
-        for scene in motion_bench.SCENES:
-            runs: list[tuple[float, ...]] = []
-            asked = 0
-            for problem in motion_bench.problems(name, scene)[::every]:
-                world = World(problem.objects, margin)
-                start, goals = np.array(problem.start), np.array(problem.goals)
-                if not all(is_free(model, world, q) for q in (start, *goals)):
-                    continue
-                asked += seeds
-                for seed in range(seeds):
-                    searching = time.thread_time()
-                    path = search(model, world, start, goals, seed=seed, stop=Stop(TIMEOUT))
-                    shortening = time.thread_time()
-                    if path is None:
-                        continue
-                    short = shorten(model, world, path, seed=seed, stop=Stop(TIMEOUT))
-                    done = time.thread_time()
-                    times = (shortening - searching, done - shortening, done - searching)
-                    runs.append((*times, length(short), length(path), len(short)))
-            table.add_row(name, scene, *cells(runs, asked))
-            totals += runs
-            asked_in_all += asked
-    table.add_section()
-    table.add_row("all", "", *cells(totals, asked_in_all))
+def run(
+    model: RobotModel, name: str, scene: str, problem: motion_bench.Problem, margin: float, seeds: int
+) -> Result | None:
+    """Everybody's runs of one problem; None where the margin rules it out."""
+    world = World(problem.objects, margin)
+    start, goals = np.array(problem.start), np.array(problem.goals)
+    if not all(is_free(model, world, q) for q in (start, *goals)):
+        return None
+    runs: list[Run | None] = []
+    motion = None
+    for seed in range(seeds):
+        began = time.thread_time()
+        path = search(model, world, start, goals, seed=seed, stop=Stop(TIMEOUT))
+        searched = time.thread_time()
+        if path is None:
+            runs.append(None)
+            continue
+        path = shorten(model, world, path, seed=seed, stop=Stop(TIMEOUT))
+        runs.append(Run(searched - began, time.thread_time() - searched, length(path)))
+        if motion is None:
+            motion = timed(model, world, ExactScene(model, problem.objects), path)
+    edges = [ompl_peer.plan(model, world, start, goals, PEERS_TIMEOUT, edges=True) for _ in range(OMPL_RUNS)]
+    states = [ompl_peer.plan(model, world, start, goals, PEERS_TIMEOUT, edges=False)]
+    roboplan: list[Run | None] = []
+    if ROBOPLAN and problem.index % ROBOPLAN_EVERY == 0:
+        peer = roboplan_peer.scene(model, problem.objects)
+        roboplan = [roboplan_peer.plan(peer, model, start, goals[0], PEERS_TIMEOUT, seed=0)]
+    return Result(name, scene, problem.index, runs, motion, edges, states, roboplan)
+
+
+def timed(model: RobotModel, world: World, exact: ExactScene, path: Array) -> Motion:
+    """Smooth a path and verify the motion."""
+    limits, began = Limits.of(model), time.thread_time()
+    motion = smooth_path(model, world, path, limits, 0.01, seed=0, stop=Stop(60.0))
+    smoothed = time.thread_time()
+    try:
+        clearance = verify(motion, path[0], path[-1], limits, exact, lambda: None)
+    except VerificationFailed:
+        clearance = float("nan")
+    return Motion(smoothed - began, time.thread_time() - smoothed, motion.duration, clearance)
+
+
+def by_scene(results: list[Result]) -> dict[tuple[str, str], list[Result]]:
+    """The results of each robot and scene, and at last all of them."""
+    groups: dict[tuple[str, str], list[Result]] = {}
+    for result in results:
+        groups.setdefault((result.robot, result.scene), []).append(result)
+    return groups | {("all", ""): results}
+
+
+def zarm_table(results: list[Result]) -> Table:
+    """Solved, times per stage (median / 95th percentile), and means of what came out."""
+    stages = ("search ms", "shorten ms", "together ms", "smooth ms", "verify ms")
+    table = Table(
+        "robot", "scene", "solved", *stages, "length rad", "duration s", "clearance mm", "refused", title="zarm"
+    )
+    for names, group in by_scene(results).items():
+        runs = [run for result in group for run in result.zarm]
+        solved = [run for run in runs if run]
+        motions = [result.motion for result in group if result.motion]
+        clearances = np.array([motion.clearance for motion in motions])
+        table.add_row(
+            *names,
+            f"{len(solved)} / {len(runs)}",
+            median_p95([run.search for run in solved]),
+            median_p95([run.shorten for run in solved]),
+            median_p95([run.search + run.shorten for run in solved]),
+            median_p95([motion.smooth for motion in motions]),
+            median_p95([motion.verify for motion in motions]),
+            f"{np.mean([run.length for run in solved]):.2f}",
+            f"{np.mean([motion.duration for motion in motions]):.2f}",
+            f"{1e3 * np.nanmean(clearances):.1f}",
+            str(np.isnan(clearances).sum()),
+            end_section=names == list(by_scene(results))[-2],
+        )
     return table
 
 
-def cells(runs: list[tuple[float, ...]], asked: int) -> list[str]:
-    """One row of the table from (search s, shorten s, together s, length, length before, rows) of each solved run."""
-    columns = np.array(runs).reshape(-1, 6).T
-    times = [f"{np.median(column) * 1e3:.3f} / {np.percentile(column, 95) * 1e3:.3f}" for column in columns[:3]]
-    return [f"{len(runs)} / {asked}", *times, *(f"{np.mean(column):.2f}" for column in columns[3:])]
+def peers_table(results: list[Result], title: str, runs_of: Callable[[Result], list[Run | None]]) -> Table:
+    """A peer's figures, and how many times as long it takes: the median over problems of its median by zarm's."""
+    columns = ("robot", "scene", "solved", "search ms", "shorten ms", "together ms", "length rad")
+    table = Table(*columns, "x search", "x together", "x length", title=title)
+    for names, group in by_scene(results).items():
+        runs = [run for result in group for run in runs_of(result)]
+        solved = [run for run in runs if run]
+        pairs = [
+            (peer, zarm)
+            for result in group
+            if (peer := [run for run in runs_of(result) if run]) and (zarm := [run for run in result.zarm if run])
+        ]
+        ratios = [
+            float(np.median([np.median(list(map(of, peer))) / np.median(list(map(of, zarm))) for peer, zarm in pairs]))
+            for of in (lambda run: run.search, lambda run: run.search + run.shorten, lambda run: run.length)
+        ]
+        table.add_row(
+            *names,
+            f"{len(solved)} / {len(runs)}",
+            median_p95([run.search for run in solved]),
+            median_p95([run.shorten for run in solved]),
+            median_p95([run.search + run.shorten for run in solved]),
+            f"{np.mean([run.length for run in solved]):.2f}",
+            f"{ratios[0]:.1f}",
+            f"{ratios[1]:.1f}",
+            f"{ratios[2]:.2f}",
+            end_section=names == list(by_scene(results))[-2],
+        )
+    return table
+
+
+def outliers(results: list[Result]) -> Iterator[str]:
+    """Every run of zarm that found nothing in time or was slow."""
+    for result in results:
+        for seed, run in enumerate(result.zarm):
+            name = f"{result.robot} {result.scene} problem {result.problem} seed {seed}"
+            if run is None:
+                yield f"{name}: not solved within {TIMEOUT:g} s"
+            elif run.search + run.shorten > SLOW:
+                yield f"{name}: search {1e3 * run.search:.1f} ms, shorten {1e3 * run.shorten:.1f} ms"
 
 
 def kernels_table(models: dict[str, RobotModel]) -> Table:
-    """Microseconds per call; the parts of a path are checked in one call, so the way through Python hardly counts there."""
-    table = Table("robot", "configuration us", "free edge of 1 rad us", "FK us", "IK us", "16 x IK us", title="kernels")
+    """Microseconds per check; many are done in one call, so the way through Python hardly counts."""
+    table = Table("robot", "configuration us", "free edge of 1 rad us", title="collision checks in the first box scene")
     for name, model in models.items():
         problem = motion_bench.problems(name, "box")[0]
-        world, rng = World(problem.objects, 0.0), np.random.default_rng(0)
-        start = np.array(problem.start)
+        world, rng, start = World(problem.objects, 0.0), np.random.default_rng(0), np.array(problem.start)
         steps = rng.normal(size=(2000, model.dof))
         ends = np.clip(start + steps / np.linalg.norm(steps, axis=1, keepdims=True), model.lower, model.upper)
         free = [end for end in ends if is_free(model, world, np.array((start, end)))]
-        there_and_back = np.array([q for end in free for q in (start, end)])
-        still = np.repeat(start[None], 2000, axis=0)
-        targets = rng.uniform(model.lower, model.upper, (500, model.dof))
-        poses = model.fk_tip(targets)
-
-        def solve(
-            most: int, poses: Array = poses, model: RobotModel = model, start: Array = start
-        ) -> Callable[[], None]:
-            def run() -> None:
-                for pose in poses:
-                    solve_ik(model, pose, start, world=None, max_solutions=most, seed=0, stop=Stop(TIMEOUT))
-
-            return run
-
-        row = (
-            seconds(lambda: is_free(model, world, still)) / len(still),  # noqa: B023
-            seconds(lambda: is_free(model, world, there_and_back)) / len(there_and_back),  # noqa: B023
-            seconds(lambda: model.fk_tip(targets)) / len(targets),  # noqa: B023
-            seconds(solve(1)) / len(poses),
-            seconds(solve(16)) / len(poses),
-        )
-        table.add_row(name, *(f"{value * 1e6:.2f}" for value in row))
+        paths = (np.repeat(start[None], 2000, axis=0), np.array([q for end in free for q in (start, end)]))
+        times = []
+        for path in paths:
+            rounds = []
+            for _ in range(5):
+                began = time.thread_time()
+                is_free(model, world, path)
+                rounds.append(time.thread_time() - began)
+            times.append(f"{1e6 * min(rounds) / len(path):.2f}")
+        table.add_row(name, *times)
     return table
 
 
-def seconds(call: Callable[[], object]) -> float:
-    """The best of five runs."""
-    times = []
-    for _ in range(5):
-        began = time.thread_time()
-        call()
-        times.append(time.thread_time() - began)
-    return min(times)
+def draw(results: list[Result]) -> None:
+    """The part of all runs that is done after so much time."""
+    figure, axes = plt.subplots(figsize=(7.5, 4.5))
+    for name, color, runs_of in [("zarm", "tab:blue", lambda result: result.zarm), *PEERS]:
+        runs = [run for result in results for run in runs_of(result)]
+        for style, stage, of in (
+            (":", "search", lambda run: run.search),
+            ("-", "search and shortening", lambda run: run.search + run.shorten),
+        ):
+            times = np.sort([1e3 * of(run) for run in runs if run])
+            if len(times):
+                part = 100.0 * np.arange(1, len(times) + 1) / len(runs)
+                axes.step(times, part, style, where="post", color=color, label=f"{name}: {stage}")
+    axes.set(xscale="log", xlabel="CPU time of one thread (ms)", ylabel="solved (%)", ylim=(0, 101))
+    axes.set_title(f"MotionBenchMaker, {len(results)} problems: solved after so much time")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
+    PLOT.parent.mkdir(exist_ok=True)
+    figure.savefig(PLOT, dpi=120, bbox_inches="tight")
+
+
+def median_p95(seconds: list[float]) -> str:
+    """Both in ms."""
+    return f"{1e3 * np.median(seconds):.2f} / {1e3 * np.percentile(seconds, 95):.2f}" if seconds else "-"
 
 
 def length(path: Array) -> float:

@@ -108,19 +108,17 @@ def reached(model: RobotModel, q: Array, pose: Array) -> bool:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_of_1000_reachable_poses_999_are_solved_within_the_limits(name: str) -> None:
+def test_every_one_of_300_reachable_poses_is_solved_within_the_limits(name: str) -> None:
     model, rng = RobotModel.of(load_robot(name)), np.random.default_rng(3)
-    solved = 0
     for seed, (target, near) in enumerate(
-        zip(random_joints(model, 1000, rng), random_joints(model, 1000, rng), strict=True)
+        zip(random_joints(model, 300, rng), random_joints(model, 300, rng), strict=True)
     ):
         pose = model.fk_tip(target)
         result = solve_ik(model, pose, near, world=None, max_solutions=1, seed=seed, stop=Stop(10.0))
         for q in result.solutions:
             assert reached(model, q, pose)
             assert np.all((q >= model.lower) & (q <= model.upper))
-        solved += len(result.solutions)
-    assert solved >= 999
+        assert len(result.solutions) == 1
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -65,7 +65,7 @@ def solve_ik(
         stop.deadline,
     )
     return IkResult(
-        _with_turns(model, free[: found.free], near, max_solutions),
+        with_turns(model, free[: found.free], near, max_solutions),
         _nearest_first(colliding[: found.colliding], near),
         found.distance,
         found.angle,
@@ -75,7 +75,7 @@ def solve_ik(
 _NOTHING = World((), 0.0)
 
 
-def _with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:
+def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:
     """The `most` nearest among solutions and all that differ from them by full turns; each is its own nearest turn."""
     rows = _nearest_first(solutions, near)
     if most == 1:

@@ -33,10 +33,10 @@ from zarm_contract.messages import (
     SetLinkCollision,
     SettingsChange,
 )
+from zarm_planner.batches import batch_fk, batch_ik
 from zarm_planner.ends import Snapshot
 from zarm_planner.exact import RESOLUTION, ExactScene
 from zarm_planner.frames import matrix, pose_of
-from zarm_planner.ik import solve_ik
 from zarm_planner.joints import checked, within_range
 from zarm_planner.motion import Array, Limits
 from zarm_planner.pipeline import Options, Verified, plan
@@ -135,29 +135,29 @@ class Planner:
         """Joints for poses. Raises InvalidRequest."""
         model = self._model
         near = self._measured_or_home() if request.near is None else checked(model, request.near, "near")
+        poses = np.array([matrix(pose.position, pose.orientation) for pose in request.poses])
 
         def work(stop: Stop) -> IkSolutions:
-            snapshot, solutions = self._look(), []
-            for pose in request.poses:
-                found = solve_ik(
-                    snapshot.model,
-                    matrix(pose.position, pose.orientation),
-                    near,
-                    world=snapshot.world if request.collision_free else None,
-                    max_solutions=request.max_solutions,
-                    seed=request.seed,
-                    stop=stop,
-                )
-                stop.check()
-                solutions.append(tuple(map(tuple, found.solutions.tolist())))
-            return IkSolutions(solutions=tuple(solutions))
+            snapshot = self._look()
+            found = batch_ik(
+                snapshot.model,
+                poses,
+                near,
+                world=snapshot.world if request.collision_free else None,
+                max_solutions=request.max_solutions,
+                seed=request.seed,
+                device=request.device,
+                stop=stop,
+            )
+            return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
 
         return self._running.run(work, _BATCH_TIMEOUT)
 
     def fk(self, request: FkRequest) -> FkPoses:
         """Poses for joints. Raises InvalidRequest."""
-        joints = [checked(self._model, q, f"joints.{i}") for i, q in enumerate(request.joints)]
-        return FkPoses(poses=tuple(pose_of(pose) for pose in self._model.fk_tip(np.array(joints))))
+        joints = np.array([checked(self._model, q, f"joints.{i}") for i, q in enumerate(request.joints)])
+        poses = batch_fk(self._model, joints, request.device)
+        return FkPoses(poses=tuple(pose_of(pose) for pose in poses))
 
     def check(self, request: CheckRequest) -> CheckResults:
         """Exact distances of configurations. Raises InvalidRequest, or ExecutionRefused where nothing is measured."""

@@ -20,17 +20,21 @@ TURN = 2.0 * math.pi
 TOLERANCE = 1e-6
 """A solution is at most this far (m) and turned by at most this angle (rad) from the pose."""
 SEEDS = 500
-"""Descents at most: over 5000 random poses of a Panda 61 were enough for 99.9 %, and 152 for all."""
+"""Descents at most: of 100,000 random poses of five arms, the first solution of all but 2 took no more; of 99.9 % at most 79."""
 PATIENCE = 30
-"""Descents in a row that end in known solutions before the search for further ones ends."""
+"""Solutions in a row that are no new free ones before the search for further ones ends."""
 DISTINCT = 0.1
 """Solutions nearer to each other than this (rad) in every joint are one."""
 ITERATIONS = 50
-"""Steps of a descent at most; most end after 8."""
+"""Steps of a descent at most; most end after 9."""
 DAMPING = 0.05
 """Times the squared error. From 0.005 to 0.15 the number of descents is the same."""
-STALL = 0.9
-"""A descent that after 5 steps has more of its error left than this part ends: another seed gets there sooner."""
+STALL = 0.7
+"""A descent that after 3 steps has more of its error left than this part ends: another seed gets there sooner.
+
+After 5 steps with 0.9 of it, a solution of a Panda took 42 steps on average, now 29; of a UR with joints of one turn 40, now
+29; of other arms the same, 9 to 11.
+"""
 
 
 class Chain(NamedTuple):
@@ -148,7 +152,7 @@ def descend(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float, f
     for iteration in range(ITERATIONS):
         if distance < TOLERANCE and angle < TOLERANCE:
             break
-        if iteration % 5 == 4:
+        if iteration % 3 == 2:
             if distance + angle > STALL * before:
                 break
             before = distance + angle
@@ -222,12 +226,14 @@ def solve(
         again += 1
         if known(free, good, q) or known(colliding, bad, q):
             continue
-        again = 0
         copy(q, single)
         if checked and not edge_free(checks, single, single):
             copy(q, colliding[bad])
             bad += 1
+            if good > 0:  # an arm with a joint to spare has no end of colliding ones
+                continue
         else:
             copy(q, free[good])
             good += 1
+        again = 0
     return Found(good, bad, best_distance, best_angle)

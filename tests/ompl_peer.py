@@ -1,0 +1,121 @@
+"""OMPL's RRTConnect and path simplification on zarm's own collision checks, compiled."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base, geometric, util
+
+from zarm_planner.kernels.arrays import memory
+from zarm_planner.kernels.edge import path_free
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Run:
+    """CPU seconds of both stages, and the length (rad) of what came out."""
+
+    search: float
+    shorten: float
+    length: float
+
+
+def quiet(seed: int) -> None:
+    """Make OMPL say nothing and sample the same in every process; it can be seeded only once."""
+    util.noOutputHandler()
+    util.RNG.setSeed(seed)
+
+
+STEP = 0.02
+"""Rad between the states of an edge that are checked, where states are; links of these robots move by up to 2 cm there."""
+
+
+def plan(model: RobotModel, world: World, start: Array, goals: Array, timeout: float, *, edges: bool) -> Run | None:
+    """One search from `start` (dof,) to any of `goals` (n, dof) and the simplification of its path; None when it took longer.
+
+    With `edges` one call checks a whole edge, to zarm's resolution; else OMPL checks states of it one by one, as it does for
+    those who give it nothing else. All other parameters are OMPL's own.
+    """
+    space = base.RealVectorStateSpace(model.dof)
+    bounds = base.RealVectorBounds(model.dof)
+    for k in range(model.dof):
+        bounds.setLow(k, float(model.lower[k]))
+        bounds.setHigh(k, float(model.upper[k]))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+    checks = _Checks(model, world)
+    information.setStateValidityChecker(_States(information, checks))
+    if edges:
+        information.setMotionValidator(_Edges(information, checks))
+    else:
+        information.setStateValidityCheckingResolution(STEP / space.getMaximumExtent())
+    information.setup()
+    problem = base.ProblemDefinition(information)
+    problem.addStartState(_state(space, start))
+    goal = base.GoalStates(information)
+    for q in goals:
+        goal.addState(_state(space, q))
+    problem.setGoal(goal)
+    planner = geometric.RRTConnect(information)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    began = time.thread_time()
+    planner.solve(timeout)
+    searched = time.thread_time()
+    if not problem.hasExactSolution():
+        return None
+    path = problem.getSolutionPath()
+    simplifying = time.thread_time()
+    geometric.PathSimplifier(information, goal).simplifyMax(path)
+    return Run(searched - began, time.thread_time() - simplifying, path.length())
+
+
+class _Checks:
+    """The two rows that a check is given, and its working memory, made once."""
+
+    def __init__(self, model: RobotModel, world: World) -> None:
+        self._model, self._world = model, world
+        self._dof = range(model.dof)
+        self._memory = memory(model.arrays)
+        self._rows = np.empty((2, model.dof), np.float32)
+        self._row = self._rows[:1]
+
+    def state(self, state: base.State) -> bool:
+        self._row[0] = [state[k] for k in self._dof]
+        return path_free(self._model.arrays, self._world.arrays, self._memory, self._row)
+
+    def edge(self, a: base.State, b: base.State) -> bool:
+        self._rows[0] = [a[k] for k in self._dof]
+        self._rows[1] = [b[k] for k in self._dof]
+        return path_free(self._model.arrays, self._world.arrays, self._memory, self._rows)
+
+
+class _States(base.StateValidityChecker):
+    def __init__(self, information: base.SpaceInformation, checks: _Checks) -> None:
+        super().__init__(information)
+        self._checks = checks
+
+    def isValid(self, state: base.State) -> bool:  # noqa: N802
+        return self._checks.state(state)
+
+
+class _Edges(base.MotionValidator):
+    def __init__(self, information: base.SpaceInformation, checks: _Checks) -> None:
+        super().__init__(information)
+        self._checks = checks
+
+    def checkMotion(self, a: base.State, b: base.State) -> bool:  # noqa: N802
+        return self._checks.edge(a, b)
+
+
+def _state(space: base.StateSpace, q: Array) -> base.State:
+    state = space.allocState()
+    for k, value in enumerate(q.tolist()):
+        state[k] = value
+    return state
