@@ -15,7 +15,7 @@ from second_opinion import Collisions, link_pose
 from small_arm import small_arm
 from sphere_model import distance, random_joints, random_object, random_objects
 
-from zarm_contract.errors import ExecutionRefused, InvalidRequest
+from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     MAX_ATTACHED,
     AddObjects,
@@ -362,6 +362,16 @@ def test_what_is_carried_and_ignored_outlives_the_process(planner: Planner, tmp_
     planner.edit(attach("box", "fore"))
     scene = planner.edit(links("cover"))
     assert SceneStore(tmp_path).scene == scene
+
+
+def test_links_cannot_be_switched_while_it_is_not_known_what_stands_around_the_robot(tmp_path: Path) -> None:
+    (tmp_path / "scene.json").write_text("broken")
+    store = SceneStore(tmp_path)
+    with pytest.raises(Unavailable, match=r"scene\.json\.broken"):
+        store.edit(links("cover"))
+    assert store.lost is not None
+    assert store.edit(SceneEdit(edit=ClearScene(op="clear"))).ignored_links == ()
+    assert store.edit(links("cover")).ignored_links == ("cover",)
 
 
 def test_a_file_from_before_anything_could_be_carried_is_read(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from zarm_planner.world import World
 DENSER = 10
 """Moments that are looked at per sample of a motion."""
 IGNORED = {"small_arm": ("cover",), "panda": ("panda_hand", "panda_leftfinger"), "doosan_m1013": ("link_5",)}
-PROBLEMS = 4
+PROBLEMS = 3
 
 
 def load(rng: np.random.Generator) -> Attached:

@@ -85,9 +85,12 @@ class SceneStore:
     def edit(self, request: SceneEdit, tip: Array = _AT_BASE) -> Scene:
         """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
 
-        Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved; then nothing has changed.
+        Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved, or concerns links while the
+        scene is lost; then nothing has changed.
         """
         with self._lock:
+            if self.lost is not None and isinstance(request.edit, SetLinkCollision):
+                raise Unavailable(self.lost)  # such an edit says nothing of what stands around the robot
             scene = _edited(self._scene, request, tip, self.meshes)
             scene = scene.model_copy(update={"revision": self._scene.revision + 1})
             content = encode(_File(scene=scene))
