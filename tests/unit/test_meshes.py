@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
-from sphere_model import gaps_to_itself, random_joints, spheres
+from sphere_model import distance as gap_to
+from sphere_model import gaps_to_itself, random_joints, random_objects, spheres
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit
@@ -87,10 +88,21 @@ def test_the_distance_to_a_triangle_is_that_of_trimesh() -> None:
         points[: LANES * 5] = rng.dirichlet((1, 1, 1), LANES * 5) @ corners[0]
         triangle = rows.triangles(corners)
         assert len(triangle) == 1
-        expected = trimesh.triangles.closest_point(np.repeat(corners, len(points), axis=0), points) - points
-        np.testing.assert_allclose(
-            kernel_distances(triangle[0], points), np.linalg.norm(expected, axis=1), rtol=1e-4, atol=2e-6
-        )
+        nearest = trimesh.triangles.closest_point(np.repeat(corners, len(points), axis=0), points)
+        expected = np.linalg.norm(nearest - points, axis=1)
+        np.testing.assert_allclose(kernel_distances(triangle[0], points), expected, rtol=1e-4, atol=2e-6)
+        np.testing.assert_allclose(rows.distances(points, triangle)[:, 0], expected, atol=1e-6)
+
+
+def test_distances_to_other_shapes_are_those_of_the_objects_and_below_zero_inside() -> None:
+    rng = np.random.default_rng(7)
+    objects = random_objects(40, 0.4, rng)
+    points = rng.uniform(-1.2, 1.2, (30, 3))
+    world = World(objects, 0.0)
+    found = rows.distances(points, world.rows)
+    expected = np.column_stack([gap_to(objects[owner], points) for owner in world.owner])
+    np.testing.assert_allclose(found.clip(0.0), expected, atol=1e-9)
+    assert np.any(found < 0.0)
 
 
 def test_a_row_gives_back_the_corners_of_its_triangle_wherever_it_is_placed() -> None:

@@ -104,3 +104,35 @@ def bounds(rows: Array) -> tuple[Array, Array]:
     points = corners(rows[flat])
     lower[flat], upper[flat] = points.min(axis=1), points.max(axis=1)
     return lower - rows[:, 16:], upper + rows[:, 16:]
+
+
+def distances(points: Array, rows: Array) -> Array:
+    """Distances (n, m) of points (n, 3) to the surfaces of shapes (m, 17), below 0 inside; a triangle has no inside."""
+    frame = rows[:, :12].reshape(-1, 3, 4)
+    local = np.einsum("mij,nj->nmi", frame[:, :, :3], points) + frame[:, :, 3]
+    out = np.abs(local) - rows[:, 12:15]
+    # A cylinder is a rectangle in the plane of its axis and the radius, of which x and y are the same side.
+    disc = rows[:, 15]
+    out[..., 0] = np.where(disc > 0.0, np.hypot(local[..., 0], local[..., 1]) - disc, out[..., 0])
+    out[..., 1] = np.where(disc > 0.0, out[..., 0], out[..., 1])
+    beyond = out.clip(0.0)
+    beyond[..., 1] = np.where(disc > 0.0, 0.0, beyond[..., 1])
+    found: Array = np.linalg.norm(beyond, axis=-1) + np.minimum(out.max(axis=-1), 0.0)
+    flat = disc < 0.0
+    found[:, flat] = _to_triangles(local[:, flat], rows[flat])
+    return found - rows[:, 16]
+
+
+def _to_triangles(points: Array, rows: Array) -> Array:
+    """Distances (n, m) of points (n, m, 3), each in the frame of its triangle, to triangles (m, 17)."""
+    b, c, d = rows[:, 12:15].T
+    zero = np.zeros_like(b)
+    ends = [np.column_stack(corner) for corner in ((zero, zero), (b, zero), (c, d))]
+    inside = np.ones(points.shape[:2], bool)
+    nearest = np.full(points.shape[:2], np.inf)
+    for start, end in ((ends[0], ends[1]), (ends[1], ends[2]), (ends[2], ends[0])):
+        edge, away = end - start, points[..., :2] - start
+        inside &= edge[:, 0] * away[..., 1] >= edge[:, 1] * away[..., 0]
+        part = np.clip((away * edge).sum(axis=-1) / (edge * edge).sum(axis=-1), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(away - part[..., None] * edge, axis=-1))
+    return np.hypot(np.where(inside, 0.0, nearest), points[..., 2])
