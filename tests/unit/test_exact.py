@@ -321,6 +321,24 @@ def test_thousands_of_objects_give_the_distance_of_the_nearest(model: RobotModel
     assert crowded.nearest(motion) == alone.nearest(motion)
 
 
+@pytest.mark.parametrize("margin", [0.0, 0.005, 0.2])
+def test_no_margin_counts_in_exact_distances(model: RobotModel, margin: float) -> None:
+    rng = np.random.default_rng(2)
+    objects = [scene_object(rng, i) for i in range(8)]
+    motion = dense(FREE, FREE + (1.0, 0.2, 0.0, 0.0), scene_of(model, objects))
+    assert ExactScene(model, World(objects, margin)).nearest(motion) == scene_of(model, objects).nearest(motion)
+
+
+def test_an_object_as_wide_as_the_world_is_as_near_as_it_is(model: RobotModel) -> None:
+    """The tree of boxes is in single precision, which tells 999.999 m from 1000 m by a hair only."""
+    top = float(model.fk_tip(FREE)[2, 3]) + 0.03
+    size = 999.7
+    ceiling = Cuboid(kind="cuboid", name="ceiling", position=(0.0, 0.0, top + 0.0123 + size / 2), size=(size,) * 3)
+    nearest = scene_of(model, [ceiling]).nearest(FREE)
+    assert nearest.pair == ("rod", "ceiling")
+    assert nearest.distance == pytest.approx(0.0123, abs=1e-5)
+
+
 def test_a_stop_ends_the_look_along_a_motion(model: RobotModel) -> None:
     def stop() -> None:
         raise InterruptedError
