@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
+from zarm_planner.kernels.sampling import load
 from zarm_planner.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -20,8 +21,6 @@ TOLERANCE = 1e-3
 """By which part of a limit a motion may be over it."""
 MAX_SAMPLES = 15_000
 """The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
-_CHECKS = 8
-"""Moments per interval between samples at which velocity and acceleration are checked."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +85,9 @@ class Motion:
 
         Velocity and acceleration are taken also between samples, jerk as the mean from sample to sample.
         """
-        h = np.diff(self.time)
-        _, velocity, acceleration = self.at((self.time[:-1, None] + h[:, None] * np.arange(_CHECKS) / _CHECKS).ravel())
-        jerk = np.diff(self.acceleration, axis=0) / h[:, None]
-        return max(
-            float(np.max(np.abs(velocity) / limits.velocity)),
-            float(np.sqrt(np.max(np.abs(acceleration) / limits.acceleration))),
-            float(np.cbrt(np.max(np.abs(jerk) / limits.jerk))),
+        return load(
+            *(np.ascontiguousarray(values) for values in (self.time, self.position, self.velocity, self.acceleration)),
+            np.stack((limits.velocity, limits.acceleration, limits.jerk)),
         )
 
     def slower(self, factor: float) -> Motion:
