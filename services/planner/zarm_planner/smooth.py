@@ -53,7 +53,7 @@ class Smoothing:
         passed[list(vias)] = True
         self._ramps = make_ramps(len(path) + _ROOM, model.dof)
         self._count = along(path, passed, limits.velocity, strongest, self._ramps)
-        self.usual = ATTEMPTS * (1 + len(vias))
+        self._stretches = 1 + len(vias)
 
     @property
     def duration(self) -> float:
@@ -61,7 +61,7 @@ class Smoothing:
         return float(self._ramps.duration[: self._count].sum()) + self._window
 
     def shortcut(self, attempts: int, seed: int, stop: Stop) -> None:
-        """Try so many shortcuts, or fewer where `stop` comes first."""
+        """Try so many shortcuts, as often again for each via, or fewer where `stop` comes first."""
         self._count = smooth(
             self._model.arrays,
             self._world.arrays,
@@ -69,7 +69,7 @@ class Smoothing:
             self._ramps,
             self._count,
             self._bounds,
-            attempts,
+            attempts * self._stretches,
             np.array([seed], np.uint64),
             stop.deadline,
         )
@@ -112,16 +112,16 @@ def smooth_path(
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
     smoothing = Smoothing(model, world, path, limits, dt, vias=vias, deviation=deviation)
-    smoothing.shortcut(smoothing.usual, seed, stop)
+    smoothing.shortcut(ATTEMPTS, seed, stop)
     return smoothing.motion()
 
 
 def _window(strongest: Array, limits: Limits, dt: float) -> float:
     """Seconds over which to average: from full acceleration to the opposite within the jerk limits.
 
-    Two samples at least, for the quintic between two samples follows no step.
+    One sample at least, for the quintic between two samples follows no step.
     """
-    return max(2 * dt, float(np.max(2 * strongest / limits.jerk)))
+    return max(dt, float(np.max(2 * strongest / limits.jerk)))
 
 
 def _gentler(limits: Limits, dt: float, deviation: float) -> float:
@@ -131,4 +131,4 @@ def _gentler(limits: Limits, dt: float, deviation: float) -> float:
     acceleration: |x(t + s) - x(t) - v(t) s| <= a s^2 / 2, averaged over s from -w / 2 to w / 2.
     """
     most = 24 * deviation / float(np.max(limits.acceleration))
-    return min(1.0, most / (2 * dt) ** 2, math.cbrt(most / float(np.max(2 * limits.acceleration / limits.jerk)) ** 2))
+    return min(1.0, most / dt**2, math.cbrt(most / float(np.max(2 * limits.acceleration / limits.jerk)) ** 2))
