@@ -141,11 +141,14 @@ def bend(
     piece: float,
     fastest: Array,
     random: NDArray[np.uint64],
+    start: Array,
+    end: Array,
     position: Array,
     velocity: Array,
 ) -> None:
     """A state beside that at `t` s, for a piece that takes `piece` s; where ramp `via` starts at a via, only faster or slower."""
     size = uniform(random) ** 2  # mostly small
+    straight = max(0.0, 2.0 * uniform(random) - 1.0)
     i, into = find(ramps, count, t)
     if via >= 0:
         i, into = via, 0.0
@@ -155,6 +158,7 @@ def bend(
         faster = (2.0 * uniform(random) - 1.0) * size * BEND * fastest[j]
         if via < 0:
             position[j] += beside * piece
+        velocity[j] += straight * ((end[j] - start[j]) / piece - velocity[j])
         velocity[j] = max(-fastest[j], min(velocity[j] + faster, fastest[j]))
 
 
@@ -231,7 +235,7 @@ def smooth(
         if bent:
             if via < 0:
                 at -= uniform(random) * piece
-            bend(ramps, count, via, at, piece, fastest, random, middle, middle_velocity)
+            bend(ramps, count, via, at, piece, fastest, random, start, end, middle, middle_velocity)
             if not connect_states(
                 ramps, first, start, start_velocity, middle, middle_velocity, fastest, strongest, most
             ):
