@@ -1,7 +1,7 @@
 """Path -> motion that arrives soon: shortcuts in time at bounded acceleration, then bounded jerk.
 
 A motion that stops at every corner of the path is made faster by replacing pieces of it with the fastest ramps between
-their ends (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of
+their ends, straight or bent (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of
 values inside limits is inside them too, and jerk is at most twice the acceleration limit over the window (Biagiotti and
 Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain specifications", 2012).
 """

@@ -124,6 +124,29 @@ def state(ramps: Ramps, i: int, t: float, position: Array, velocity: Array) -> N
 
 
 @inlined
+def in_range(ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
+    """Whether ramp `i` keeps inside the joints' ranges (dof,), where joints turn back too."""
+    for j in range(lower.shape[0]):
+        a, first, last = ramps.acceleration[i, j], ramps.first[i, j], ramps.last[i, j]
+        x, v = ramps.position[i, j], ramps.velocity[i, j]
+        least, most = x, x
+        for phase in range(3):
+            if phase == 1:
+                x += v * max(ramps.duration[i] - first - last, 0.0)
+            else:
+                sign, h = (1.0, first) if phase == 0 else (-1.0, last)
+                back = -v * sign / a if a != 0.0 else -1.0
+                if 0.0 < back < h:
+                    least, most = min(least, x + 0.5 * v * back), max(most, x + 0.5 * v * back)
+                x += h * (v + 0.5 * sign * a * h)
+                v += sign * a * h
+            least, most = min(least, x), max(most, x)
+        if least < lower[j] - _SLACK or most > upper[j] + _SLACK:
+            return False
+    return True
+
+
+@inlined
 def connect_states(
     ramps: Ramps,
     i: int,

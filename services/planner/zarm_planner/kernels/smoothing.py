@@ -16,7 +16,7 @@ from zarm_planner.kernels.arrays import Memory, RobotArrays, Space, WorldArrays,
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.compiled import inlined, kernel
 from zarm_planner.kernels.edge import edge_free
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, state
+from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, state
 from zarm_planner.kernels.random import uniform
 
 STEP = 0.05
@@ -39,7 +39,9 @@ EMPTY = 1e-9
 
 @inlined
 def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
-    """Whether ramp `i` keeps inside the joints' ranges and free, looked at every STEP or TURN."""
+    """Whether ramp `i` keeps inside the joints' ranges, and free, looked at every STEP or TURN."""
+    if not in_range(ramps, i, lower, upper):
+        return False
     dof = lower.shape[0]
     position, velocity = np.empty(dof), np.empty(dof)
     before, after = np.empty(dof, np.float32), np.empty(dof, np.float32)
@@ -53,8 +55,6 @@ def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -
     for step in range(steps + 1):
         state(ramps, i, ramps.duration[i] * step / steps, position, velocity)
         for j in range(dof):
-            if position[j] < lower[j] or position[j] > upper[j]:
-                return False
             before[j] = after[j]
             after[j] = position[j]
         if step > 0 and not edge_free(checks, before, after):
@@ -146,7 +146,11 @@ def bend(
     position: Array,
     velocity: Array,
 ) -> None:
-    """A state beside that at `t` s, for a piece that takes `piece` s; where ramp `via` starts at a via, only faster or slower."""
+    """A state beside that at `t` s, to meet in between `start` and `end` (dof,), which are `piece` s apart.
+
+    Where ramp `via` starts at a via it is there, at another velocity. Half of the states move more or less straight from
+    start to end, for at a corner or a via the motion so far may stand still.
+    """
     size = uniform(random) ** 2  # mostly small
     straight = max(0.0, 2.0 * uniform(random) - 1.0)
     i, into = find(ramps, count, t)
