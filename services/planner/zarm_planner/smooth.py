@@ -28,6 +28,12 @@ DEVIATION = 1e-3
 """How far (rad) each joint may be off when a via is passed."""
 _ROOM = 256
 """Ramps of a motion at most, on top of one for each edge of the path."""
+_MUCH = 0.5
+"""A joint that uses less of its acceleration may swing beyond it between two samples, which spares samples."""
+_SHORTEST = 0.1
+"""Least time to average over, in samples."""
+_CLOSE = 1e-5
+"""Seconds; samples are further apart, so that their differences can be divided by it."""
 
 
 class Smoothing:
@@ -82,12 +88,27 @@ class Smoothing:
 
     def _sample(self, factor: float) -> Motion:
         """The motion at `factor` times its shortest duration."""
-        t = sample_times(self.duration, factor, self._dt)
+        t = sample_times(self._knots(), factor, self._dt)
         out = np.empty((3, len(t), self._model.dof))
         sample_average(self._ramps, self._count, self._window, t, out)
         position, velocity, acceleration = out
         velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
         return Motion(t * factor, position, velocity / factor, acceleration / factor**2)
+
+    def _knots(self) -> Array:
+        """Times (k,) in s between which each joint that uses much of its acceleration moves along one cubic.
+
+        Samples there describe it exactly; the quintic across a change of jerk would swing beyond the limit.
+        """
+        duration, _, _, acceleration, first, last = (column[: self._count] for column in self._ramps[1:])
+        ends = np.cumsum(duration)
+        much = np.abs(acceleration) > _MUCH * self._bounds[3]
+        up, down = (ends - duration)[:, None] + first, ends[:, None] - last
+        steps = np.concatenate(([0.0], ends, up[much], down[much]))
+        knots = np.unique(np.concatenate((steps, steps + self._window)))
+        knots = knots[np.insert(np.diff(knots) > _CLOSE, 0, True)]
+        knots[-1] = self.duration
+        return knots
 
 
 def smooth_path(
@@ -102,7 +123,8 @@ def smooth_path(
     vias: Sequence[int] = (),
     deviation: float = DEVIATION,
 ) -> Motion:
-    """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s or a little less.
+    """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s, and in between
+    where a strong acceleration changes.
 
     It passes the rows `vias` of the path, in their order, each joint within `deviation` (rad), and stops there only where
     no faster way is found to be free. Where it leaves the path it is free of `world` in spheres, as straight edges
@@ -117,11 +139,8 @@ def smooth_path(
 
 
 def _window(strongest: Array, limits: Limits, dt: float) -> float:
-    """Seconds over which to average: from full acceleration to the opposite within the jerk limits.
-
-    One sample at least, for the quintic between two samples follows no step.
-    """
-    return max(dt, float(np.max(2 * strongest / limits.jerk)))
+    """Seconds over which to average: from full acceleration to the opposite within the jerk limits, and never at once."""
+    return max(_SHORTEST * dt, float(np.max(2 * strongest / limits.jerk)))
 
 
 def _gentler(limits: Limits, dt: float, deviation: float) -> float:
@@ -131,4 +150,4 @@ def _gentler(limits: Limits, dt: float, deviation: float) -> float:
     acceleration: |x(t + s) - x(t) - v(t) s| <= a s^2 / 2, averaged over s from -w / 2 to w / 2.
     """
     most = 24 * deviation / float(np.max(limits.acceleration))
-    return min(1.0, most / dt**2, math.cbrt(most / float(np.max(2 * limits.acceleration / limits.jerk)) ** 2))
+    return min(1.0, most / (_SHORTEST * dt) ** 2, math.cbrt(most / float(np.max(2 * limits.acceleration / limits.jerk)) ** 2))

@@ -78,4 +78,4 @@ def load(time: Array, position: Array, velocity: Array, acceleration: Array, lim
             fastest = max(fastest, top / (h * limits[0, j]))
             strongest = max(strongest, most / (h * h * limits[1, j]))
             sharpest = max(sharpest, abs(a / (h * h * h)) / limits[2, j])
-    return max(fastest, math.sqrt(strongest), sharpest ** (1.0 / 3.0))
+    return float(max(fastest, math.sqrt(strongest), sharpest ** (1.0 / 3.0)))
