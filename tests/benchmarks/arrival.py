@@ -1,29 +1,38 @@
 """How soon motions arrive on MotionBenchMaker's problems: `python tests/benchmarks/arrival.py [--every 2] [--margin 0.0]`.
 
-Each path is timed both ways in turn: smoothed, and by TOPPRA along the path with rounded corners (0.1 rad off at most), both
-under the same limits of velocity, acceleration and jerk. Both are then verified on exact geometry. One thread, from
-Python, after warm-up; needs the problems in ../shared/mbm.
+The same shortened path is timed twice under the same limits of velocity and acceleration: by zarm, which holds the limit of
+jerk besides, and the usual way, which does not: TOPPRA along a cubic spline through the path, made dense to 0.1 rad. Then
+zarm goes on looking for faster motions, each verified on exact geometry, for up to 0.5 s. One thread, seconds of its own
+processor time, from Python, after warm-up; needs the problems in ../shared/mbm.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
+import logging
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from toppra import SplineInterpolator
+from toppra.algorithm import TOPPRA
+from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import motion_bench
 
 from zarm_planner.exact import ExactScene
+from zarm_planner.improve import Improvement
 from zarm_planner.motion import Limits, Motion
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free, search
@@ -35,50 +44,99 @@ from zarm_planner.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
 
+matplotlib.use("Agg")
+from matplotlib import pyplot
+
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
 DT = 0.01
-COLUMNS = ("robot", "scene", "paths", "smooth s", "TOPPRA s", "ratio, worst", "smooth ms", "TOPPRA ms", "verify ms")
+DENSE = 0.1
+BUDGETS = (0.0, 0.02, 0.1, 0.5)
+PLOT = Path(__file__).parent / "plots" / "arrival.png"
+ENDLESS = Stop(1e6)
+COLUMNS = (
+    "robot", "scene", "paths", "zarm s", "TOPPRA s", "ratio, worst", *(f"+{budget:g} s" for budget in BUDGETS[1:]), "least",
+    "zarm ms", "TOPPRA ms", "verify ms", "refused: zarm", "TOPPRA", "longer",
+)  # fmt: skip
+
+
+class Processor(Stop):
+    """A budget of `seconds` of this thread on the processor."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(1e6)
+        self._end = time.thread_time() + seconds
+
+    @property
+    def passed(self) -> bool:
+        """Whether they are used up."""
+        return time.thread_time() > self._end
+
+
+@dataclass(frozen=True)
+class Run:
+    """One path: durations of motions (s), zarm's after each of BUDGETS; seconds to compute; and what was refused.
+
+    `least` is the time in which the slowest joint gets from its start to its goal without jerk limit and obstacles.
+    """
+
+    zarm: tuple[float, ...]
+    toppra: float
+    least: float
+    zarm_seconds: float
+    toppra_seconds: float
+    verify_seconds: float
+    zarm_refused: bool
+    toppra_refused: bool
 
 
 def main() -> None:
-    """Print one table."""
+    """Print one table, and plot it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--every", type=int, default=2, help="take every so-many-th problem")
     parser.add_argument("--margin", type=float, default=0.0, help="kept free around the robot (m)")
     options = parser.parse_args()
     if not motion_bench.AVAILABLE:
         sys.exit(f"there is nothing to measure: MotionBenchMaker's problems are not in {motion_bench.PROBLEMS}")
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)
     with tempfile.TemporaryDirectory() as folder:
         models = {name: RobotModel.of(motion_bench.robot(name, Path(folder))) for name in motion_bench.ROBOTS}
     warm_up(models["panda"], lambda _: None)
-    table = Table(*COLUMNS, "refused: smooth", "TOPPRA")
-    everything: list[Array] = []
+    table = Table(*COLUMNS)
+    everything: list[Run] = []
     for name, model in models.items():
         for scene in motion_bench.SCENES:
-            runs = [
+            found = [
                 run(model, problem, options.margin) for problem in motion_bench.problems(name, scene)[:: options.every]
             ]
-            rows = np.array([row for row in runs if row is not None])
-            table.add_row(name, scene, *cells(rows))
-            everything.append(rows)
+            runs = [one for one in found if one is not None]
+            if runs:
+                table.add_row(name, scene, *cells(runs))
+            everything += runs
     table.add_section()
-    table.add_row("all", "", *cells(np.concatenate(everything)))
-    Console(width=150).print(table)
+    table.add_row("all", "", *cells(everything))
+    if refused := [one for one in everything if one.toppra_refused]:
+        table.add_row("TOPPRA refused", "", *cells(refused))
+    Console(width=180).print(table)
+    plot(everything)
 
 
-def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> tuple[float, ...] | None:
-    """Durations (s), times to compute and to verify (s) and refusals, of one problem; None where the margin rules it out."""
+def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> Run | None:
+    """One problem; None where the margin rules it out."""
     world, limits = World(problem.objects, margin), Limits.of(model)
     scene = ExactScene(model, world)
     start, goals = np.array(problem.start), np.array(problem.goals)
     if not all(is_free(model, world, end) for end in (start, *goals)):
         return None
-    found = search(model, world, start, goals, seed=0, stop=Stop(60.0))
-    if found is None:
+
+    def route(seed: int) -> tuple[Array, tuple[int, ...]] | None:
+        path = search(model, world, start, goals, seed=seed, stop=ENDLESS, most=10_000)
+        return None if path is None else (shorten(model, world, path, seed=seed, stop=ENDLESS), ())
+
+    if (found := route(0)) is None:
         return None
-    path = shorten(model, world, found, seed=0, stop=Stop(60.0))
+    path, _ = found
 
     def refused(motion: Motion) -> bool:
         try:
@@ -87,28 +145,91 @@ def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> tupl
             return True
         return False
 
-    smooth, smooth_seconds = timed(lambda: smooth_path(model, world, path, limits, DT, seed=0, stop=Stop(60.0)))
-    rounded, rounded_seconds = timed(lambda: time_path(path, limits, DT, 0.1))
-    smooth_refused, verify_seconds = timed(lambda: refused(smooth))
-    return (
-        smooth.duration, rounded.duration, smooth_seconds, rounded_seconds, verify_seconds, smooth_refused, refused(rounded),
+    usual, toppra_seconds = timed(lambda: toppra(path, limits))
+    first, zarm_seconds = timed(lambda: smooth_path(model, world, path, limits, DT, seed=0, stop=ENDLESS))
+    first_refused, verify_seconds = timed(lambda: refused(first))
+    if first_refused:  # as the planner does then
+        first = next(
+            motion for motion in (time_path(path, limits, DT, d) for d in (0.03, 0.01, 0.0)) if not refused(motion)
+        )
+    best = [first.duration]
+    improvement = Improvement(model, world, limits, DT, route, seed=0)
+    for spent, budget in itertools.pairwise(BUDGETS):
+        shortest, stop = best[-1], Processor(budget - spent)
+        while (motion := improvement.faster_than(shortest, stop)) is not None:
+            if not refused(motion):
+                shortest = motion.duration
+        best.append(shortest)
+    way = np.abs(path[-1] - path[0])
+    steady = way / limits.velocity + limits.velocity / limits.acceleration
+    least = np.where(way < limits.velocity**2 / limits.acceleration, 2 * np.sqrt(way / limits.acceleration), steady)
+    return Run(
+        tuple(best), usual.duration, float(least.max()), zarm_seconds, toppra_seconds, verify_seconds, first_refused,
+        scene.nearest(usual.position, lambda: None).distance <= 0.0,
     )  # fmt: skip
 
 
+def toppra(path: Array, limits: Limits) -> Motion:
+    """TOPPRA along a cubic spline through the path, made dense; sampled every few milliseconds."""
+    rows = [path[:1]]
+    for a, b in itertools.pairwise(path):
+        pieces = max(1, int(np.ceil(np.linalg.norm(b - a) / DENSE)))
+        rows.append(a + (b - a) * np.arange(1, pieces + 1)[:, None] / pieces)
+    dense = np.concatenate(rows)
+    along = np.insert(np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1)), 0, 0.0)
+    constraints = [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
+    spline = SplineInterpolator(along, dense)
+    trajectory = TOPPRA(constraints, spline, parametrizer="ParametrizeConstAccel").compute_trajectory(0.0, 0.0)
+    t = np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / 0.002))
+    return Motion(t, trajectory(t), trajectory(t, 1), trajectory(t, 2))
+
+
 def timed(call: Callable[[], T]) -> tuple[T, float]:
-    """What a call returns, and its seconds."""
-    began = time.perf_counter()
+    """What a call returns, and its seconds of processor time."""
+    began = time.thread_time()
     result = call()
-    return result, time.perf_counter() - began
+    return result, time.thread_time() - began
 
 
-def cells(rows: Array) -> list[str]:
-    """One row of the table: means of durations, mean and worst ratio pair by pair, medians of times, counts of refusals."""
-    ratio = rows[:, 0] / rows[:, 1]
-    medians = (f"{median * 1e3:.1f}" for median in np.median(rows[:, 2:5], axis=0))
-    means = (f"{mean:.2f}" for mean in rows[:, :2].mean(axis=0))
-    refusals = (f"{int(count)}" for count in rows[:, 5:].sum(axis=0))
-    return [str(len(rows)), *means, f"{ratio.mean():.2f}, {ratio.max():.2f}", *medians, *refusals]
+def cells(runs: list[Run]) -> list[str]:
+    """One row of the table: means of durations, mean and worst ratio pair by pair, medians of times, counts."""
+    toppra = np.array([one.toppra for one in runs])
+    zarm = np.array([one.zarm for one in runs])
+    ratio = zarm / toppra[:, None]
+    seconds = np.median([(one.zarm_seconds, one.toppra_seconds, one.verify_seconds) for one in runs], axis=0)
+    return [
+        str(len(runs)),
+        f"{zarm[:, 0].mean():.2f}",
+        f"{toppra.mean():.2f}",
+        f"{ratio[:, 0].mean():.3f}, {ratio[:, 0].max():.2f}",
+        *(f"{mean:.3f}" for mean in ratio[:, 1:].mean(axis=0)),
+        f"{np.mean([one.least for one in runs] / toppra):.3f}",
+        *(f"{median * 1e3:.1f}" for median in seconds),
+        str(sum(one.zarm_refused for one in runs)),
+        str(sum(one.toppra_refused for one in runs)),
+        " ".join(str(int(count)) for count in (ratio > 1.0).sum(axis=0)),
+    ]
+
+
+def plot(runs: list[Run]) -> None:
+    """How the ratios are spread, for each budget."""
+    figure, axes = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    share = (np.arange(len(runs)) + 1) / len(runs)
+    for k, budget in enumerate(BUDGETS):
+        ratio = np.sort([one.zarm[k] / one.toppra for one in runs])
+        axes.step(ratio, share, where="post", label=f"optimised for {budget:g} s: mean {ratio.mean():.3f}")
+    least = np.sort([one.least / one.toppra for one in runs])
+    axes.step(least, share, color="grey", linestyle=":", label=f"no obstacles, no jerk limit: mean {least.mean():.3f}")
+    axes.axvline(1.0, color="black", linewidth=0.8)
+    axes.set(
+        title="Duration of verified, jerk-limited motions over that of shortcut + TOPPRA",
+        xlabel="ratio, problem by problem",
+        ylabel="share of MotionBenchMaker's problems",
+    )
+    axes.legend()
+    axes.grid(alpha=0.3)
+    PLOT.parent.mkdir(exist_ok=True)
+    figure.savefig(PLOT, dpi=120)
 
 
 if __name__ == "__main__":

@@ -123,7 +123,7 @@ def test_a_ramp_joins_two_states_inside_the_limits(joints: list[tuple[float, flo
     start, start_velocity, end, end_velocity = np.array(joints).T.copy()
     fastest, strongest = np.full(len(joints), 1.0), np.full(len(joints), 3.0)
     ramps = make_ramps(1, len(joints))
-    if not connect_states(ramps, 0, start, start_velocity, end, end_velocity, fastest, strongest):
+    if not connect_states(ramps, 0, start, start_velocity, end, end_velocity, fastest, strongest, np.inf):
         return
     position, velocity = np.empty_like(start), np.empty_like(start)
     state(ramps, 0, ramps.duration[0], position, velocity)

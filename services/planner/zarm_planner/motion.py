@@ -107,18 +107,20 @@ def _packed(array: Array) -> Array:
     return np.ascontiguousarray(array, np.float64)
 
 
-def sample_times(duration: float, factor: float, dt: float) -> Array:
-    """Times (n,) from 0 to `duration` (s), so many that at `factor` times as long they are `dt` s apart or a little less.
+def sample_times(knots: Array, factor: float, dt: float) -> Array:
+    """Times (n,) from the first to the last of the ascending `knots` (k,) in s, these among them; at `factor` times as long
+    they are `dt` s apart or less.
 
     Raises InvalidRequest where these are more than MAX_SAMPLES.
     """
-    if (count := duration * factor / dt) > MAX_SAMPLES:
+    pieces = np.maximum(1.0, np.ceil(np.diff(knots) * factor / dt - 1e-6))
+    if (count := pieces.sum()) > MAX_SAMPLES:
         raise InvalidRequest(
-            f"the motion would last {duration * factor:.3g} s, more than the {MAX_SAMPLES} samples that one message holds; "
-            "raise velocity_scale and acceleration_scale",
+            f"the motion would last {(knots[-1] - knots[0]) * factor:.3g} s, and needs more than the {MAX_SAMPLES} samples "
+            "that one message holds; raise velocity_scale and acceleration_scale",
             field="velocity_scale",
         )
-    return np.linspace(0.0, duration, max(2, math.ceil(count - 1e-6)) + 1)
+    return np.interp(np.arange(int(count) + 1), np.insert(np.cumsum(pieces), 0, 0.0), knots)
 
 
 def within(sample: Callable[[float], Motion], limits: Limits) -> Motion:

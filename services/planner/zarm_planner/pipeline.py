@@ -6,10 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Goal, PlanTimings, WaypointsGoal
 from zarm_planner.ends import End, Snapshot, goal_ends, start_end
+from zarm_planner.improve import Improvement
 from zarm_planner.motion import Array, Limits, Motion
+from zarm_planner.robot_model import RobotModel
 from zarm_planner.route import Route, find_route
 from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
@@ -73,7 +77,7 @@ def _first(task: _Task, options: Options, stop: Stop, watch: Watch) -> tuple[Ver
                     motion = timed()
                 try:
                     with watch.stage("verify"):
-                        return task.verified(motion, route, stop), seed
+                        return task.verified(motion, stop), seed
                 except VerificationFailed as error:
                     failure = error
     except DeadlineExceeded as late:
@@ -89,17 +93,24 @@ def _first(task: _Task, options: Options, stop: Stop, watch: Watch) -> tuple[Ver
 
 
 def _fastest(task: _Task, best: Verified, seed: int, stop: Stop, budget: Stop) -> Verified:
-    """The fastest among `best` and the motions that further seeds lead to until `budget` is spent."""
-    while not budget.passed:
+    """The fastest among `best` and the motions found until `budget` is spent; further seeds lead to other routes."""
+
+    def routes(number: int) -> tuple[Array, Sequence[int]] | None:
         stop.check()
-        seed += 1
         try:
-            route = find_route(task.snapshot, task.begin, task.targets, seed, budget, Watch())
-            if route is None or (motion := task.motions(route, seed, budget)[0]()).duration >= best.motion.duration:
-                continue
-            best = task.verified(motion, route, budget)
-        except (DeadlineExceeded, VerificationFailed):
+            route = find_route(task.snapshot, task.begin, task.targets, seed + 1 + number, budget, Watch())
+        except DeadlineExceeded:
+            return None
+        return None if route is None else (route.path, route.rows[:-1])
+
+    improvement = Improvement(task.model, task.snapshot.world, task.limits, task.dt, routes, seed)
+    while (motion := improvement.faster_than(best.motion.duration, budget)) is not None:
+        try:
+            best = task.verified(motion, budget)
+        except VerificationFailed:
             continue
+        except DeadlineExceeded:
+            break
     return best
 
 
@@ -130,20 +141,31 @@ class _Task:
     goal: Goal
     limits: Limits
 
+    @property
+    def model(self) -> RobotModel:
+        """The robot as it is in the scene."""
+        return self.snapshot.model
+
+    @property
+    def dt(self) -> float:
+        """The sample period (s) of motions."""
+        return self.model.robot.descriptor.interpolation_dt
+
     def motions(self, route: Route, seed: int, stop: Stop) -> Sequence[Callable[[], Motion]]:
         """Ways to time a route, the fastest first; those after it keep ever closer to its path."""
-        model, world, path, limits = self.snapshot.model, self.snapshot.world, route.path, self.limits
-        dt = model.robot.descriptor.interpolation_dt
+        world, path, limits, dt = self.snapshot.world, route.path, self.limits, self.dt
         return [
-            partial(smooth_path, model, world, path, limits, dt, seed=seed, stop=stop),
+            partial(smooth_path, self.model, world, path, limits, dt, vias=route.rows[:-1], seed=seed, stop=stop),
             *(partial(time_path, path, limits, dt, deviation) for deviation in _DEVIATIONS),
         ]
 
-    def verified(self, motion: Motion, route: Route, stop: Stop) -> Verified:
+    def verified(self, motion: Motion, stop: Stop) -> Verified:
         """The motion with its clearance. Raises VerificationFailed and what `stop` raises."""
-        goal, ends = self.goal, [end.asked for end in route.ends]
-        clearance = verify(motion, self.begin.asked, ends[-1], self.limits, self.snapshot.exact, stop.check)
-        if not isinstance(goal, WaypointsGoal):
+        asked = np.array([end.asked for end in self.targets[-1]])
+        end = asked[np.argmin(np.abs(asked - motion.position[-1]).max(axis=1))]
+        clearance = verify(motion, self.begin.asked, end, self.limits, self.snapshot.exact, stop.check)
+        if not isinstance(self.goal, WaypointsGoal):
             return Verified(motion, clearance, ())
-        times = passing_times(self.snapshot.model, motion, ends, goal.position_tolerance, goal.angle_tolerance)
-        return Verified(motion, clearance, times)
+        waypoints = [ends[0].asked for ends in self.targets]  # all ends of one lead to the same pose of the tip
+        tolerances = self.goal.position_tolerance, self.goal.angle_tolerance
+        return Verified(motion, clearance, passing_times(self.model, motion, waypoints, *tolerances))

@@ -33,11 +33,10 @@ _MOST_SAMPLES = 100_000
 
 @dataclass(frozen=True)
 class Route:
-    """A free path (n, dof) from the start; it reaches the k-th target in its row `rows[k]`, at `ends[k]`."""
+    """A free path (n, dof) from the start; it reaches the k-th target in its row `rows[k]`."""
 
     path: Array
     rows: tuple[int, ...]
-    ends: tuple[End, ...]
 
 
 def find_route(
@@ -58,7 +57,7 @@ def find_route(
         if end.edge.size:
             path.append(end.free)
     path = path[: rows[-1] + 1]
-    return Route(np.array(path), tuple(rows), tuple(end for end, _ in chain))
+    return Route(np.array(path), tuple(rows))
 
 
 @dataclass

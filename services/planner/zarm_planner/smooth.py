@@ -1,112 +1,155 @@
 """Path -> motion that arrives soon: shortcuts in time at bounded acceleration, then bounded jerk.
 
 A motion that stops at every corner of the path is made faster by replacing pieces of it with the fastest ramps between
-their ends (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of
+their ends, straight or bent (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of
 values inside limits is inside them too, and jerk is at most twice the acceleration limit over the window (Biagiotti and
 Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain specifications", 2012).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
-from typing import Self
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from zarm_planner.kernels.arrays import memory
-from zarm_planner.kernels.ramps import Ramps, along, make_ramps
+from zarm_planner.kernels.ramps import along, make_ramps
+from zarm_planner.kernels.sampling import sample_average
 from zarm_planner.kernels.smoothing import smooth
 from zarm_planner.motion import Array, Limits, Motion, sample_times, within
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
 
-ATTEMPTS = 200
-"""Shortcuts that are tried; five times as many gain 1 % more on MotionBenchMaker's problems."""
+ATTEMPTS = 1500
+"""Shortcuts that are tried for a path, and for each via on top; ten times as many gain 1 % on MotionBenchMaker's problems."""
+DEVIATION = 1e-3
+"""How far (rad) each joint may be off when a via is passed."""
 _ROOM = 256
 """Ramps of a motion at most, on top of one for each edge of the path."""
+_MUCH = 0.5
+"""A joint that uses less of its acceleration may swing beyond it between two samples, which spares samples."""
+_SHORTEST = 0.1
+"""Least time to average over, in samples."""
+_CLOSE = 1e-5
+"""Seconds; samples are further apart, so that their differences can be divided by it."""
 
 
-def smooth_path(
-    model: RobotModel, world: World, path: Array, limits: Limits, dt: float, *, seed: int, stop: Stop
-) -> Motion:
-    """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s or a little less.
+class Smoothing:
+    """The motion along a path, ever faster with more shortcuts."""
 
-    Where it leaves the path it is free of `world` in spheres, as straight edges between its configurations every
-    `kernels.smoothing.STEP` s. The limits hold as `Motion.load` measures them. The same seed gives the same motion;
-    `stop` only makes the search for a faster one end sooner.
+    def __init__(
+        self,
+        model: RobotModel,
+        world: World,
+        path: Array,
+        limits: Limits,
+        dt: float,
+        *,
+        vias: Sequence[int] = (),
+        deviation: float = DEVIATION,
+    ) -> None:
+        """As in `smooth_path`; the motion rests at each row of `path` until shortcuts are tried."""
+        self._model, self._world, self._limits, self._dt, self._path = model, world, limits, dt, path
+        strongest = limits.acceleration * (_gentler(limits, dt, deviation) if len(vias) else 1.0)
+        self._window = _window(strongest, limits, dt)
+        self._bounds = np.stack((model.lower, model.upper, limits.velocity, strongest))
+        passed = np.zeros(len(path), np.bool_)
+        passed[list(vias)] = True
+        self._ramps = make_ramps(len(path) + _ROOM, model.dof)
+        self._count = along(path, passed, limits.velocity, strongest, self._ramps)
+        self._stretches = 1 + len(vias)
 
-    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
-    """
-    ramps = make_ramps(len(path) + _ROOM, model.dof)
-    count = along(path, limits.velocity, limits.acceleration, ramps)
-    if count == 0:
-        return Motion.standing(path[0], dt)
-    count = smooth(
-        model.arrays,
-        world.arrays,
-        memory(model.arrays),
-        ramps,
-        count,
-        np.stack((model.lower, model.upper, limits.velocity, limits.acceleration)),
-        ATTEMPTS,
-        np.array([seed], np.uint64),
-        stop.deadline,
-    )
-    window = max(2 * dt, float(np.max(2 * limits.acceleration / limits.jerk)))
-    return within(partial(_Smoothed.of(ramps, count, window).sample, dt=dt), limits)
+    @property
+    def duration(self) -> float:
+        """About how long (s) the motion will last."""
+        return float(self._ramps.duration[: self._count].sum()) + self._window
 
-
-@dataclass(frozen=True)
-class _Smoothed:
-    """A motion at stepwise constant acceleration, all of it averaged over `window` s, by which it lasts longer.
-
-    Each joint's steps begin at the times `t`; there `area` is the integral over time of its position, and `acceleration`
-    holds until the next: all (steps, dof). `end` (s) is where the last step ends.
-    """
-
-    t: Array
-    area: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    end: float
-    window: float
-
-    @classmethod
-    def of(cls, ramps: Ramps, count: int, window: float) -> Self:
-        """The first `count` ramps."""
-        duration, x0, v0, a, first, last = (column[:count] for column in ramps)
-        kept = np.maximum(duration[:, None] - first - last, 0.0)
-        x1, v1 = x0 + first * (v0 + first * a / 2), v0 + first * a
-        h, position, velocity, acceleration = (
-            np.stack(phases, axis=1).reshape(3 * count, -1)
-            for phases in (
-                (first, kept, last),
-                (x0, x1, x1 + kept * v1),
-                (v0, v1, v1),
-                (a, np.zeros_like(a), -a),
-            )
+    def shortcut(self, attempts: int, seed: int, stop: Stop) -> None:
+        """Try so many shortcuts, as often again for each via, or fewer where `stop` comes first."""
+        self._count = smooth(
+            self._model.arrays,
+            self._world.arrays,
+            memory(self._model.arrays),
+            self._ramps,
+            self._count,
+            self._bounds,
+            attempts * self._stretches,
+            np.array([seed], np.uint64),
+            stop.deadline,
         )
-        area = h * (position + h * (velocity / 2 + h * acceleration / 6))
-        t, area = (np.cumsum(steps, axis=0) - steps for steps in (h, area))
-        return cls(t, area, position, velocity, acceleration, float(duration.sum()), window)
 
-    def sample(self, factor: float, dt: float) -> Motion:
-        """The motion at `factor` times its shortest duration, sampled every `dt` s or a little less."""
-        t = sample_times(self.end + self.window, factor, dt)
-        position, velocity, acceleration = (self._raw(t) - self._raw(t - self.window)) / self.window
+    def motion(self) -> Motion:
+        """The motion as it is now. Raises InvalidRequest where it is longer than `motion.MAX_SAMPLES`."""
+        if self._count == 0:
+            return Motion.standing(self._path[0], self._dt)
+        return within(self._sample, self._limits)
+
+    def _sample(self, factor: float) -> Motion:
+        """The motion at `factor` times its shortest duration."""
+        t = sample_times(self._knots(), factor, self._dt)
+        out = np.empty((3, len(t), self._model.dof))
+        sample_average(self._ramps, self._count, self._window, t, out)
+        position, velocity, acceleration = out
         velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
         return Motion(t * factor, position, velocity / factor, acceleration / factor**2)
 
-    def _raw(self, t: Array) -> Array:
-        """Before averaging: the integral over time of the position, the position and the velocity, (3, len(t), dof)."""
-        inside = np.clip(t, 0.0, self.end)
-        out = np.empty((3, len(t), self.t.shape[1]))
-        for j in range(self.t.shape[1]):
-            i = np.searchsorted(self.t[:, j], inside, side="right") - 1
-            x, p, v, a = inside - self.t[i, j], self.position[i, j], self.velocity[i, j], self.acceleration[i, j]
-            out[:, :, j] = self.area[i, j] + x * (p + x * (v / 2 + x * a / 6)), p + x * (v + x * a / 2), v + x * a
-        out[0] += (t - inside)[:, None] * out[1]  # before and after, the robot rests
-        return out
+    def _knots(self) -> Array:
+        """Times (k,) in s between which each joint that uses much of its acceleration moves along one cubic.
+
+        Samples there describe it exactly; the quintic across a change of jerk would swing beyond the limit.
+        """
+        duration, _, _, acceleration, first, last = (column[: self._count] for column in self._ramps[1:])
+        ends = np.cumsum(duration)
+        much = np.abs(acceleration) > _MUCH * self._bounds[3]
+        up, down = (ends - duration)[:, None] + first, ends[:, None] - last
+        steps = np.concatenate(([0.0], ends, up[much], down[much]))
+        knots = np.unique(np.concatenate((steps, steps + self._window)))
+        knots = knots[np.insert(np.diff(knots) > _CLOSE, 0, True)]
+        knots[-1] = self.duration
+        return knots
+
+
+def smooth_path(
+    model: RobotModel,
+    world: World,
+    path: Array,
+    limits: Limits,
+    dt: float,
+    *,
+    seed: int,
+    stop: Stop,
+    vias: Sequence[int] = (),
+    deviation: float = DEVIATION,
+) -> Motion:
+    """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s, and in between
+    where a strong acceleration changes.
+
+    It passes the rows `vias` of the path, in their order, each joint within `deviation` (rad), and stops there only where
+    no faster way is found to be free. Where it leaves the path it is free of `world` in spheres, as straight edges
+    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `Motion.load` measures them. The same
+    seed gives the same motion; `stop` only makes the search for a faster one end sooner.
+
+    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
+    """
+    smoothing = Smoothing(model, world, path, limits, dt, vias=vias, deviation=deviation)
+    smoothing.shortcut(ATTEMPTS, seed, stop)
+    return smoothing.motion()
+
+
+def _window(strongest: Array, limits: Limits, dt: float) -> float:
+    """Seconds over which to average: from full acceleration to the opposite within the jerk limits, and never at once."""
+    return max(_SHORTEST * dt, float(np.max(2 * strongest / limits.jerk)))
+
+
+def _gentler(limits: Limits, dt: float, deviation: float) -> float:
+    """By how much to lower the acceleration so that averaging takes no joint further than `deviation` off the motion.
+
+    In the middle of a window w the average of a motion differs from it by a w^2 / 24 at most, a being the largest
+    acceleration: |x(t + s) - x(t) - v(t) s| <= a s^2 / 2, averaged over s from -w / 2 to w / 2.
+    """
+    most = 24 * deviation / float(np.max(limits.acceleration))
+    return min(
+        1.0, most / (_SHORTEST * dt) ** 2, math.cbrt(most / float(np.max(2 * limits.acceleration / limits.jerk)) ** 2)
+    )

@@ -85,7 +85,7 @@ class _Profile:
 
     def sample(self, factor: float, dt: float) -> Motion:
         """The motion at `factor` times its shortest duration, sampled every `dt` s or a little less."""
-        t = sample_times(self.duration, factor, dt)
+        t = sample_times(np.array([0.0, 0.5, 1.0]) * self.duration, factor, dt)
         area1, s1, sd1 = self._raw(t)
         area0, s0, sd0 = self._raw(t - self.window)
         s = np.clip((area1 - area0) / self.window, 0.0, self.s[-1])

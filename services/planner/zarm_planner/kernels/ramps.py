@@ -24,10 +24,12 @@ class Ramps(NamedTuple):
     """Room for ramps, of which a motion uses the first few; joint j of ramp i has acceleration `acceleration[i, j]` for
     `first[i, j]` s, its negative for the last `last[i, j]` s, and none between.
 
+    `via` (capacity,) is whether the motion has to pass the state at the start of the ramp, whatever becomes of the rest.
     `duration` (capacity,) in s; `position` and `velocity` (capacity, dof) at the start of each ramp, in rad and rad/s;
     `acceleration` in rad/s^2, `first` and `last` in s, all (capacity, dof).
     """
 
+    via: NDArray[np.bool_]
     duration: Array
     position: Array
     velocity: Array
@@ -38,7 +40,7 @@ class Ramps(NamedTuple):
 
 def make_ramps(capacity: int, dof: int) -> Ramps:
     """Room for `capacity` ramps."""
-    return Ramps(np.empty(capacity), *(np.empty((capacity, dof)) for _ in range(5)))
+    return Ramps(np.empty(capacity, np.bool_), np.empty(capacity), *(np.empty((capacity, dof)) for _ in range(5)))
 
 
 @inlined
@@ -122,6 +124,29 @@ def state(ramps: Ramps, i: int, t: float, position: Array, velocity: Array) -> N
 
 
 @inlined
+def in_range(ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
+    """Whether ramp `i` keeps inside the joints' ranges (dof,), where joints turn back too."""
+    for j in range(lower.shape[0]):
+        a, first, last = ramps.acceleration[i, j], ramps.first[i, j], ramps.last[i, j]
+        x, v = ramps.position[i, j], ramps.velocity[i, j]
+        least, most = x, x
+        for phase in range(3):
+            if phase == 1:
+                x += v * max(ramps.duration[i] - first - last, 0.0)
+            else:
+                sign, h = (1.0, first) if phase == 0 else (-1.0, last)
+                back = -v * sign / a if a != 0.0 else -1.0
+                if 0.0 < back < h:
+                    least, most = min(least, x + 0.5 * v * back), max(most, x + 0.5 * v * back)
+                x += h * (v + 0.5 * sign * a * h)
+                v += sign * a * h
+            least, most = min(least, x), max(most, x)
+        if least < lower[j] - _SLACK or most > upper[j] + _SLACK:
+            return False
+    return True
+
+
+@inlined
 def connect_states(
     ramps: Ramps,
     i: int,
@@ -131,14 +156,19 @@ def connect_states(
     end_velocity: Array,
     fastest: Array,
     strongest: Array,
+    most: float,
 ) -> bool:
-    """Make ramp `i` the fastest one between two states in which all joints arrive together; whether there is one."""
+    """Make ramp `i` the fastest one between two states in which all joints arrive together.
+
+    Returns whether there is one that takes at most `most` s.
+    """
     time = 0.0
     for j in range(start.shape[0]):
         time = max(time, least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j]))
     ramps.duration[i] = time
-    if not _SLACK < time < np.inf:
+    if not _SLACK < time <= most:
         return False
+    ramps.via[i] = False
     for j in range(start.shape[0]):
         found, a, first, last = in_time(
             end[j] - start[j], start_velocity[j], end_velocity[j], time, fastest[j], strongest[j]
@@ -151,10 +181,15 @@ def connect_states(
 
 
 @kernel
-def along(path: Array, fastest: Array, strongest: Array, ramps: Ramps) -> int:
-    """Ramps straight along a path (n, dof), at rest at each of its corners; returns how many."""
+def along(path: Array, vias: NDArray[np.bool_], fastest: Array, strongest: Array, ramps: Ramps) -> int:
+    """Ramps straight along a path (n, dof), at rest at each of its corners; returns how many.
+
+    `vias` (n,) says which rows it has to pass. Of rows that are the same one is left.
+    """
     count = 0
+    via = False
     for i in range(path.shape[0] - 1):
+        via = via or vias[i]
         speed, rate = np.inf, np.inf  # along the edge, as parts of it: the joint that is slowest for its way decides
         for j in range(path.shape[1]):
             way = abs(path[i + 1, j] - path[i, j])
@@ -164,7 +199,8 @@ def along(path: Array, fastest: Array, strongest: Array, ramps: Ramps) -> int:
             continue
         time = least_time(1.0, 0.0, 0.0, speed, rate)
         _, a, first, last = in_time(1.0, 0.0, 0.0, time, speed, rate)
-        ramps.duration[count] = time
+        ramps.via[count], ramps.duration[count] = via, time
+        via = False
         for j in range(path.shape[1]):
             ramps.position[count, j], ramps.velocity[count, j] = path[i, j], 0.0
             ramps.acceleration[count, j] = a * (path[i + 1, j] - path[i, j])

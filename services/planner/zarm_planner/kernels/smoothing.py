@@ -1,4 +1,9 @@
-"""Shortcuts in time: pieces of a motion give way to the fastest ramps between their ends, where these are free."""
+"""Shortcuts in time: pieces of a motion give way to the fastest ramps between their ends, where these are free.
+
+Where obstacles do not let a single ramp through, two do that meet in a state somewhat beside the motion: so it is bent, by
+chance and step by step, around what is in the way. (Shortcuts: Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator
+trajectories using optimal bounded-acceleration shortcuts", 2010.)
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,7 @@ from zarm_planner.kernels.arrays import Memory, RobotArrays, Space, WorldArrays,
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.compiled import inlined, kernel
 from zarm_planner.kernels.edge import edge_free
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, state
+from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, state
 from zarm_planner.kernels.random import uniform
 
 STEP = 0.05
@@ -19,8 +24,13 @@ STEP = 0.05
 bends between them, 6 mrad at 20 rad/s^2 and 5 mrad at any, is left to exact verification."""
 TURN = 0.02
 """Rad; see STEP."""
-GAIN = 0.005
+GAIN = 0.001
 """A shortcut that saves less than this part of the piece it replaces is not worth a check."""
+BENDS = 3
+"""Bends for each shortcut without; they cost less, for most are too slow, which is known before anything is checked."""
+BEND = 0.25
+"""How far a bend leaves the motion at most: in position by this part of what each joint could turn at full speed in the time
+of the piece, in velocity by this part of full speed."""
 SHORTEST = 0.01
 """Pieces of less than this (s) are left as they are."""
 EMPTY = 1e-9
@@ -29,7 +39,9 @@ EMPTY = 1e-9
 
 @inlined
 def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
-    """Whether ramp `i` keeps inside the joints' ranges and free, looked at every STEP or TURN."""
+    """Whether ramp `i` keeps inside the joints' ranges, and free, looked at every STEP or TURN."""
+    if not in_range(ramps, i, lower, upper):
+        return False
     dof = lower.shape[0]
     position, velocity = np.empty(dof), np.empty(dof)
     before, after = np.empty(dof, np.float32), np.empty(dof, np.float32)
@@ -43,8 +55,6 @@ def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -
     for step in range(steps + 1):
         state(ramps, i, ramps.duration[i] * step / steps, position, velocity)
         for j in range(dof):
-            if position[j] < lower[j] or position[j] > upper[j]:
-                return False
             before[j] = after[j]
             after[j] = position[j]
         if step > 0 and not edge_free(checks, before, after):
@@ -55,7 +65,7 @@ def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -
 @inlined
 def move(ramps: Ramps, source: int, target: int) -> None:
     """Copy ramp `source` over ramp `target`."""
-    ramps.duration[target] = ramps.duration[source]
+    ramps.via[target], ramps.duration[target] = ramps.via[source], ramps.duration[source]
     for j in range(ramps.position.shape[1]):
         ramps.position[target, j], ramps.velocity[target, j] = ramps.position[source, j], ramps.velocity[source, j]
         ramps.acceleration[target, j] = ramps.acceleration[source, j]
@@ -66,6 +76,7 @@ def move(ramps: Ramps, source: int, target: int) -> None:
 def cut_before(ramps: Ramps, i: int, t: float, position: Array, velocity: Array) -> None:
     """Leave of ramp `i` what comes after `t` s, where its state is `position` and `velocity`."""
     rest = ramps.duration[i] - t
+    ramps.via[i] = ramps.via[i] and t <= EMPTY
     for j in range(position.shape[0]):
         ramps.position[i, j], ramps.velocity[i, j] = position[j], velocity[j]
         ramps.first[i, j] = max(ramps.first[i, j] - t, 0.0)
@@ -85,13 +96,93 @@ def cut_after(ramps: Ramps, i: int, t: float) -> None:
 @inlined
 def without_empty(ramps: Ramps, count: int) -> int:
     """Close up over ramps of no duration among the first `count`; returns how many are left."""
-    kept = 0
+    kept, via = 0, False
     for i in range(count):
+        via = via or ramps.via[i]
         if ramps.duration[i] > EMPTY:
             if kept < i:
                 move(ramps, i, kept)
-            kept += 1
+            ramps.via[kept] = via
+            kept, via = kept + 1, False
     return kept
+
+
+@inlined
+def find(ramps: Ramps, count: int, t: float) -> tuple[int, float]:
+    """The ramp in which the motion is at `t` s, and how far (s) into it."""
+    i = 0
+    while i < count - 1 and t > ramps.duration[i]:
+        t -= ramps.duration[i]
+        i += 1
+    return i, min(t, ramps.duration[i])
+
+
+@inlined
+def find_vias(ramps: Ramps, count: int, early: float, late: float) -> tuple[int, float, float]:
+    """The first ramp that starts at a via between `early` and `late` (s), or -1; when that is; and when the next one, or `late`."""
+    first, at, t = -1, late, 0.0
+    for i in range(count):
+        if t >= late:
+            break
+        if ramps.via[i] and t > early:
+            if first >= 0:
+                return first, at, t
+            first, at = i, t
+        t += ramps.duration[i]
+    return first, at, late
+
+
+@inlined
+def bend(
+    ramps: Ramps,
+    count: int,
+    via: int,
+    t: float,
+    piece: float,
+    fastest: Array,
+    random: NDArray[np.uint64],
+    start: Array,
+    end: Array,
+    position: Array,
+    velocity: Array,
+) -> None:
+    """A state beside that at `t` s, to meet in between `start` and `end` (dof,), which are `piece` s apart.
+
+    Where ramp `via` starts at a via it is there, at another velocity. Half of the states move more or less straight from
+    start to end, for at a corner or a via the motion so far may stand still.
+    """
+    size = uniform(random) ** 2  # mostly small
+    straight = max(0.0, 2.0 * uniform(random) - 1.0)
+    i, into = find(ramps, count, t)
+    if via >= 0:
+        i, into = via, 0.0
+    state(ramps, i, into, position, velocity)
+    for j in range(position.shape[0]):
+        beside = (2.0 * uniform(random) - 1.0) * size * BEND * fastest[j]
+        faster = (2.0 * uniform(random) - 1.0) * size * BEND * fastest[j]
+        if via < 0:
+            position[j] += beside * piece
+        velocity[j] += straight * ((end[j] - start[j]) / piece - velocity[j])
+        velocity[j] = max(-fastest[j], min(velocity[j] + faster, fastest[j]))
+
+
+@inlined
+def put(
+    ramps: Ramps, count: int, i: int, early: float, k: int, late: float, new: int, end: Array, end_velocity: Array
+) -> int:
+    """Put the last `new` ramps of all between `early` s into ramp i and `late` s into ramp k; returns how many there are then."""
+    added = i + 1 + new - k
+    if added > 0:
+        for r in range(count - 1, k - 1, -1):
+            move(ramps, r, r + added)
+    elif added < 0:
+        for r in range(k, count):
+            move(ramps, r, r + added)
+    cut_before(ramps, i + 1 + new, late, end, end_velocity)
+    cut_after(ramps, i, early)
+    for r in range(new):
+        move(ramps, ramps.duration.shape[0] - new + r, i + 1 + r)
+    return without_empty(ramps, count + added)
 
 
 @kernel
@@ -108,17 +199,19 @@ def smooth(
 ) -> int:
     """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns how many it has.
 
-    `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration (rad/s^2).
+    `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration (rad/s^2). Vias are passed as before,
+    perhaps at another velocity.
     """
     checks = space(robot, world, memory)
     capacity, dof = ramps.position.shape
     lower, upper, fastest, strongest = limits[0], limits[1], limits[2], limits[3]
     now = np.empty(2, np.int64)
     start, start_velocity = np.empty(dof), np.empty(dof)
+    middle, middle_velocity = np.empty(dof), np.empty(dof)
     end, end_velocity = np.empty(dof), np.empty(dof)
-    spare = capacity - 1  # the ramp in hand
+    first, second = capacity - 2, capacity - 1  # the ramps in hand
     for attempt in range(attempts):
-        if count + 3 > capacity or passed(deadline, now):
+        if count + 5 > capacity or passed(deadline, now):
             break
         total = 0.0
         for i in range(count):
@@ -126,39 +219,40 @@ def smooth(
         early, late = uniform(random) * total, uniform(random) * total
         if early > late:
             early, late = late, early
-        # Every other shortcut reaches to an end of the motion, where there is most to gain from starting sooner.
-        if attempt % 4 == 1:
+        bent = attempt % (BENDS + 1) != 0
+        # Every other attempt reaches to an end of the motion, where there is most to gain from starting sooner.
+        reach = attempt if bent else attempt // (BENDS + 1)
+        if reach % 4 == 1:
             early = 0.0
-        elif attempt % 4 == 3:
+        elif reach % 4 == 3:
             late = total
+        via, at, next_via = find_vias(ramps, count, early, late)
+        late = next_via if bent else at
         piece = late - early
         if piece < SHORTEST:
             continue
-        i = 0
-        while i < count - 1 and early > ramps.duration[i]:
-            early -= ramps.duration[i]
-            i += 1
-        k = 0
-        while k < count - 1 and late > ramps.duration[k]:
-            late -= ramps.duration[k]
-            k += 1
-        early, late = min(early, ramps.duration[i]), min(late, ramps.duration[k])
+        i, early = find(ramps, count, early)
+        k, late = find(ramps, count, late)
         state(ramps, i, early, start, start_velocity)
         state(ramps, k, late, end, end_velocity)
-        if not connect_states(ramps, spare, start, start_velocity, end, end_velocity, fastest, strongest):
-            continue
-        if ramps.duration[spare] > (1.0 - GAIN) * piece or not ramp_free(checks, ramps, spare, lower, upper):
-            continue
-        # Ramps i to k give way to what is left of i, the new one, and what is left of k.
-        added = i + 2 - k
-        if added > 0:
-            for r in range(count - 1, k - 1, -1):
-                move(ramps, r, r + added)
-        elif added < 0:
-            for r in range(k, count):
-                move(ramps, r, r + added)
-        cut_before(ramps, i + 2, late, end, end_velocity)
-        cut_after(ramps, i, early)
-        move(ramps, spare, i + 1)
-        count = without_empty(ramps, count + added)
+        most = (1.0 - GAIN) * piece
+        if bent:
+            if via < 0:
+                at -= uniform(random) * piece
+            bend(ramps, count, via, at, piece, fastest, random, start, end, middle, middle_velocity)
+            if not connect_states(
+                ramps, first, start, start_velocity, middle, middle_velocity, fastest, strongest, most
+            ):
+                continue
+            most -= ramps.duration[first]
+            if not connect_states(ramps, second, middle, middle_velocity, end, end_velocity, fastest, strongest, most):
+                continue
+            ramps.via[second] = via >= 0
+            if not ramp_free(checks, ramps, first, lower, upper) or not ramp_free(checks, ramps, second, lower, upper):
+                continue
+            count = put(ramps, count, i, early, k, late, 2, end, end_velocity)
+        elif connect_states(
+            ramps, second, start, start_velocity, end, end_velocity, fastest, strongest, most
+        ) and ramp_free(checks, ramps, second, lower, upper):
+            count = put(ramps, count, i, early, k, late, 1, end, end_velocity)
     return count
