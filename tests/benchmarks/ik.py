@@ -1,9 +1,9 @@
 """Kinematics: single solutions, all branches, and batches on kernels and on torch: `python tests/benchmarks/ik.py [--poses 10000]`.
 
-CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes; torch spreads over the cores, so
-batches are measured by the clock. Poses are those of random joints. The robots of MotionBenchMaker take part where
-../shared/mbm is, and EAIK's closed form as a second opinion on branches where it is installed (`pip install eaik==1.2.2`).
-Plots into tests/benchmarks/plots/ik.png.
+CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes; batches by the clock, since a GPU
+works beside it. Poses are those of random joints. The robots of MotionBenchMaker take part where ../shared/mbm is, and
+EAIK's closed form as a second opinion on branches where it is installed (`pip install --no-deps eaik==1.2.2`). Plots into
+tests/benchmarks/plots/ik.png.
 """
 
 from __future__ import annotations

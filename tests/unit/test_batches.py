@@ -137,7 +137,6 @@ def test_a_device_without_torch_is_refused_with_the_remedy_and_auto_does_without
     with pytest.raises(InvalidRequest, match=r"pip install 'zarm\[torch\]'") as raised:
         batch_fk(ur5e, np.zeros((1, 6)), "cpu")
     assert raised.value.problem.field == "device"
-    pose = ur5e.fk_tip(np.full(6, 0.5))
-    found = solved(ur5e, np.repeat(pose[None], WORTH_A_GPU, axis=0), np.zeros(6), "auto")
-    assert all(len(rows) == 1 for rows in found)
+    poses = np.repeat(ur5e.fk_tip(np.full(6, 0.5))[None], WORTH_A_GPU // 64 + 1, axis=0)
+    assert all(len(rows) == 64 for rows in solved(ur5e, poses, np.zeros(6), "auto", most=64))
     batches._has_gpu.cache_clear()

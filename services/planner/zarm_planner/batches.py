@@ -30,11 +30,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-WORTH_A_GPU = 1000
+WORTH_A_GPU = 10_000
 """Solutions asked for from which `auto` takes a GPU for inverse kinematics.
 
-Kernels need 25 to 60 us for each, so 25 to 60 ms for so many. A descent in step is some 50 small GPU kernels in each of
-some 30 iterations, at 5 to 10 us each: 8 to 15 ms for one pose or a thousand. Estimated, not measured on a GPU.
+Kernels need 25 to 60 us for each, so 0.25 to 0.6 s for so many. In step, a batch of any size takes up to 4 rounds of 20 steps
+with some 70 small GPU kernels of 5 to 10 us each, 30 to 60 ms, and then choosing the nearest, some 15 us for each solution.
+An estimate from the time on a CPU; it has not been measured on a GPU.
 """
 _CONVERGED = 1e-7
 """m and rad. pytorch-kinematics reads a URDF in float32, which may move the tip by as much again; TOLERANCE allows both."""
@@ -43,8 +44,8 @@ _STARTS = 4
 _ROUNDS = 4
 _ITERATIONS = 20
 """Nine of ten descents that end at a pose do so within 13 steps."""
-_ROWS = 4096
-"""Descents in step: between so many a deadline or a cancel is noticed, and they take some 50 MB."""
+_ROWS = {"cpu": 4096, "cuda": 65536}
+"""Descents in step: between so many a deadline or a cancel is noticed; they take some 50 and 800 MB."""
 
 
 def batch_fk(model: RobotModel, joints: Array, device: Device) -> Array:
@@ -84,7 +85,7 @@ def batch_ik(
     solutions = [np.empty((0, model.dof))] * len(poses)
     if device != "kernels":
         _require(device)
-        together = max(1, _ROWS // (_STARTS * max_solutions))
+        together = max(1, _ROWS[device] // (_STARTS * max_solutions))
         for first in range(0, len(poses), together):
             some = slice(first, first + together)
             solutions[some] = _in_step(model, poses[some], near, world, max_solutions, seed, device, stop)
@@ -133,23 +134,24 @@ def _in_step(
         )
         ended = solver.solve(pk.Transform3d(matrix=torch.as_tensor(poses[lacking], device=device)))
         ends, converged = ended.solutions.cpu().numpy(), ended.converged.cpu().numpy()
-        for i, rows, reached in zip(lacking, ends, converged, strict=True):
-            found[i] = np.vstack((found[i], _accepted(model, poses[i], near, rows[reached])))
+        rows, reached = _accepted(model, poses[lacking], near, ends)
+        for i, mine, good in zip(lacking, rows, reached & converged, strict=True):
+            found[i] = np.vstack((found[i], mine[good]))
             solutions[i] = _nearest_free(model, found[i], near, world, max_solutions)
     return solutions
 
 
-def _accepted(model: RobotModel, pose: Array, near: Array, rows: Array) -> Array:
-    """Of joints (n, dof) those that reach the pose by the kernels' word, in the limits and turned towards `near`."""
-    rows = np.clip(rows, model.lower, model.upper)
+def _accepted(model: RobotModel, poses: Array, near: Array, rows: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Joints (n, starts, dof) in the limits and turned towards `near`; and whether they reach their poses, say kernels."""
     # pytorch-kinematics keeps limits in float32 and solutions anywhere in them; a full turn changes no pose.
+    rows = np.clip(rows, model.lower, model.upper)
     least, most = np.ceil((model.lower - rows) / TURN), np.floor((model.upper - rows) / TURN)
     rows = rows + np.where(model.revolute, TURN * np.clip(np.round((near - rows) / TURN), least, most), 0.0)
-    off = model.fk_tip(rows) - pose
-    distance = np.linalg.norm(off[:, :3, 3], axis=1)
+    off = model.fk_tip(rows) - poses[:, None]
+    distance = np.linalg.norm(off[..., :3, 3], axis=-1)
     # Of two rotations by an angle t from each other, the difference has the Frobenius norm 2 sqrt(2) sin(t / 2).
-    angle = 2.0 * np.arcsin(np.minimum(1.0, np.linalg.norm(off[:, :3, :3], axis=(1, 2)) / math.sqrt(8.0)))
-    return np.asarray(rows[(distance <= TOLERANCE) & (angle <= TOLERANCE)])
+    angle = 2.0 * np.arcsin(np.minimum(1.0, np.linalg.norm(off[..., :3, :3], axis=(-2, -1)) / math.sqrt(8.0)))
+    return rows, (distance <= TOLERANCE) & (angle <= TOLERANCE)
 
 
 def _nearest_free(model: RobotModel, rows: Array, near: Array, world: World | None, most: int) -> Array:
@@ -158,7 +160,7 @@ def _nearest_free(model: RobotModel, rows: Array, near: Array, world: World | No
     for row in rows[np.argsort(((rows - near) ** 2).sum(axis=1), kind="stable")]:
         if len(kept) == most:
             break
-        if all(np.abs(row - other).max() >= DISTINCT for other in kept) and (
+        if (not kept or np.abs(row - kept).max(axis=1).min() >= DISTINCT) and (
             world is None or is_free(model, world, row)
         ):
             kept.append(row)

@@ -11,11 +11,11 @@ import numpy as np
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Goal, PlanTimings, WaypointsGoal
 from zarm_planner.ends import End, Snapshot, goal_ends, start_end
-from zarm_planner.improve import Improvement
+from zarm_planner.improve import GAIN, Improvement
 from zarm_planner.motion import Array, Limits, Motion
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.route import Route, find_route
-from zarm_planner.smooth import smooth_path
+from zarm_planner.smooth import least_duration, smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.timing import time_path
 from zarm_planner.verify import VerificationFailed, verify
@@ -103,8 +103,12 @@ def _fastest(task: _Task, best: Verified, seed: int, stop: Stop, budget: Stop) -
             return None
         return None if route is None else (route.path, route.rows[:-1])
 
+    goals = np.array([end.asked for end in task.targets[-1]])
+    least = least_duration(task.begin.asked, goals, task.limits, task.dt)
     improvement = Improvement(task.model, task.snapshot.world, task.limits, task.dt, routes, seed)
-    while (motion := improvement.faster_than(best.motion.duration, budget)) is not None:
+    while best.motion.duration > (1.0 + GAIN) * least:
+        if (motion := improvement.faster_than(best.motion.duration, budget)) is None:
+            break
         try:
             best = task.verified(motion, budget)
         except VerificationFailed:

@@ -138,6 +138,14 @@ def smooth_path(
     return smoothing.motion()
 
 
+def least_duration(start: Array, goals: Array, limits: Limits, dt: float) -> float:
+    """Seconds that `smooth_path` needs at least from `start` (dof,) to any of `goals` (n, dof), were nothing in the way."""
+    way = np.abs(goals - start)
+    ramp = limits.velocity**2 / limits.acceleration  # as far a joint gets while it speeds up fully and slows down again
+    time = np.where(way < ramp, 2 * np.sqrt(way / limits.acceleration), (way + ramp) / limits.velocity)
+    return float(time.max(axis=1).min()) + _window(limits.acceleration, limits, dt)
+
+
 def _window(strongest: Array, limits: Limits, dt: float) -> float:
     """Seconds over which to average: from full acceleration to the opposite within the jerk limits, and never at once."""
     return max(_SHORTEST * dt, float(np.max(2 * strongest / limits.jerk)))

@@ -217,6 +217,13 @@ def solve(
         if seed > 0:
             for k in range(dof):
                 q[k] = chain.lower[k] + (chain.upper[k] - chain.lower[k]) * uniform(random)
+            if dof > 6 and good > 0 and seed % 2 == 0:
+                # With a joint to spare, solutions are curves, and half of a known one is a good start for the next. With
+                # none to spare it would lead back to the known ones.
+                one = math.floor(good * uniform(random))
+                for k in range(dof):
+                    if uniform(random) < 0.5:
+                        q[k] = free[one, k]
         distance, angle = descend(chain, target, q, work)
         if distance + angle < best_distance + best_angle:
             best_distance, best_angle = distance, angle
