@@ -224,9 +224,9 @@ def test_a_configuration_is_free_exactly_when_no_sphere_touches_the_mesh(
 
 SHAPES: dict[str, Callable[[], trimesh.Trimesh]] = {
     "box": lambda: trimesh.creation.box((1.0, 0.5, 0.3)),
-    "ball": lambda: trimesh.creation.icosphere(3, 0.4),
+    "ball": lambda: trimesh.creation.icosphere(2, 0.4),
     "torus": lambda: trimesh.creation.torus(0.4, 0.15, major_sections=24, minor_sections=12),
-    "rod": lambda: trimesh.creation.cylinder(0.1, 1.0, sections=300),
+    "rod": lambda: trimesh.creation.cylinder(0.1, 1.0, sections=100),
     "two": lambda: (
         trimesh.creation.box((0.5, 0.5, 0.5))
         + trimesh.creation.box((0.5, 0.5, 0.5), transform=trimesh.transformations.translation_matrix((0.2, 0.2, 0.1)))
@@ -258,7 +258,7 @@ def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, 
     parts = found.rows(item)
     lower, upper = rows.bounds(parts[parts[:, 15] >= 0.0])
     rng = np.random.default_rng(4)
-    points = rng.uniform(shape.bounds[0] - 0.05, shape.bounds[1] + 0.05, (300, 3))
+    points = rng.uniform(shape.bounds[0] - 0.05, shape.bounds[1] + 0.05, (150, 3))
     filled = np.any(np.all((points[:, None] > lower) & (points[:, None] < upper), axis=2), axis=1)
     inside = np.abs(winding(np.asarray(shape.triangles), points)) > 0.5
     _, apart, _ = trimesh.proximity.closest_point_naive(shape, points)
