@@ -69,7 +69,7 @@ def main() -> None:
             memory = psutil.Process(planner.process.pid).memory_info().rss
     table.add_section()
     table.add_row("all", "", *cells(everything, asked))
-    console = Console(width=150)
+    console = Console(width=180)
     console.print(table)
     console.print(f"median / 95th percentile; memory of the planner afterwards {memory / 2**20:.0f} MB")
 

@@ -221,5 +221,17 @@ def test_what_is_compiled_for_one_robot_serves_all(arm: RobotModel) -> None:
     world = World([Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 2.0), radius=0.1)], 0.005)
     verify(motion, path[0], path[-1], Limits.of(arm), ExactScene(arm, world), lambda: None)
     assert len(set(said)) == 7
-    for kernel in (frames, path_free, connect, shortcut, solve, along, smooth, look, quintic.sample, quintic.load):
+    for kernel in (
+        frames,
+        path_free,
+        connect,
+        shortcut,
+        solve,
+        along,
+        smooth,
+        look,
+        quintic.sample,
+        quintic.load,
+        quintic.travel,
+    ):
         assert len(kernel.signatures) == 1, kernel  # type: ignore[attr-defined]

@@ -28,8 +28,8 @@ FARTHEST = 1.0
 """Clearance (m) beyond which nobody asks."""
 _SINGLE = 1e-6
 """Part by which the boxes of the world's tree, in single precision, may be off."""
-_LOOKS = 2000
-"""Stretches of a motion that are looked at in one go, about a millisecond."""
+_LOOKS = 500
+"""Stretches of a motion that are looked at in one go: 0.3 ms as a rule, and not 50 among ten thousands of obstacles."""
 
 
 @dataclass(frozen=True)

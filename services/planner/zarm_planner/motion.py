@@ -75,6 +75,15 @@ class Motion:
         quintic.sample(self._samples, _packed(t), out)
         return out[0], out[1], out[2]
 
+    def travel(self, reach: Array) -> Array:
+        """How far (n - 1,) a point moves at most from sample to sample, if by at most `reach` (dof,) per rad of each joint.
+
+        In a part of the time between two samples it is no more than that part of it.
+        """
+        out = np.empty(len(self.time) - 1)
+        quintic.travel(self._samples, _packed(reach), out)
+        return out
+
     def load(self, limits: Limits) -> float:
         """How far the limits are used, 1 being fully: slower by this factor, the motion just keeps all of them.
 

@@ -60,9 +60,5 @@ def verify(
 
 def _moments(motion: Motion, reach: Array) -> Array:
     """Times (k,) between which no point of the robot moves further than RESOLUTION, the samples' own among them."""
-    speed = np.abs(motion.velocity) @ reach
-    # Between two samples joints may be faster than at both, but not by more than they can speed up in the meantime.
-    h = np.diff(motion.time)
-    gain = (np.abs(motion.acceleration[:-1]) + np.abs(motion.acceleration[1:])) @ reach * h / 4
-    pieces = np.maximum(1, np.ceil((np.maximum(speed[:-1], speed[1:]) + gain) * h / RESOLUTION)).astype(int)
+    pieces = np.maximum(1, np.ceil(motion.travel(reach) / RESOLUTION)).astype(int)
     return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), motion.time)

@@ -44,8 +44,10 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     limits = Limits.of(model)
     motion = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, stop=stop)
     report("loading the verification of motions")
+    exact = ExactScene(model, world)
     motion.load(limits)
-    ExactScene(model, world).nearest(motion.at(motion.time)[0])
+    motion.travel(exact.reach)
+    exact.nearest(motion.at(motion.time)[0])
 
 
 def _print_line(text: str) -> None:

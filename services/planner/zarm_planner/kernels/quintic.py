@@ -59,6 +59,26 @@ def sample(motion: Samples, t: Array, out: Array) -> None:
             out[2, m, joint] = (2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h)
 
 
+@kernel
+def travel(motion: Samples, reach: Array, out: Array) -> None:
+    """How far (n - 1,) a point moves at most per interval, if it moves by `reach` (dof,) at most per rad of each joint.
+
+    A polynomial stays within its Bernstein coefficients (Farouki, "The Bernstein polynomial basis: a centennial
+    retrospective", 2012); here these are of the velocity, a quartic. For a part of an interval it is that part of `out`.
+    """
+    for i in range(motion.time.shape[0] - 1):
+        h = motion.time[i + 1] - motion.time[i]
+        total = 0.0
+        for joint in range(motion.position.shape[1]):
+            _, v0, c2, c3, c4, _ = _coefficients(motion, i, joint, h)
+            v1 = v0 + c2 / 2
+            v2 = v0 + c2 + c3 / 2
+            v3 = v0 + 3 * c2 / 2 + 3 * c3 / 2 + c4
+            v4 = motion.velocity[i + 1, joint] * h
+            total += reach[joint] * max(abs(v0), abs(v1), abs(v2), abs(v3), abs(v4))
+        out[i] = total
+
+
 @inlined
 def _larger(worst: float, value: float) -> float:
     """The larger one; NaN where one is."""
