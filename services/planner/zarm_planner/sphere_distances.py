@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from zarm_planner.exact import FARTHEST
 from zarm_planner.robot_model import RobotModel
+from zarm_planner.rows import distances
 from zarm_planner.world import World
 
 Array = NDArray[np.float64]
@@ -27,20 +28,5 @@ def sphere_distances(model: RobotModel, world: World, q: Array) -> Array:
     radii = np.array([ball.radius for balls in spheres.values() for ball in balls])
     nearest = np.full(len(centers), np.inf)
     for first in range(0, len(world.rows), _BLOCK):
-        nearest = np.minimum(nearest, _signed_distances(centers, world.rows[first : first + _BLOCK]).min(axis=1))
+        nearest = np.minimum(nearest, distances(centers, world.rows[first : first + _BLOCK]).min(axis=1))
     return np.asarray(np.minimum(nearest - radii, FARTHEST))
-
-
-def _signed_distances(points: Array, rows: Array) -> Array:
-    """Distances (points, shapes) of points (n, 3) to the surfaces of shapes (m, 17) as in `World.rows`, below 0 inside."""
-    frame = rows[:, :12].reshape(-1, 3, 4)
-    local = np.abs(np.einsum("mij,nj->nmi", frame[:, :, :3], points) + frame[:, :, 3])
-    out = local - rows[:, 12:15]
-    # A cylinder is a rectangle in the plane of its axis and the radius; for it x takes the place of both x and y.
-    disc = rows[:, 15]
-    out[..., 0] = np.where(disc > 0.0, np.hypot(local[..., 0], local[..., 1]) - disc, out[..., 0])
-    out[..., 1] = np.where(disc > 0.0, out[..., 0], out[..., 1])
-    beyond = out.clip(0.0)
-    beyond[..., 1] = np.where(disc > 0.0, 0.0, beyond[..., 1])
-    distance: Array = np.linalg.norm(beyond, axis=-1) + np.minimum(out.max(axis=-1), 0.0) - rows[:, 16]
-    return distance
