@@ -34,10 +34,16 @@ def pose_goal(model: RobotModel, q: np.ndarray) -> PoseGoal:
     return PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
 
 
-def through(model: RobotModel, *goals: PoseGoal | JointGoal, objects: tuple[SceneObject, ...] = ()) -> Verified:
+def through(
+    model: RobotModel,
+    *goals: PoseGoal | JointGoal,
+    objects: tuple[SceneObject, ...] = (),
+    optimize_s: float = 0.0,
+    seed: int = 0,
+) -> Verified:
     world = World(objects, 0.005)
     snapshot = Snapshot(1, model, world, ExactScene(model, world))
-    options = Options(Limits.of(model), max_attempts=10, optimize_s=0.0, seed=0)
+    options = Options(Limits.of(model), max_attempts=10, optimize_s=optimize_s, seed=seed)
     return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))[0]
 
 
@@ -100,3 +106,13 @@ def test_a_waypoint_inside_an_obstacle_is_named(model: RobotModel) -> None:
         through(model, *(pose_goal(model, q) for q in STOPS), objects=(lump,))
     assert refused.value.code == "goal_in_collision"
     assert refused.value.problem.field == "goal.through.1"
+
+
+def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> None:
+    goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
+    pairs = [
+        tuple(through(model, *goals, optimize_s=budget, seed=seed).motion.duration for budget in (0.0, 0.3))
+        for seed in range(6)
+    ]
+    assert all(better <= quick for quick, better in pairs)
+    assert any(better < quick for quick, better in pairs)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import Cuboid, Cylinder, JointGoal, PoseGoal, SceneObject, Sphere
+from zarm_contract.messages import Cuboid, Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
 from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
@@ -77,21 +77,18 @@ def test_a_goal_inside_an_object_is_refused_at_once(model: RobotModel) -> None:
     assert "lump" in str(refused.value)
 
 
-def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> None:
-    x, y, z = model.fk_tip(SWUNG)[:3, 3].tolist()
-    goal = PoseGoal(kind="pose", position=(x, y, z), orientation=pose_of(model.fk_tip(SWUNG)).orientation)
-    scene = snapshot(model, post(model))
-    quick, _ = plan(scene, HOME, goal, options(model), Stop(60.0))
-    better, timings = plan(scene, HOME, goal, replace(options(model), optimize_s=0.5), Stop(60.0))
-    assert better.motion.duration < quick.motion.duration
-    assert timings.optimize > 0.0
+def test_no_budget_is_spent_on_a_motion_that_cannot_be_faster(model: RobotModel) -> None:
+    goal = JointGoal(kind="joints", position=tuple(SWUNG))
+    _, timings = plan(snapshot(model), HOME, goal, replace(options(model), optimize_s=30.0), Stop(60.0))
+    assert timings.optimize < 1.0
 
 
 def test_the_deadline_ends_the_search_for_faster_motions_with_the_best_so_far(model: RobotModel) -> None:
-    goal = JointGoal(kind="joints", position=tuple(SWUNG))
-    found, timings = plan(snapshot(model), HOME, goal, replace(options(model), optimize_s=30.0), Stop(0.5))
+    through = (JointGoal(kind="joints", position=tuple(SWUNG)), JointGoal(kind="joints", position=tuple(HOME)))
+    goal = WaypointsGoal(kind="waypoints", through=through)
+    found, timings = plan(snapshot(model, post(model)), HOME, goal, replace(options(model), optimize_s=30.0), Stop(1.0))
     assert found.motion.duration > 0.0
-    assert timings.optimize < 30.0
+    assert 0.0 < timings.optimize < 30.0
 
 
 def test_what_cannot_be_found_is_given_up_after_so_many_attempts(model: RobotModel) -> None:
