@@ -52,7 +52,9 @@ def main() -> None:
     options = parser.parse_args()
     if not motion_bench.AVAILABLE:
         sys.exit(f"there is nothing to measure: MotionBenchMaker's problems are not in {motion_bench.PROBLEMS}")
-    table = Table("robot", "held", "solved", "search ms", "shorten ms", "timing ms", "together ms", "duration s", "used")
+    table = Table(
+        "robot", "held", "solved", "search ms", "shorten ms", "timing ms", "together ms", "duration s", "used"
+    )
     for name in motion_bench.ROBOTS:
         with tempfile.TemporaryDirectory() as folder:
             model = RobotModel.of(motion_bench.robot(name, Path(folder)))

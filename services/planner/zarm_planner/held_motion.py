@@ -86,7 +86,7 @@ def search_held(
     if len(found) == 0:
         return None
     reached = int(np.argmin([np.abs(end - found[-1]).max() for _, end in ends]))
-    return np.vstack((start, np.clip(found[:-1], model.lower, model.upper), ends[reached]))
+    return np.vstack((start, np.clip(found, model.lower, model.upper), ends[reached][0]))
 
 
 def shorten_held(world: World, held: Held, path: Array, *, seed: int, stop: Stop) -> Array:
@@ -143,7 +143,7 @@ def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float) 
 def _on_manifold(world: World, held: Held, q: Array) -> Array | None:
     """The configuration nearest to `q` (dof,) that keeps what is held; None where `q` cannot get there freely."""
     rows = held.projected(q)
-    if rows is None:
-        return None
+    if rows is None or not np.any(rows[0] != q):
+        return None if rows is None else q
     way = np.linspace(q, rows[0], 5)
     return rows[0] if held.use(way).max() <= 1.0 and is_free(held.model, world, way[[0, -1]]) else None

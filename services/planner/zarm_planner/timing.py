@@ -26,7 +26,7 @@ _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
 _STEPS = 8
 """At least so many of them on each straight piece and on each rounded corner."""
-_CURVE_STEPS = 2
+_CURVE_STEPS = 4
 """And between two points of a curve that goes through many."""
 _ROUNDING = 3 / 16
 """A corner rounded from `leg` before it to `leg` after it is left by `_ROUNDING * leg * |u_after - u_before|`."""
@@ -41,7 +41,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
 
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
-    path = path[np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)]
+    path = _distinct(path)
     if len(path) == 1:
         return Motion.standing(path[0], dt)
     edges = [_straight(a, b, limits, dt) for a, b in itertools.pairwise(path)]
@@ -50,6 +50,11 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
         if motion.duration < sum(edge.duration for edge in edges):
             return motion
     return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
+
+
+def _distinct(path: Array) -> Array:
+    """The path (n, dof) without rows that repeat the one before."""
+    return path[np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)]
 
 
 def round_corners(path: Array, deviation: float) -> Motion:
@@ -75,6 +80,7 @@ def through(points: Array) -> Motion:
 
     A cubic spline: its slope and its curvature are continuous.
     """
+    points = _distinct(points)
     length = np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
     spline = SplineInterpolator(length, points)
     return Motion(length, points, spline(length, 1), spline(length, 2))

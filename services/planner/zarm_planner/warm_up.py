@@ -10,7 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from zarm_contract.messages import HeldAxes
 from zarm_contract.robot import load_robot
+from zarm_planner.held import Held
+from zarm_planner.held_motion import plan_held
 from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
@@ -22,7 +25,7 @@ from zarm_planner.world import World
 
 
 def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
-    """Run each kernel once; `report` is told what comes next. About 15 s after an installation, then 0.3 s.
+    """Run each kernel once; `report` is told what comes next. About 30 s after an installation, then 0.3 s.
 
     The compiled kernels serve every robot and every scene; nothing is compiled after this.
     """
@@ -41,6 +44,9 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     report("loading the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
     smooth_path(model, world, np.array((home, away)), Limits.of(model), 0.01, seed=0, stop=stop)
+    report("loading the search for motions that hold axes")
+    held = Held.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
+    plan_held(world, held, home, home[None], Limits.of(model), 0.01, seed=0, stop=stop)
 
 
 def _print_line(text: str) -> None:

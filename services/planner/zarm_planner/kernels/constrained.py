@@ -6,6 +6,8 @@ samples are brought onto the manifold before a tree grows towards them: what is 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,12 +24,12 @@ EXTENSION = 1.0
 """Rad: so far a sample extends a tree."""
 ROWS = 4096
 """Of a path at most."""
-ATTEMPTS = 100
+ATTEMPTS = 200
 """Shortcuts tried at most."""
-PATIENCE = 25
+PATIENCE = 40
 """Shortcuts in a row that do not help before it ends."""
-GAIN = 0.005
-"""A shortcut that saves less than this part of the path is not worth a check."""
+GAIN = 0.01
+"""A shortcut that saves less than this part of what it replaces is not worth a check."""
 
 
 @inlined
@@ -125,9 +127,7 @@ def connect_held(
         near, distance = nearest_node(trees, other, target, weight)
         read(trees, other, near, here)
         while (
-            trees.size[other] < CAPACITY
-            and advance(hold, here, target, there, desk)
-            and edge_free(checks, here, there)
+            trees.size[other] < CAPACITY and advance(hold, here, target, there, desk) and edge_free(checks, here, there)
         ):
             if apart(there, target) == 0.0:
                 return path_through(trees, dof, new, near) if grown == 0 else path_through(trees, dof, near, new)
@@ -158,18 +158,14 @@ def shortcut_held(
     while count > 2 and failed < PATIENCE and tried < ATTEMPTS and not passed(deadline, now):
         tried += 1
         failed += 1
-        i, j = int(uniform(random) * count), int(uniform(random) * count)
-        if i > j:
-            i, j = j, i
-        if j < i + 2:
-            continue
-        length = piece = 0.0
-        for v in range(count - 1):
-            edge = apart(path[v], path[v + 1])
-            length += edge
-            if i <= v < j:
-                piece += edge
-        longest = piece - GAIN * length
+        # Pieces of all lengths: long ones save most, short ones round corners.
+        span = int(2.0 * math.exp(uniform(random) * math.log(0.5 * count)))
+        i = int(uniform(random) * (count - span))
+        j = i + span
+        piece = 0.0
+        for v in range(i, j):
+            piece += apart(path[v], path[v + 1])
+        longest = (1.0 - GAIN) * piece
         if apart(path[i], path[j]) > longest:
             continue
         new = walk(hold, path[i], path[j], longest, rows, desk)
