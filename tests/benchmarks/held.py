@@ -1,8 +1,8 @@
 """Motions that hold axes, in MotionBenchMaker's scenes: `python tests/benchmarks/held.py [--problems 20] [--timeout 1.0]`.
 
-Start configurations are drawn at random, free in spheres; a goal is a pose of the tip that keeps what is held, free in one
-of its IK branches, all of which are goals. So a problem need not have a solution: a goal can be cut off by obstacles and
-joint ranges. With a longer timeout the table shows how many more are found. CPU time of one thread, from Python, after
+Start configurations are drawn at random, free in spheres. From there a random walk that keeps what is held, free as well,
+leads to the goal, so that each problem has a solution; given is the pose of the tip there, with all free branches of its
+inverse kinematics. CPU time of one thread, from Python, after
 warm-up. Needs the problems in ../shared/mbm.
 """
 
@@ -36,6 +36,12 @@ from zarm_planner.world import World
 Array = NDArray[np.float64]
 
 DT = 0.01
+STEP = 0.1
+"""Rad."""
+LEGS = 5
+"""Of a walk."""
+NEAREST = 0.5
+"""Rad: a goal nearer to the start than this is no problem."""
 KINDS = {
     "upright (theta_x, theta_y)": HeldAxes(axes=(True, True, False, False, False, False)),
     "at one height (z)": HeldAxes(axes=(False, False, False, False, False, True)),
@@ -103,22 +109,31 @@ def problems(model: RobotModel, name: str, message: HeldAxes) -> Iterator[tuple[
             continue
         pose = model.fk_tip(start)
         held = Held.of(model, message, pose)
-        goal = goal_pose(model, held, pose, rng)
-        if goal is None:
+        end = wander(world, held, start, rng)
+        if np.linalg.norm(end - start) < NEAREST:
             continue
-        found = solve_ik(model, goal, start, world=world, max_solutions=16, seed=0, stop=Stop(10.0))
+        found = solve_ik(model, model.fk_tip(end), start, world=world, max_solutions=16, seed=0, stop=Stop(10.0))
         if len(found.solutions):
             yield world, held, start, found.solutions
 
 
-def goal_pose(model: RobotModel, held: Held, pose: Array, rng: np.random.Generator) -> Array | None:
-    """One that keeps what is held: of a random configuration brought there, or, on a line, 0.1 m to 0.4 m away."""
-    if len(held.hold.held) == 5:
-        goal = pose.copy()
-        goal[:3, 3] += rng.uniform(0.1, 0.4) * rng.choice((-1.0, 1.0)) * pose[:3, 0]
-        return goal
-    near = held.projected(rng.uniform(model.lower, model.upper))
-    return None if near is None else model.fk_tip(near[0])
+def wander(world: World, held: Held, start: Array, rng: np.random.Generator) -> Array:
+    """Where a free walk in steps of STEP ends that turns towards one random configuration after the other."""
+    q = start
+    for target in rng.uniform(held.model.lower, held.model.upper, (LEGS, held.model.dof)):
+        while (left := np.linalg.norm(target - q)) > STEP:
+            rows = held.projected(q + STEP / left * (target - q))
+            if (
+                rows is None
+                or np.linalg.norm(rows[0] - q) > 2 * STEP
+                or np.linalg.norm(target - rows[0]) > left - 0.1 * STEP
+            ):
+                break
+            edge = np.stack((q, rows[0]))
+            if held.use(edge.mean(axis=0)) > 0.5 or not is_free(held.model, world, edge):
+                break
+            q = rows[0]
+    return q
 
 
 if __name__ == "__main__":

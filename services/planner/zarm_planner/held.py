@@ -58,7 +58,9 @@ class Held:
 
     def use(self, q: ArrayLike) -> Array:
         """Which part of the tolerances configurations (n, dof) use, (n,): over 1 what is held is lost."""
-        return self._used(self.model.fk_tip(np.reshape(q, (-1, self.model.dof)))).max(axis=1, initial=0.0)
+        used = self._used(self.model.fk_tip(np.reshape(q, (-1, self.model.dof))))
+        worst: Array = np.max(used, axis=1, initial=0.0)
+        return worst
 
     def violation(self, q: ArrayLike) -> tuple[int, str] | None:
         """Where along configurations (n, dof) what is held is lost most, and a phrase that says by how much.
@@ -87,12 +89,13 @@ class Held:
         To `kernels.manifold.CLOSE`; None where they cannot be found for all.
         """
         rows = np.array(q, np.float64, order="C").reshape(-1, self.model.dof)
-        return rows if project_all(self.hold, rows) else None
+        return rows if project_all(self.hold, rows) == len(rows) else None
 
     def _used(self, poses: Array) -> Array:
         """The part of each tolerance that poses (n, 4, 4) use, (n, held)."""
         held = self.hold.held
-        return np.abs(self.deviations(poses)[:, held]) / self.hold.tolerance[held]
+        used: Array = np.abs(self.deviations(poses)[:, held]) / self.hold.tolerance[held]
+        return used
 
     def _phrase(self, pose: Array) -> str:
         deviation = self.deviations(pose)[0]

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from toppra import SplineInterpolator
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
@@ -54,7 +55,8 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
 
 def _distinct(path: Array) -> Array:
     """The path (n, dof) without rows that repeat the one before."""
-    return path[np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)]
+    keep: NDArray[np.bool_] = np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)
+    return path[keep]
 
 
 def round_corners(path: Array, deviation: float) -> Motion:
@@ -94,7 +96,7 @@ def time_curve(curve: Motion, limits: Limits, dt: float) -> Motion | None:
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
     fastest = _fastest(curve, limits, dt, _CURVE_STEPS)
-    return fastest and within(partial(fastest.sample, dt=dt), limits)
+    return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ GAIN = 0.01
 """A shortcut that saves less than this part of what it replaces is not worth a check."""
 
 
-@inlined
+@kernel
 def walk(hold: Hold, a: Single, b: Single, longest: float, rows: Single, desk: Desk) -> int:
     """Write the configurations after `a` on the way along the manifold to `b` into `rows`; returns how many they are.
 
@@ -56,9 +56,11 @@ def walk(hold: Hold, a: Single, b: Single, longest: float, rows: Single, desk: D
 @inlined
 def walk_free(checks: Space, a: Single, rows: Single, count: int) -> bool:
     """Whether the way from `a` along the first `count` rows is free."""
+    here = a
     for i in range(count):
-        if not edge_free(checks, a if i == 0 else rows[i - 1], rows[i]):
+        if not edge_free(checks, here, rows[i]):
             return False
+        here = rows[i]
     return True
 
 
@@ -110,7 +112,7 @@ def connect_held(
         if not project(hold, sample, desk):
             continue
         copy(sample, target)
-        new, distance = nearest_node(trees, grown, target, weight)
+        new, _ = nearest_node(trees, grown, target, weight)
         read(trees, grown, new, here)
         length, moved = 0.0, False
         while length < EXTENSION and advance(hold, here, target, there, desk) and edge_free(checks, here, there):
@@ -124,7 +126,7 @@ def connect_held(
         copy(here, target)
 
         other = 1 - grown
-        near, distance = nearest_node(trees, other, target, weight)
+        near, _ = nearest_node(trees, other, target, weight)
         read(trees, other, near, here)
         while (
             trees.size[other] < CAPACITY and advance(hold, here, target, there, desk) and edge_free(checks, here, there)

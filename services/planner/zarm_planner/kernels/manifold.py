@@ -264,10 +264,10 @@ def deviations(hold: Hold, poses: Array, out: Array) -> None:
 
 
 @kernel
-def project_all(hold: Hold, rows: Array) -> bool:
-    """Bring configurations (n, dof) onto the manifold, in place; False where that fails for one of them."""
+def project_all(hold: Hold, rows: Array) -> int:
+    """Bring configurations (n, dof) onto the manifold, in place, until that fails for one; returns how many came there."""
     desk = make_desk(rows.shape[1])
-    for n in range(rows.shape[0]):
-        if not project(hold, rows[n], desk):
-            return False
-    return True
+    done = 0
+    while done < rows.shape[0] and project(hold, rows[done], desk):
+        done += 1
+    return done
