@@ -104,46 +104,42 @@ def assert_kept(model: RobotModel, message: HeldAxes, motion: Motion) -> None:
 
 
 def problem(
-    model: RobotModel, message: HeldAxes, objects: tuple[SceneObject, ...], rng: np.random.Generator
-) -> tuple[World, Held, Array, Array] | None:
-    """A start and goals that keep what is held, at random; None where this draw has none."""
-    world = World(objects, 0.005)
-    start = rng.uniform(model.lower, model.upper)
-    pose = model.fk_tip(start)
-    held = Held.of(model, message, pose)
-    if message.axes == LINE.axes:
-        pose = pose.copy()
-        pose[:3, 3] += rng.uniform(-0.3, 0.3) * pose[:3, 0]
-    else:
+    model: RobotModel, message: HeldAxes, rng: np.random.Generator
+) -> tuple[tuple[SceneObject, ...], Held, Array, Array]:
+    """Objects, and a free start and free goals that keep what is held, at random."""
+    while True:
+        objects = random_objects(4, 0.25, rng)
+        start = rng.uniform(model.lower, model.upper)
+        held = Held.of(model, message, model.fk_tip(start))
         near = held.projected(rng.uniform(model.lower, model.upper))
-        if near is None:
-            return None
-        pose = model.fk_tip(near[0])
-    if not is_free(model, world, start):
-        return None
-    found = solve_ik(model, pose, start, world=world, max_solutions=16, seed=0, stop=Stop(30.0))
-    return (world, held, start, found.solutions) if len(found.solutions) else None
+        pose = model.fk_tip(start if near is None else near[0])
+        if message is LINE:
+            pose = model.fk_tip(start)
+            pose[:3, 3] += rng.uniform(-0.3, 0.3) * pose[:3, 0]
+        world = World(objects, 0.005)
+        goals = solve_ik(model, pose, start, world=world, max_solutions=16, seed=0, stop=Stop(30.0)).solutions
+        if len(goals) and is_free(model, world, start):
+            return objects, held, start, goals
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.sampled_from(sorted(MODELS)), st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
-def test_whatever_is_planned_keeps_what_is_held_inside_the_limits_and_free(
-    name: str, message: HeldAxes, seed: int
+@pytest.mark.parametrize("message", KINDS)
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_free(
+    name: str, message: HeldAxes
 ) -> None:
-    model, rng = MODELS[name], np.random.default_rng(seed)
-    objects = random_objects(6, 0.25, rng)
-    drawn = problem(model, message, objects, rng)
-    if drawn is None:
-        return
-    world, held, start, goals = drawn
-    motion = plan_held(world, held, start, goals, Limits.of(model), DT, seed=seed, stop=Stop(30.0), most=100)
-    if motion is None:
-        return
-    np.testing.assert_array_equal(motion.position[0], start)
-    assert np.abs(goals - motion.position[-1]).max(axis=1).min() == 0.0
-    assert_kept(model, message, motion)
-    positions, _, _ = motion.at(np.linspace(0.0, motion.duration, 4 * len(motion.time)))
-    assert clearances(model, objects, positions).min() > -RESOLUTION / 2
+    model, rng, planned = MODELS[name], np.random.default_rng(0), 0
+    for seed in range(3):
+        objects, held, start, goals = problem(model, message, rng)
+        world = World(objects, 0.005)
+        motion = plan_held(world, held, start, goals, Limits.of(model), DT, seed=seed, stop=Stop(30.0), most=50)
+        if motion is None:  # obstacles and joint ranges can cut a goal off
+            continue
+        planned += 1
+        np.testing.assert_array_equal(motion.position[0], start)
+        assert np.abs(goals - motion.position[-1]).max(axis=1).min() == 0.0
+        assert_kept(model, message, motion)
+        assert clearances(model, objects, motion.position).min() > -RESOLUTION / 2
+    assert planned > 0
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from zarm_planner.held import Held
 from zarm_planner.kernels.arrays import memory
 from zarm_planner.kernels.constrained import ROWS, connect_held, shortcut_held
+from zarm_planner.kernels.manifold import Hold
 from zarm_planner.kernels.trees import make_trees
 from zarm_planner.motion import Limits, Motion
 from zarm_planner.search import ENDLESS, is_free, sampling_range
@@ -21,10 +22,17 @@ Array = NDArray[np.float64]
 
 _SPACING = 0.1
 """Rad: between the points through which the curve goes at first."""
-_ROUNDS = 4
+_ROUNDS = 5
 """How often the curve may be brought closer to the path, each time with points half as far apart."""
+_ON_MANIFOLD = 2
+"""In so many rounds the points are brought onto the manifold; after that they stay on the steps of the path."""
 _LOOKS = 4
 """Moments looked at per interval between two points of the curve."""
+_INSIDE = 0.01
+"""Rad or m: a path keeps so far away from the ends of the joints' ranges, for the curve through it swings out where a joint
+comes to rest at one."""
+_RANGE = 1e-5
+"""Rad or m by which a curve may be outside the joints' ranges."""
 _ROOM = 0.9
 """The part of the tolerances that the curve may use there."""
 
@@ -74,7 +82,7 @@ def search_held(
         world.arrays,
         memory(model.arrays),
         make_trees(model.dof),
-        held.hold,
+        _inside(held, np.vstack((start, goals))),
         sampling_range(model, np.vstack((start, goals))),
         model.weight,
         begin.astype(np.float32),
@@ -104,7 +112,7 @@ def shorten_held(world: World, held: Held, path: Array, *, seed: int, stop: Stop
         model.arrays,
         world.arrays,
         memory(model.arrays),
-        held.hold,
+        _inside(held, path),
         room,
         len(inner),
         np.array([seed], np.uint64),
@@ -128,16 +136,29 @@ def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float) 
     for halved in range(_ROUNDS):
         pieces = max(3, math.ceil(length[-1] / _SPACING)) * 2**halved
         even = np.linspace(0.0, length[-1], pieces + 1)
-        points = held.projected(np.stack([np.interp(even, length, joint) for joint in path.T], axis=1))
-        if points is None:
-            continue
-        points[[0, -1]] = path[[0, -1]]
+        points = np.stack([np.interp(even, length, joint) for joint in path.T], axis=1)
+        # Between the ends of a step the manifold may touch what the step, known to be free, does not: in the end the curve
+        # keeps to the steps themselves.
+        if halved < _ON_MANIFOLD and (near := held.projected(points[1:-1])) is not None:
+            points[1:-1] = near
         curve = through(points)
         looks = np.linspace(0.0, curve.duration, _LOOKS * pieces + 1)
-        rows = np.clip(curve.at(looks)[0], held.model.lower, held.model.upper)
-        if held.use(rows).max() <= allowed and is_free(held.model, world, rows):
+        rows, _, _ = curve.at(looks)
+        if (
+            np.all(np.maximum(held.model.lower - rows, rows - held.model.upper) <= _RANGE)
+            and held.use(rows).max() <= allowed
+            and is_free(held.model, world, rows)
+        ):
             return time_curve(curve, limits, dt)
     return None
+
+
+def _inside(held: Held, rows: Array) -> Hold:
+    """What is held, with joints' ranges narrower by _INSIDE, as far as they still hold `rows` (n, dof)."""
+    chain = held.hold.chain
+    lower = np.maximum(chain.lower, np.minimum(chain.lower + _INSIDE, rows.min(axis=0)))
+    upper = np.minimum(chain.upper, np.maximum(chain.upper - _INSIDE, rows.max(axis=0)))
+    return held.hold._replace(chain=chain._replace(lower=lower, upper=upper))
 
 
 def _on_manifold(world: World, held: Held, q: Array) -> Array | None:
