@@ -29,23 +29,12 @@ def search(
     `kernels.collision.RESOLUTION`.
     """
     goals = goals.reshape(-1, model.dof)
-    # A joint that turns further than once need not be sampled over all of its turns: within half a turn of the start and
-    # the goals every posture occurs.
-    ends = np.vstack((start, goals))
-    half_turn = np.where(model.revolute, np.pi, np.inf)
-    limits = np.array(
-        (
-            np.maximum(model.lower, ends.min(axis=0) - half_turn),
-            np.minimum(model.upper, ends.max(axis=0) + half_turn),
-        ),
-        np.float32,
-    )
     found = connect(
         model.arrays,
         world.arrays,
         memory(model.arrays),
         make_trees(model.dof),
-        limits,
+        sampling_range(model, np.vstack((start, goals))),
         model.weight,
         np.array(start, np.float32, order="C"),
         np.array(goals, np.float32, order="C"),
@@ -61,6 +50,18 @@ def search(
     path[0] = start
     path[-1] = goals[np.argmin(np.abs(goals - found[-1]).max(axis=1))]
     return path
+
+
+def sampling_range(model: RobotModel, ends: Array) -> NDArray[np.float32]:
+    """Where samples are drawn, (2, dof) lower and upper, in a search between `ends` (n, dof).
+
+    A joint that turns further than once need not be sampled over all of its turns: within half a turn of the start and the
+    goals every posture occurs.
+    """
+    half_turn = np.where(model.revolute, np.pi, np.inf)
+    lower = np.maximum(model.lower, ends.min(axis=0) - half_turn)
+    upper = np.minimum(model.upper, ends.max(axis=0) + half_turn)
+    return np.array((lower, upper), np.float32)
 
 
 def is_free(model: RobotModel, world: World, path: ArrayLike) -> bool:

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
+from toppra import SplineInterpolator
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
@@ -25,6 +27,8 @@ _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
 _STEPS = 8
 """At least so many of them on each straight piece and on each rounded corner."""
+_CURVE_STEPS = 4
+"""And between two points of a curve that goes through many."""
 _ROUNDING = 3 / 16
 """A corner rounded from `leg` before it to `leg` after it is left by `_ROUNDING * leg * |u_after - u_before|`."""
 logging.getLogger("toppra").setLevel(logging.CRITICAL)
@@ -38,15 +42,21 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
 
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
-    path = path[np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)]
+    path = _distinct(path)
     if len(path) == 1:
         return Motion.standing(path[0], dt)
     edges = [_straight(a, b, limits, dt) for a, b in itertools.pairwise(path)]
-    if len(edges) > 1 and deviation > 0 and (fastest := _fastest(round_corners(path, deviation), limits, dt)):
+    if len(edges) > 1 and deviation > 0 and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEPS)):
         motion = within(partial(fastest.sample, dt=dt), limits)
         if motion.duration < sum(edge.duration for edge in edges):
             return motion
     return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
+
+
+def _distinct(path: Array) -> Array:
+    """The path (n, dof) without rows that repeat the one before."""
+    keep: NDArray[np.bool_] = np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)
+    return path[keep]
 
 
 def round_corners(path: Array, deviation: float) -> Motion:
@@ -65,6 +75,28 @@ def round_corners(path: Array, deviation: float) -> Motion:
     keep = np.insert(steps > 1e-9, 0, True)  # where two roundings meet, nothing straight is left between them
     time = np.insert(np.cumsum(steps), 0, 0.0)
     return Motion(time[keep], knots[keep], tangents[keep], np.zeros_like(knots[keep]))
+
+
+def through(points: Array) -> Motion:
+    """The curve through `points` (n, dof) as the motion along it at about 1 rad/s: its time is the length (rad).
+
+    A cubic spline: its slope and its curvature are continuous.
+    """
+    points = _distinct(points)
+    length = np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
+    spline = SplineInterpolator(length, points)
+    return Motion(length, points, spline(length, 1), spline(length, 2))
+
+
+def time_curve(curve: Motion, limits: Limits, dt: float) -> Motion | None:
+    """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or a little less.
+
+    Limits are held within 0.1 %. None where TOPPRA's numbers fail.
+
+    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
+    """
+    fastest = _fastest(curve, limits, dt, _CURVE_STEPS)
+    return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
 
 
 @dataclass(frozen=True)
@@ -143,9 +175,11 @@ class _ToppraPath:
         return self._curve.at(s)[order]
 
 
-def _fastest(curve: Motion, limits: Limits, dt: float) -> _Profile | None:
-    """TOPPRA under the limits on velocity and acceleration; None where its numbers fail."""
-    pieces = np.maximum(_STEPS, np.ceil(np.diff(curve.time) / _STEP)).astype(int)
+def _fastest(curve: Motion, limits: Limits, dt: float, steps: int) -> _Profile | None:
+    """TOPPRA under the limits on velocity and acceleration, at `steps` points at least on each piece of the curve; None
+    where its numbers fail.
+    """
+    pieces = np.maximum(steps, np.ceil(np.diff(curve.time) / _STEP)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
     constraints = [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
     toppra = TOPPRA(constraints, _ToppraPath(curve), gridpoints=s, solver_wrapper="seidel")

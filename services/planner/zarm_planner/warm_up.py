@@ -10,8 +10,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from zarm_contract.messages import HeldAxes
 from zarm_contract.robot import load_robot
 from zarm_planner.exact import ExactScene
+from zarm_planner.held import Held
+from zarm_planner.held_motion import plan_held
 from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
@@ -23,7 +26,7 @@ from zarm_planner.world import World
 
 
 def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
-    """Run each kernel once; `report` is told what comes next. About 15 s after an installation, then 0.3 s.
+    """Run each kernel once; `report` is told what comes next. About 30 s after an installation, then 0.3 s.
 
     The compiled kernels serve every robot and every scene; nothing is compiled after this.
     """
@@ -48,6 +51,9 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     motion.load(limits)
     motion.travel(exact.reach)
     exact.nearest(motion.at(motion.time)[0])
+    report("loading the search for motions that hold axes")
+    held = Held.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
+    plan_held(world, held, home, home[None], limits, 0.01, seed=0, stop=stop)
 
 
 def _print_line(text: str) -> None:

@@ -17,10 +17,16 @@ _CLOCK = time.CLOCK_MONOTONIC
 
 
 @inlined
+def seconds(now: NDArray[np.int64]) -> float:
+    """The monotonic clock (s); `now` (2,) is memory for it. The C library is called, so nothing is kept in registers."""
+    _gettime(_CLOCK, pointer(now))
+    return float(now[0] + 1e-9 * now[1])
+
+
+@inlined
 def passed(deadline: NDArray[np.float64], now: NDArray[np.int64]) -> bool:
     """Whether the monotonic clock is past `deadline[0]` (s), which another thread may set at any time.
 
     `now` (2,) is memory for the clock. The call into the C library makes the compiler read `deadline` anew.
     """
-    _gettime(_CLOCK, pointer(now))
-    return bool(now[0] + 1e-9 * now[1] > deadline[0])
+    return bool(seconds(now) > deadline[0])

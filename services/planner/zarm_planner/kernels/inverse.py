@@ -72,8 +72,14 @@ class Found(NamedTuple):
 
 
 @inlined
-def pose_error(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float, float]:
-    """Write the twist (6,) from the tip at `q` to `target` into `work.error`; returns its lengths in m and in rad."""
+def make_work(dof: int) -> Work:
+    """Working memory for one call of a kernel."""
+    return Work(np.empty((dof, 3, 4)), np.empty((3, 4)), np.empty((6, dof)), np.empty((6, 6)), np.empty(6))
+
+
+@inlined
+def tip_pose(chain: Chain, q: Array, work: Work) -> None:
+    """Write the frames of the joints at `q` and the pose of the tip into `work`."""
     joint_frames(chain.origin, chain.revolute, q, work.frames)
     last = q.shape[0] - 1
     for i in range(3):
@@ -82,6 +88,28 @@ def pose_error(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float
             for k in range(3):
                 value += work.frames[last, i, k] * chain.tip[k, j]
             work.pose[i, j] = value
+
+
+@inlined
+def tip_jacobian(chain: Chain, work: Work) -> None:
+    """Write the Jacobian (6, dof) of the tip, where `tip_pose` has put it, in the base frame: m and rad per joint's unit."""
+    jac = work.jacobian
+    for k in range(jac.shape[1]):
+        f = work.frames[k]
+        zx, zy, zz = f[0, 2], f[1, 2], f[2, 2]
+        if chain.revolute[k]:
+            rx, ry, rz = work.pose[0, 3] - f[0, 3], work.pose[1, 3] - f[1, 3], work.pose[2, 3] - f[2, 3]
+            jac[0, k], jac[1, k], jac[2, k] = zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx
+            jac[3, k], jac[4, k], jac[5, k] = zx, zy, zz
+        else:
+            jac[0, k], jac[1, k], jac[2, k] = zx, zy, zz
+            jac[3, k], jac[4, k], jac[5, k] = 0.0, 0.0, 0.0
+
+
+@inlined
+def pose_error(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float, float]:
+    """Write the twist (6,) from the tip at `q` to `target` into `work.error`; returns its lengths in m and in rad."""
+    tip_pose(chain, q, work)
     # The rotation that is left, target * pose^-1, as an axis times an angle.
     t, p, e = target, work.pose, work.error
     x = y = z = trace = 0.0
@@ -106,16 +134,7 @@ def step(chain: Chain, q: Array, damping: float, work: Work) -> None:
     """Move `q` by J^T (J J^T + damping I)^-1 error, into its limits."""
     dof = q.shape[0]
     jac, a, e = work.jacobian, work.normal, work.error
-    for k in range(dof):
-        f = work.frames[k]
-        zx, zy, zz = f[0, 2], f[1, 2], f[2, 2]
-        if chain.revolute[k]:
-            rx, ry, rz = work.pose[0, 3] - f[0, 3], work.pose[1, 3] - f[1, 3], work.pose[2, 3] - f[2, 3]
-            jac[0, k], jac[1, k], jac[2, k] = zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx
-            jac[3, k], jac[4, k], jac[5, k] = zx, zy, zz
-        else:
-            jac[0, k], jac[1, k], jac[2, k] = zx, zy, zz
-            jac[3, k], jac[4, k], jac[5, k] = 0.0, 0.0, 0.0
+    tip_jacobian(chain, work)
     for i in range(6):  # Cholesky: a = L L^T
         for j in range(i + 1):
             value = damping if i == j else 0.0
@@ -204,7 +223,7 @@ def solve(
     """
     dof = near.shape[0]
     checks = space(robot, world, memory)
-    work = Work(np.empty((dof, 3, 4)), np.empty((3, 4)), np.empty((6, dof)), np.empty((6, 6)), np.empty(6))
+    work = make_work(dof)
     now = np.empty(2, np.int64)
     q, single = np.empty(dof), np.empty(dof, np.float32)
     for k in range(dof):

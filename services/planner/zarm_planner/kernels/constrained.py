@@ -1,0 +1,187 @@
+"""RRT-Connect and shortcuts on the manifold of what is held, each in one compiled call.
+
+Berenson, Srinivasa, Ferguson and Kuffner, "Manipulation planning on constraint manifolds", 2009 (CBiRRT). Other than there,
+samples are brought onto the manifold before a tree grows towards them: what is nearest is then nearest along it, too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_planner.kernels.clock import passed
+from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_planner.kernels.edge import edge_free
+from zarm_planner.kernels.manifold import Desk, Hold, advance, make_desk, project
+from zarm_planner.kernels.random import uniform
+from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
+from zarm_planner.kernels.vectors import apart, copy
+
+EXTENSION = 1.0
+"""Rad: so far a sample extends a tree."""
+ROWS = 4096
+"""Of a path at most."""
+ATTEMPTS = 200
+"""Shortcuts tried at most."""
+PATIENCE = 40
+"""Shortcuts in a row that do not help before it ends."""
+GAIN = 0.01
+"""A shortcut that saves less than this part of what it replaces is not worth a check."""
+
+
+@kernel
+def walk(hold: Hold, a: Single, b: Single, longest: float, rows: Single, desk: Desk) -> int:
+    """Write the configurations after `a` on the way along the manifold to `b` into `rows`; returns how many they are.
+
+    0 where the way does not get there, or is longer than `longest`.
+    """
+    count, length = 0, 0.0
+    here = a
+    while count < rows.shape[0]:
+        if not advance(hold, here, b, rows[count], desk):
+            return 0
+        length += apart(here, rows[count])
+        if length + apart(rows[count], b) > longest:
+            return 0
+        here = rows[count]
+        count += 1
+        if apart(here, b) == 0.0:
+            return count
+    return 0
+
+
+@inlined
+def walk_free(checks: Space, a: Single, rows: Single, count: int) -> bool:
+    """Whether the way from `a` along the first `count` rows is free."""
+    here = a
+    for i in range(count):
+        if not edge_free(checks, here, rows[i]):
+            return False
+        here = rows[i]
+    return True
+
+
+@kernel
+def connect_held(
+    robot: RobotArrays,
+    world: WorldArrays,
+    memory: Memory,
+    trees: Trees,
+    hold: Hold,
+    limits: Single,
+    weight: Single,
+    start: Single,
+    goals: Single,
+    random: NDArray[np.uint64],
+    most: int,
+    deadline: NDArray[np.float64],
+) -> Single:
+    """A free path (n, dof) on the manifold from `start` (dof,) to one of `goals` (m, dof), all of which are on it.
+
+    One without rows when there was none after `most` samples, or when the deadline passed. `limits` (2, dof) is where samples
+    are drawn; `weight` (dof,) scales the joints in distances.
+    """
+    checks, dof = space(robot, world, memory), start.shape[0]
+    desk = make_desk(dof)
+    now = np.empty(2, np.int64)
+    rows = np.empty((ROWS, dof), np.float32)
+    for goal in range(goals.shape[0]):
+        count = walk(hold, start, goals[goal], 1e9, rows, desk)
+        if count > 0 and walk_free(checks, start, rows, count):
+            path = np.empty((count + 1, dof), np.float32)
+            copy(start, path[0])
+            for i in range(count):
+                copy(rows[i], path[i + 1])
+            return path
+    sample = np.empty(dof)
+    target, here, there = np.empty(dof, np.float32), np.empty(dof, np.float32), np.empty(dof, np.float32)
+    grown = samples = 0
+    trees.size[0] = CAPACITY
+    while samples < most and not passed(deadline, now):
+        samples += 1
+        if max(trees.size[0], trees.size[1]) + ROWS > CAPACITY:
+            trees.size[0] = trees.size[1] = 0
+            add(trees, 0, start, -1)
+            for goal in range(goals.shape[0]):
+                add(trees, 1, goals[goal], -1)
+        for k in range(dof):
+            sample[k] = limits[0, k] + (limits[1, k] - limits[0, k]) * uniform(random)
+        if not project(hold, sample, desk):
+            continue
+        copy(sample, target)
+        new, _ = nearest_node(trees, grown, target, weight)
+        read(trees, grown, new, here)
+        length, moved = 0.0, False
+        while length < EXTENSION and advance(hold, here, target, there, desk) and edge_free(checks, here, there):
+            new, moved = add(trees, grown, there, new), True
+            length += apart(here, there)
+            copy(there, here)
+            if apart(here, target) == 0.0:
+                break
+        if not moved:
+            continue
+        copy(here, target)
+
+        other = 1 - grown
+        near, _ = nearest_node(trees, other, target, weight)
+        read(trees, other, near, here)
+        while (
+            trees.size[other] < CAPACITY and advance(hold, here, target, there, desk) and edge_free(checks, here, there)
+        ):
+            if apart(there, target) == 0.0:
+                return path_through(trees, dof, new, near) if grown == 0 else path_through(trees, dof, near, new)
+            near = add(trees, other, there, near)
+            copy(there, here)
+        if trees.size[other] < trees.size[grown]:
+            grown = other
+    return np.empty((0, dof), np.float32)
+
+
+@kernel
+def shortcut_held(
+    robot: RobotArrays,
+    world: WorldArrays,
+    memory: Memory,
+    hold: Hold,
+    path: Single,
+    count: int,
+    random: NDArray[np.uint64],
+    deadline: NDArray[np.float64],
+) -> int:
+    """Shorten the path in the first `count` rows of `path` (ROWS, dof) in place; returns how many rows it has then."""
+    checks, dof = space(robot, world, memory), path.shape[1]
+    desk = make_desk(dof)
+    now = np.empty(2, np.int64)
+    rows = np.empty((ROWS, dof), np.float32)
+    failed = tried = 0
+    while count > 2 and failed < PATIENCE and tried < ATTEMPTS and not passed(deadline, now):
+        tried += 1
+        failed += 1
+        # Pieces of all lengths: long ones save most, short ones round corners.
+        span = int(2.0 * math.exp(uniform(random) * math.log(0.5 * count)))
+        i = int(uniform(random) * (count - span))
+        j = i + span
+        piece = 0.0
+        for v in range(i, j):
+            piece += apart(path[v], path[v + 1])
+        longest = (1.0 - GAIN) * piece
+        if apart(path[i], path[j]) > longest:
+            continue
+        new = walk(hold, path[i], path[j], longest, rows, desk)
+        moved = new - (j - i)  # what comes after `i` up to `j` gives way to the new rows
+        if new == 0 or count + moved > path.shape[0] or not walk_free(checks, path[i], rows, new):
+            continue
+        failed = 0
+        if moved > 0:
+            for v in range(count - 1, j, -1):
+                copy(path[v], path[v + moved])
+        else:
+            for v in range(j + 1, count):
+                copy(path[v], path[v + moved])
+        for v in range(new):
+            copy(rows[v], path[i + 1 + v])
+        count += moved
+    return count

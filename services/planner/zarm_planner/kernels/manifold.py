@@ -1,0 +1,273 @@
+"""The configurations that keep some components of the tip's pose as they are: how far off one is, the way back, and steps
+from one to the next.
+
+Berenson, Srinivasa, Ferguson and Kuffner, "Manipulation planning on constraint manifolds", 2009.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.kernels.arrays import Single
+from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_planner.kernels.inverse import Chain, Work, make_work, tip_jacobian, tip_pose
+from zarm_planner.kernels.kinematics import Array
+from zarm_planner.kernels.vectors import apart, copy
+
+CLOSE = 1e-5
+"""A projected configuration is off by this much at most (m, rad); what is left of the tolerance is room for curves."""
+STEP = 0.2
+"""Rad, Euclidean: the longest step along the manifold."""
+SHORTEST = STEP / 16
+"""Where not even a step of this length keeps to the manifold, there is no way on."""
+SLACK = 0.5
+"""Half way along a step, which is straight, this part of the tolerance may be used."""
+ITERATIONS = 20
+"""Of a projection; from one step away 2 are the rule."""
+DAMPING = 0.01
+"""Times the squared deviation, as in Levenberg-Marquardt."""
+
+
+class Hold(NamedTuple):
+    """What is held: components of the tip's pose, numbered as [theta_x, theta_y, theta_z, x, y, z].
+
+    `start` (4, 4): the pose that they are held at; `frame` (3, 3): takes base axes to those that the components are
+    along; `held` (m,): their numbers; `tolerance` (6,) in rad and m.
+    """
+
+    chain: Chain
+    start: Array
+    frame: Array
+    held: NDArray[np.int64]
+    tolerance: Array
+
+
+class Desk(NamedTuple):
+    """Working memory: of the kinematics; the rotation vector (3,); deviation (6,); the held rows of the Jacobian (6, dof),
+    their normal equations (6, 6) and right side (6,); which joints are at a limit (dof,); configurations (dof,)."""
+
+    work: Work
+    turn: Array
+    deviation: Array
+    rows: Array
+    normal: Array
+    right: Array
+    stuck: NDArray[np.bool_]
+    q: Array
+    middle: Array
+
+
+@inlined
+def make_desk(dof: int) -> Desk:
+    """Working memory for one call of a kernel."""
+    return Desk(
+        make_work(dof),
+        np.empty(3),
+        np.empty(6),
+        np.empty((6, dof)),
+        np.empty((6, 6)),
+        np.empty(6),
+        np.empty(dof, np.bool_),
+        np.empty(dof),
+        np.empty(dof),
+    )
+
+
+@inlined
+def rotation_vector(a: Array, b: Array, out: Array) -> None:
+    """Write axis times angle (0..pi) of the rotation a b^T; `a` and `b` are poses or rotations.
+
+    By way of the quaternion, the largest of whose components is taken from the diagonal (Shepperd, "Quaternion from
+    rotation matrix", 1978): accurate at any angle, half a turn among them.
+    """
+    r00 = a[0, 0] * b[0, 0] + a[0, 1] * b[0, 1] + a[0, 2] * b[0, 2]
+    r11 = a[1, 0] * b[1, 0] + a[1, 1] * b[1, 1] + a[1, 2] * b[1, 2]
+    r22 = a[2, 0] * b[2, 0] + a[2, 1] * b[2, 1] + a[2, 2] * b[2, 2]
+    r01 = a[0, 0] * b[1, 0] + a[0, 1] * b[1, 1] + a[0, 2] * b[1, 2]
+    r10 = a[1, 0] * b[0, 0] + a[1, 1] * b[0, 1] + a[1, 2] * b[0, 2]
+    r02 = a[0, 0] * b[2, 0] + a[0, 1] * b[2, 1] + a[0, 2] * b[2, 2]
+    r20 = a[2, 0] * b[0, 0] + a[2, 1] * b[0, 1] + a[2, 2] * b[0, 2]
+    r12 = a[1, 0] * b[2, 0] + a[1, 1] * b[2, 1] + a[1, 2] * b[2, 2]
+    r21 = a[2, 0] * b[1, 0] + a[2, 1] * b[1, 1] + a[2, 2] * b[1, 2]
+    trace = r00 + r11 + r22
+    if trace >= max(r00, r11, r22):
+        w, x, y, z = 1.0 + trace, r21 - r12, r02 - r20, r10 - r01
+    elif r00 >= max(r11, r22):
+        w, x, y, z = r21 - r12, 1.0 + 2.0 * r00 - trace, r10 + r01, r20 + r02
+    elif r11 >= r22:
+        w, x, y, z = r02 - r20, r10 + r01, 1.0 + 2.0 * r11 - trace, r21 + r12
+    else:
+        w, x, y, z = r10 - r01, r20 + r02, r21 + r12, 1.0 + 2.0 * r22 - trace
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 * math.atan2(sine, w) / sine if sine > 1e-12 * w else 2.0 / w
+    out[0], out[1], out[2] = factor * x, factor * y, factor * z
+
+
+@inlined
+def deviate(hold: Hold, pose: Array, desk: Desk) -> float:
+    """Write how far `pose` is from the start, in all six components, into `desk.deviation`; returns the largest held one.
+
+    The rotation vector in base axes is left in `desk.turn`.
+    """
+    rotation_vector(pose, hold.start, desk.turn)
+    d, f, s = desk.deviation, hold.frame, hold.start
+    for i in range(3):
+        d[i] = f[i, 0] * desk.turn[0] + f[i, 1] * desk.turn[1] + f[i, 2] * desk.turn[2]
+        d[3 + i] = (
+            f[i, 0] * (pose[0, 3] - s[0, 3]) + f[i, 1] * (pose[1, 3] - s[1, 3]) + f[i, 2] * (pose[2, 3] - s[2, 3])
+        )
+    worst = 0.0
+    for i in range(hold.held.shape[0]):
+        worst = max(worst, abs(d[hold.held[i]]))
+    return worst
+
+
+@inlined
+def used(hold: Hold, desk: Desk) -> float:
+    """The largest part of the tolerances that the deviation in hand uses."""
+    worst = 0.0
+    for i in range(hold.held.shape[0]):
+        worst = max(worst, abs(desk.deviation[hold.held[i]]) / hold.tolerance[hold.held[i]])
+    return worst
+
+
+@inlined
+def held_rows(hold: Hold, desk: Desk) -> None:
+    """Write how the held components change with each joint into `desk.rows`; joints at a limit change nothing.
+
+    The rotation vector phi changes with the angular velocity w as J(phi) w, where J is the inverse left Jacobian of SO(3),
+    1 - [phi] / 2 + c [phi]^2 (Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018).
+    """
+    tip_jacobian(hold.chain, desk.work)
+    jac, phi = desk.work.jacobian, desk.turn
+    square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
+    half = 0.5 * math.sqrt(square)
+    c = (1.0 - half / math.tan(half)) / square if square > 1e-6 else 1.0 / 12.0
+    for k in range(jac.shape[1]):
+        wx, wy, wz = jac[3, k], jac[4, k], jac[5, k]
+        ax, ay, az = phi[1] * wz - phi[2] * wy, phi[2] * wx - phi[0] * wz, phi[0] * wy - phi[1] * wx
+        wx += c * (phi[1] * az - phi[2] * ay) - 0.5 * ax
+        wy += c * (phi[2] * ax - phi[0] * az) - 0.5 * ay
+        wz += c * (phi[0] * ay - phi[1] * ax) - 0.5 * az
+        for i in range(hold.held.shape[0]):
+            if desk.stuck[k]:
+                desk.rows[i, k] = 0.0
+            elif hold.held[i] < 3:
+                f = hold.frame[hold.held[i]]
+                desk.rows[i, k] = f[0] * wx + f[1] * wy + f[2] * wz
+            else:
+                f = hold.frame[hold.held[i] - 3]
+                desk.rows[i, k] = f[0] * jac[0, k] + f[1] * jac[1, k] + f[2] * jac[2, k]
+
+
+@inlined
+def solve_normal(count: int, damping: float, desk: Desk) -> None:
+    """Solve (rows rows^T + damping) x = right in place, for the first `count` rows, by Cholesky's decomposition."""
+    rows, a, x = desk.rows, desk.normal, desk.right
+    for i in range(count):
+        for j in range(i + 1):
+            value = damping if i == j else 0.0
+            for k in range(rows.shape[1]):
+                value += rows[i, k] * rows[j, k]
+            for k in range(j):
+                value -= a[i, k] * a[j, k]
+            a[i, j] = math.sqrt(max(value, 1e-300)) if i == j else value / a[j, j]
+    for i in range(count):
+        for k in range(i):
+            x[i] -= a[i, k] * x[k]
+        x[i] /= a[i, i]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            x[i] -= a[k, i] * x[k]
+        x[i] /= a[i, i]
+
+
+@kernel
+def project(hold: Hold, q: Array, desk: Desk) -> bool:
+    """Bring `q` onto the manifold, in place, by damped least squares; False where that fails.
+
+    A joint that would leave its range stops there, and the others do what is left to do.
+    """
+    dof, count = q.shape[0], hold.held.shape[0]
+    lower, upper = hold.chain.lower, hold.chain.upper
+    for k in range(dof):
+        desk.stuck[k] = False
+        q[k] = min(max(q[k], lower[k]), upper[k])
+    for _ in range(ITERATIONS):
+        tip_pose(hold.chain, q, desk.work)
+        worst = deviate(hold, desk.work.pose, desk)
+        if worst <= CLOSE:
+            return True
+        held_rows(hold, desk)
+        for i in range(count):
+            desk.right[i] = -desk.deviation[hold.held[i]]
+        solve_normal(count, DAMPING * worst * worst + 1e-12, desk)
+        for k in range(dof):
+            for i in range(count):
+                q[k] += desk.rows[i, k] * desk.right[i]
+            if q[k] < lower[k] or q[k] > upper[k]:
+                desk.stuck[k] = True
+                q[k] = min(max(q[k], lower[k]), upper[k])
+    return False
+
+
+@inlined
+def step_kept(hold: Hold, a: Single, b: Single, desk: Desk) -> bool:
+    """Whether half way along the straight step from `a` to `b`, on the manifold both, SLACK of the tolerance is enough."""
+    for k in range(a.shape[0]):
+        desk.middle[k] = 0.5 * (np.float64(a[k]) + np.float64(b[k]))
+    tip_pose(hold.chain, desk.middle, desk.work)
+    deviate(hold, desk.work.pose, desk)
+    return used(hold, desk) <= SLACK
+
+
+@kernel
+def advance(hold: Hold, here: Single, target: Single, there: Single, desk: Desk) -> bool:
+    """Write to `there` the configuration on the manifold a step from `here` nearer to `target`, or `target` itself.
+
+    False where there is none. `here` and `target` are on the manifold.
+    """
+    left, step = apart(here, target), STEP
+    while step >= SHORTEST:
+        if left <= step:
+            if step_kept(hold, here, target, desk):
+                copy(target, there)
+                return True
+        else:
+            for k in range(here.shape[0]):
+                desk.q[k] = here[k] + (target[k] - here[k]) * (step / left)
+            if project(hold, desk.q, desk):
+                copy(desk.q, there)
+                if (
+                    apart(here, there) <= 2.0 * step
+                    and apart(there, target) <= left - 0.1 * step
+                    and step_kept(hold, here, there, desk)
+                ):
+                    return True
+        step *= 0.5
+    return False
+
+
+@kernel
+def deviations(hold: Hold, poses: Array, out: Array) -> None:
+    """Write the deviations (n, 6) of poses (n, 4, 4) from the start."""
+    desk = make_desk(hold.chain.lower.shape[0])
+    for n in range(poses.shape[0]):
+        deviate(hold, poses[n], desk)
+        copy(desk.deviation, out[n])
+
+
+@kernel
+def project_all(hold: Hold, rows: Array) -> int:
+    """Bring configurations (n, dof) onto the manifold, in place, until that fails for one; returns how many came there."""
+    desk = make_desk(rows.shape[1])
+    done = 0
+    while done < rows.shape[0] and project(hold, rows[done], desk):
+        done += 1
+    return done
