@@ -31,8 +31,8 @@ _LOOKS = 4
 _INSIDE = 0.01
 """Rad or m: a path keeps so far away from the ends of the joints' ranges, for the curve through it swings out where a joint
 comes to rest at one."""
-_RANGE = 1e-5
-"""Rad or m by which a curve may be outside the joints' ranges."""
+_RANGE = 8e-5
+"""Rad or m by which a curve may be outside the joints' ranges; a little less than `verify` allows."""
 _ROOM = 0.9
 """The part of the tolerances that the curve may use there."""
 
