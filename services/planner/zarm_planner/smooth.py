@@ -150,4 +150,6 @@ def _gentler(limits: Limits, dt: float, deviation: float) -> float:
     acceleration: |x(t + s) - x(t) - v(t) s| <= a s^2 / 2, averaged over s from -w / 2 to w / 2.
     """
     most = 24 * deviation / float(np.max(limits.acceleration))
-    return min(1.0, most / (_SHORTEST * dt) ** 2, math.cbrt(most / float(np.max(2 * limits.acceleration / limits.jerk)) ** 2))
+    return min(
+        1.0, most / (_SHORTEST * dt) ** 2, math.cbrt(most / float(np.max(2 * limits.acceleration / limits.jerk)) ** 2)
+    )
