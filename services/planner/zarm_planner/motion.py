@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
@@ -11,13 +12,14 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
-from zarm_planner.kernels.sampling import load
+from zarm_planner.kernels import quintic
 from zarm_planner.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-3
-"""By which part of a limit a motion may be over it."""
+TOLERANCE = 2e-4
+"""By which part a motion may be too fast: then velocity is at most so much over its limit, acceleration twice and jerk three
+times as much, all within 0.1 %."""
 MAX_SAMPLES = 15_000
 """The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
 
@@ -54,6 +56,10 @@ class Motion:
         return cls(np.array([0.0, dt]), np.stack((position, position)), *np.zeros((2, 2, len(position))))
 
     @property
+    def _samples(self) -> quintic.Samples:
+        return quintic.Samples(*map(_packed, (self.time, self.position, self.velocity, self.acceleration)))
+
+    @property
     def duration(self) -> float:
         """Seconds from the first to the last sample."""
         return float(self.time[-1])
@@ -65,34 +71,27 @@ class Motion:
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at times `t` (k,) within the motion, each (k, dof)."""
-        i = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
-        h = (self.time[i + 1] - self.time[i])[:, None]
-        x = (t - self.time[i])[:, None] / h
-        p0, v0, a0 = self.position[i], self.velocity[i] * h, self.acceleration[i] * h * h
-        p1, v1, a1 = self.position[i + 1], self.velocity[i + 1] * h, self.acceleration[i + 1] * h * h
-        # With x from 0 to 1 the start fixes c0, c1 and c2 = a0 / 2; the end gives three equations for the others.
-        p, v, a = p1 - p0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
-        c3, c4, c5 = 10 * p - 4 * v + a / 2, -15 * p + 7 * v - a, 6 * p - 3 * v + a / 2
-        return (
-            p0 + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5)))),
-            (v0 + x * (a0 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h,
-            (a0 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h),
-        )
+        out = np.empty((3, len(t), self.position.shape[1]))
+        quintic.sample(self._samples, _packed(t), out)
+        return out[0], out[1], out[2]
+
+    def travel(self, reach: Array) -> Array:
+        """How far (n - 1,) a point moves at most from sample to sample, if by at most `reach` (dof,) per rad of each joint.
+
+        In a part of the time between two samples it is no more than that part of it.
+        """
+        out = np.empty(len(self.time) - 1)
+        quintic.travel(self._samples, _packed(reach), out)
+        return out
 
     def load(self, limits: Limits) -> float:
         """How far the limits are used, 1 being fully: slower by this factor, the motion just keeps all of them.
 
         Velocity and acceleration are taken also between samples, jerk as the mean from sample to sample.
         """
-        return float(
-            load(
-                np.ascontiguousarray(self.time),
-                np.ascontiguousarray(self.position),
-                np.ascontiguousarray(self.velocity),
-                np.ascontiguousarray(self.acceleration),
-                np.stack((limits.velocity, limits.acceleration, limits.jerk)),
-            )
-        )
+        most = _packed(limits.velocity), _packed(limits.acceleration), _packed(limits.jerk)
+        velocity, acceleration, jerk = quintic.load(self._samples, most)
+        return float(np.max((velocity, math.sqrt(acceleration), math.cbrt(jerk))))
 
     def slower(self, factor: float) -> Motion:
         """The same motion, taking `factor` times as long."""
@@ -110,6 +109,11 @@ class Motion:
             velocity=velocity,
             acceleration=acceleration,
         )
+
+
+def _packed(array: Array) -> Array:
+    """In the one layout in memory that kernels are compiled for; for another one they would be compiled anew."""
+    return np.ascontiguousarray(array, np.float64)
 
 
 def sample_times(knots: Array, factor: float, dt: float) -> Array:

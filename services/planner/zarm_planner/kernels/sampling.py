@@ -1,16 +1,11 @@
-"""Samples of a motion that is averaged over time, and how far samples use the limits."""
+"""Samples of a motion that is averaged over time."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from zarm_planner.kernels.compiled import kernel
 from zarm_planner.kernels.ramps import Array, Ramps
-
-_CHECKS = 8
-"""Moments per interval between samples at which velocity and acceleration are checked."""
 
 
 @kernel
@@ -51,31 +46,3 @@ def sample_average(ramps: Ramps, count: int, window: float, t: Array, out: Array
                         out[row, k, j] = values[row]
                     else:
                         out[row, k, j] = (out[row, k, j] - values[row]) / window
-
-
-@kernel
-def load(time: Array, position: Array, velocity: Array, acceleration: Array, limits: Array) -> float:
-    """How far samples (n, dof) at `time` (n,) use the `limits` (3, dof) on velocity, acceleration and jerk, 1 being fully.
-
-    Between samples the motion is the quintic that meets all three at both ends. Velocity and acceleration are taken there
-    too, jerk as the mean from sample to sample. A motion slower by the result just keeps all limits.
-    """
-    fastest, strongest, sharpest = 0.0, 0.0, 0.0
-    for i in range(time.shape[0] - 1):
-        h = time[i + 1] - time[i]
-        for j in range(position.shape[1]):
-            v0, a0 = velocity[i, j] * h, acceleration[i, j] * h * h
-            # With x from 0 to 1 the start fixes c0, c1 and c2 = a0 / 2; the end gives three equations for the others.
-            p = position[i + 1, j] - position[i, j] - v0 - a0 / 2
-            v = velocity[i + 1, j] * h - v0 - a0
-            a = acceleration[i + 1, j] * h * h - a0
-            c3, c4, c5 = 10 * p - 4 * v + a / 2, -15 * p + 7 * v - a, 6 * p - 3 * v + a / 2
-            top, most = 0.0, 0.0
-            for check in range(_CHECKS):
-                x = check / _CHECKS
-                top = max(top, abs(v0 + x * (a0 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))))
-                most = max(most, abs(a0 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))))
-            fastest = max(fastest, top / (h * limits[0, j]))
-            strongest = max(strongest, most / (h * h * limits[1, j]))
-            sharpest = max(sharpest, abs(a / (h * h * h)) / limits[2, j])
-    return float(max(fastest, math.sqrt(strongest), sharpest ** (1.0 / 3.0)))
