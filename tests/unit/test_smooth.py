@@ -209,7 +209,7 @@ def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops
     _, off = passings(motion, path[1:-1])
     assert np.all(off <= DEVIATION + 2e-4 * limits.velocity.max())
     stopping = Smoothing(model, world, path, limits, dt, vias=vias).motion()
-    assert motion.duration <= stopping.duration
+    assert motion.duration <= stopping.duration * (1 + 1e-5)
 
 
 def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
