@@ -1,4 +1,6 @@
-"""What smoothing promises: sooner, free, inside every limit between the samples too, and the same for the same seed."""
+"""What smoothing promises: sooner, free, through its vias, inside every limit between the samples too, and the same for the
+same seed.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,12 @@ from sphere_model import clearances, random_objects
 
 from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
-from zarm_planner.kernels.ramps import connect_states, make_ramps, state
-from zarm_planner.motion import Limits
+from zarm_planner.kernels.ramps import Ramps, connect_states, in_range, make_ramps, state
+from zarm_planner.motion import Limits, Motion
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free, search
 from zarm_planner.shorten import shorten
-from zarm_planner.smooth import smooth_path
+from zarm_planner.smooth import DEVIATION, Smoothing, smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.timing import time_path
 from zarm_planner.world import World
@@ -45,6 +47,36 @@ def moments(duration: float, step: float) -> Array:
     return np.linspace(0.0, duration, 2 + int(duration / step))
 
 
+def assert_inside(motion: Motion, model: RobotModel, limits: Limits) -> None:
+    """From rest to rest, and inside every limit at the samples and between them."""
+    position, velocity, acceleration = motion.at(moments(motion.duration, 0.001))
+    assert np.all(np.abs(velocity) <= limits.velocity * 1.001)
+    assert np.all(np.abs(acceleration) <= limits.acceleration * 1.001)
+    change = np.abs(np.diff(motion.acceleration, axis=0))
+    assert np.all(change <= np.diff(motion.time)[:, None] * limits.jerk * 1.01 + 1e-9)
+    assert np.all((position >= model.lower - 1e-6) & (position <= model.upper + 1e-6))
+    assert not motion.velocity[[0, -1]].any()
+    assert not motion.acceleration[[0, -1]].any()
+
+
+def passings(motion: Motion, rows: Array) -> tuple[Array, Array]:
+    """For each row, passed one after the other: when the motion is nearest, and how far any joint is off then."""
+    t = moments(motion.duration, 0.0002)
+    position, _, _ = motion.at(t)
+    # The least sum of distances over all ways to pass the rows in their order.
+    off = np.abs(position[:, None] - rows[None]).max(axis=2)
+    total, best = np.zeros(len(t)), []
+    for k in range(len(rows)):
+        total = np.minimum.accumulate(total) + off[:, k]
+        best.append(total)
+    at, last = [], len(t)
+    for total in reversed(best):
+        at.append(int(np.argmin(total[:last])))
+        last = at[-1] + 1
+    at.reverse()
+    return t[at], off[at, range(len(rows))]
+
+
 @pytest.mark.parametrize("jerk", [None, 20.0, 2.0])
 @pytest.mark.parametrize("dt", [0.004, 0.02])
 def test_the_limits_hold_between_the_samples_too(model: RobotModel, path: Array, dt: float, jerk: float | None) -> None:
@@ -52,11 +84,7 @@ def test_the_limits_hold_between_the_samples_too(model: RobotModel, path: Array,
     if jerk is not None:
         limits = replace(limits, jerk=np.full(model.dof, jerk))
     motion = smooth_path(model, World(WALL, 0.005), path, limits, dt, seed=1, stop=Stop(60))
-    position, velocity, acceleration = motion.at(moments(motion.duration, 0.001))
-    assert np.all(np.abs(velocity) <= limits.velocity * 1.001)
-    assert np.all(np.abs(acceleration) <= limits.acceleration * 1.001)
-    assert np.all(np.abs(np.diff(motion.acceleration, axis=0)) <= np.diff(motion.time)[:, None] * limits.jerk * 1.01)
-    assert np.all((position >= model.lower) & (position <= model.upper))
+    assert_inside(motion, model, limits)
 
 
 def test_it_leads_from_rest_to_rest_between_the_ends_of_the_path(model: RobotModel, path: Array) -> None:
@@ -113,6 +141,90 @@ def test_in_random_worlds_the_motion_is_as_free_as_the_path(seed: int) -> None:
     assert clearances(model, objects, position).min() > 0.0
 
 
+ZIGZAG = LEFT + 0.3 * np.array([np.zeros(7), *np.random.default_rng(5).uniform(-1, 1, (6, 7))])
+
+
+def test_in_free_space_it_does_not_stop_at_vias(model: RobotModel) -> None:
+    motion = smooth_path(model, World((), 0.0), ZIGZAG, Limits.of(model), 0.01, seed=1, stop=Stop(60), vias=range(1, 6))
+    times, off = passings(motion, ZIGZAG[1:6])
+    assert off.max() <= DEVIATION
+    _, velocity, _ = motion.at(times)
+    assert np.linalg.norm(velocity, axis=1).min() > 0.05
+
+
+def test_vias_along_the_way_cost_little(model: RobotModel) -> None:
+    world, limits = World((), 0.0), Limits.of(model)
+    line = LEFT + np.linspace(0.0, 1.0, 6)[:, None] * (RIGHT - LEFT)
+    direct = smooth_path(model, world, line[[0, -1]], limits, 0.01, seed=1, stop=Stop(60))
+    through = smooth_path(model, world, line, limits, 0.01, seed=1, stop=Stop(60), vias=range(1, 5))
+    stopping = Smoothing(model, world, line, limits, 0.01, vias=range(1, 5)).motion()
+    assert through.duration < 1.2 * direct.duration
+    assert through.duration < 0.7 * stopping.duration
+
+
+@pytest.mark.parametrize("jerk", [500.0, 20.0])
+@pytest.mark.parametrize("deviation", [1e-3, 1e-4])
+def test_low_jerk_takes_a_motion_no_further_off_its_vias(model: RobotModel, jerk: float, deviation: float) -> None:
+    limits = replace(Limits.of(model), jerk=np.full(model.dof, jerk))
+    motion = smooth_path(
+        model, World((), 0.0), ZIGZAG, limits, 0.01, seed=1, stop=Stop(60), vias=[2, 4], deviation=deviation
+    )
+    _, off = passings(motion, ZIGZAG[[2, 4]])
+    assert off.max() <= deviation + 2e-4  # it is looked at every 0.2 ms, at up to 2 rad/s
+    assert_inside(motion, model, limits)
+
+
+def test_rows_that_are_no_vias_need_not_be_passed(model: RobotModel) -> None:
+    world, limits = World((), 0.0), Limits.of(model)
+    through, free = (
+        smooth_path(model, world, ZIGZAG, limits, 0.01, seed=1, stop=Stop(60), vias=vias) for vias in ([3], [])
+    )
+    assert free.duration < through.duration
+    assert passings(free, ZIGZAG[3:4])[1].max() > DEVIATION
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([None, 200.0, 20.0]), st.sampled_from([0.004, 0.01, 0.02]))
+@example(3, None, 0.01)
+@example(1025, None, 0.02)
+def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops(
+    seed: int, jerk: float | None, dt: float
+) -> None:
+    model = RobotModel.of(load_robot("panda"))
+    rng = np.random.default_rng(seed)
+    world = World(random_objects(8, 0.2, rng), 0.01)
+    limits = Limits.of(model)
+    if jerk is not None:
+        limits = replace(limits, jerk=np.full(model.dof, jerk))
+    rows: list[Array] = []
+    for q in rng.uniform(model.lower, model.upper, (60, model.dof)):
+        if len(rows) < 5 and is_free(model, world, np.array([rows[-1], q] if rows else q)):
+            rows.append(q)
+    if len(rows) < 2:
+        return
+    path, vias = np.array(rows), range(1, len(rows) - 1)
+    motion, again = (smooth_path(model, world, path, limits, dt, seed=seed, stop=Stop(60), vias=vias) for _ in range(2))
+    np.testing.assert_array_equal(motion.position, again.position)
+    assert_inside(motion, model, limits)
+    _, off = passings(motion, path[1:-1])
+    assert np.all(off <= DEVIATION + 2e-4 * limits.velocity.max())
+    stopping = Smoothing(model, world, path, limits, dt, vias=vias).motion()
+    assert motion.duration <= stopping.duration * (1 + 1e-5)
+
+
+def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
+    rng = np.random.default_rng(2)
+    samples = rng.normal(size=(3, 20, model.dof)) * np.array([0.01, 0.5, 5.0])[:, None, None]
+    motion = Motion(np.cumsum(rng.uniform(0.05, 0.1, 20)) - 0.05, *samples)
+    t = np.linspace(motion.time[0], motion.time[-1], 20_000)
+    _, velocity, acceleration = motion.at(t[:-1])
+    ample = np.full(model.dof, 1e9)
+    fast = Limits(np.ones(model.dof), ample, ample)
+    strong = Limits(ample, np.ones(model.dof), ample)
+    assert motion.load(fast) == pytest.approx(np.abs(velocity).max(), rel=0.02)
+    assert motion.load(strong) == pytest.approx(np.sqrt(np.abs(acceleration).max()), rel=0.02)
+
+
 numbers = st.floats(-1.0, 1.0)
 
 
@@ -133,3 +245,18 @@ def test_a_ramp_joins_two_states_inside_the_limits(joints: list[tuple[float, flo
     for t in np.linspace(0.0, ramps.duration[0], 20):
         state(ramps, 0, t, position, velocity)
         assert np.all(np.abs(velocity) <= fastest + 1e-6)
+    margin = 1e-9
+    ends = np.array([start, end])
+    swings = np.array([state_at(ramps, t) for t in np.linspace(0.0, ramps.duration[0], 200)])
+    assert in_range(ramps, 0, swings.min(axis=0) - 1e-3, swings.max(axis=0) + 1e-3)
+    for j in range(len(joints)):
+        if swings[:, j].max() > ends[:, j].max() + margin:
+            lower, upper = np.full(len(joints), -99.0), np.full(len(joints), 99.0)
+            upper[j] = swings[:, j].max() - margin
+            assert not in_range(ramps, 0, lower, upper)
+
+
+def state_at(ramps: Ramps, t: float) -> Array:
+    position = np.empty(ramps.position.shape[1])
+    state(ramps, 0, t, position, np.empty_like(position))
+    return position

@@ -29,7 +29,7 @@ DEVIATION = 1e-3
 _ROOM = 256
 """Ramps of a motion at most, on top of one for each edge of the path."""
 _MUCH = 0.5
-"""A joint that uses less of its acceleration may swing beyond it between two samples, which spares samples."""
+"""A joint that uses less of its speed and acceleration may swing beyond them between two samples, which spares samples."""
 _SHORTEST = 0.1
 """Least time to average over, in samples."""
 _CLOSE = 1e-5
@@ -96,13 +96,15 @@ class Smoothing:
         return Motion(t * factor, position, velocity / factor, acceleration / factor**2)
 
     def _knots(self) -> Array:
-        """Times (k,) in s between which each joint that uses much of its acceleration moves along one cubic.
+        """Times (k,) in s between which each joint that uses much of its limits moves along one cubic.
 
         Samples there describe it exactly; the quintic across a change of jerk would swing beyond the limit.
         """
-        duration, _, _, acceleration, first, last = (column[: self._count] for column in self._ramps[1:])
+        duration, _, velocity, acceleration, first, last = (column[: self._count] for column in self._ramps[1:])
         ends = np.cumsum(duration)
-        much = np.abs(acceleration) > _MUCH * self._bounds[3]
+        _, _, fastest, strongest = self._bounds
+        much = np.abs(velocity + acceleration * first) > _MUCH * fastest
+        much |= np.abs(acceleration) > _MUCH * strongest
         up, down = (ends - duration)[:, None] + first, ends[:, None] - last
         steps = np.concatenate(([0.0], ends, up[much], down[much]))
         knots = np.unique(np.concatenate((steps, steps + self._window)))

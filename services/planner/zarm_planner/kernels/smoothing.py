@@ -35,6 +35,13 @@ SHORTEST = 0.01
 """Pieces of less than this (s) are left as they are."""
 EMPTY = 1e-9
 """Duration (s) of a ramp that is none."""
+KEPT = 0.5
+"""Part of the joints that a bend at a via leaves as they are: where one of them is what takes so long, it is not disturbed."""
+REST = 0.05
+"""A motion in which no joint moves faster than this part of its full speed all but rests. Where one turns back at a via and
+takes longest, another velocity of the others saves nothing; but without a rest it is the better motion."""
+EQUAL = 1e-6
+"""Part of its time by which a piece without a rest may last longer."""
 
 
 @inlined
@@ -145,11 +152,11 @@ def bend(
     end: Array,
     position: Array,
     velocity: Array,
-) -> None:
+) -> bool:
     """A state beside that at `t` s, to meet in between `start` and `end` (dof,), which are `piece` s apart.
 
     Where ramp `via` starts at a via it is there, at another velocity. Half of the states move more or less straight from
-    start to end, for at a corner or a via the motion so far may stand still.
+    start to end, for at a corner or a via the motion so far may rest. Returns whether that rest is ended.
     """
     size = uniform(random) ** 2  # mostly small
     straight = max(0.0, 2.0 * uniform(random) - 1.0)
@@ -157,13 +164,17 @@ def bend(
     if via >= 0:
         i, into = via, 0.0
     state(ramps, i, into, position, velocity)
+    before, after = 0.0, 0.0
     for j in range(position.shape[0]):
-        beside = (2.0 * uniform(random) - 1.0) * size * BEND * fastest[j]
-        faster = (2.0 * uniform(random) - 1.0) * size * BEND * fastest[j]
-        if via < 0:
-            position[j] += beside * piece
-        velocity[j] += straight * ((end[j] - start[j]) / piece - velocity[j])
-        velocity[j] = max(-fastest[j], min(velocity[j] + faster, fastest[j]))
+        before = max(before, abs(velocity[j]) / fastest[j])
+        if via < 0 or uniform(random) >= KEPT:
+            if via < 0:
+                position[j] += (2.0 * uniform(random) - 1.0) * size * BEND * fastest[j] * piece
+            velocity[j] += straight * ((end[j] - start[j]) / piece - velocity[j])
+            velocity[j] += (2.0 * uniform(random) - 1.0) * size * BEND * fastest[j]
+            velocity[j] = max(-fastest[j], min(velocity[j], fastest[j]))
+        after = max(after, abs(velocity[j]) / fastest[j])
+    return before < REST <= after
 
 
 @inlined
@@ -239,7 +250,8 @@ def smooth(
         if bent:
             if via < 0:
                 at -= uniform(random) * piece
-            bend(ramps, count, via, at, piece, fastest, random, start, end, middle, middle_velocity)
+            if bend(ramps, count, via, at, piece, fastest, random, start, end, middle, middle_velocity) and via >= 0:
+                most = (1.0 + EQUAL) * piece
             if not connect_states(
                 ramps, first, start, start_velocity, middle, middle_velocity, fastest, strongest, most
             ):
