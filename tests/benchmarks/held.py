@@ -81,7 +81,7 @@ def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: fl
             continue
         path = shorten_held(world, held, path, seed=seed, stop=Stop(timeout))
         times.append(time.thread_time())
-        motion = time_held(world, held, path, limits, DT)
+        motion = time_held(world, held, path, limits, DT, stop=Stop(timeout))
         times.append(time.thread_time())
         if motion is not None:
             moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))

@@ -51,8 +51,8 @@ def plan_held(
 ) -> Motion | None:
     """A motion from rest at `start` (dof,) to rest at one of `goals` (m, dof) that keeps what is held, sampled every `dt` s.
 
-    None when `most` samples or `stop` came first, or when the path that was found could not be timed: another seed finds
-    another one. Start and goals are free in spheres, within the joints' ranges, and keep what is held; the nearest goal
+    None when `most` samples or `stop` came first, or when the path that was found could not be timed; then another seed
+    may find another one. Start and goals are free in spheres, within the joints' ranges, and keep what is held; the nearest goal
     stands first. At its samples the motion is free of `world` in spheres and keeps what is held; the limits hold as
     `Motion.load` measures them. The same seed gives the same motion.
 
@@ -61,7 +61,7 @@ def plan_held(
     path = search_held(world, held, start, goals, seed=seed, stop=stop, most=most)
     if path is None:
         return None
-    return time_held(world, held, shorten_held(world, held, path, seed=seed, stop=stop), limits, dt)
+    return time_held(world, held, shorten_held(world, held, path, seed=seed, stop=stop), limits, dt, stop=stop)
 
 
 def search_held(
@@ -121,11 +121,11 @@ def shorten_held(world: World, held: Held, path: Array, *, seed: int, stop: Stop
     return np.vstack((path[0], np.clip(room[:count], model.lower, model.upper), path[-1]))
 
 
-def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float) -> Motion | None:
+def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float, *, stop: Stop) -> Motion | None:
     """The fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or a little less.
 
     Where the curve between the points is not free in spheres, or loses what is held, they are put closer together. None
-    where that does not help.
+    where that does not help, or `stop` came first.
 
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
@@ -134,6 +134,8 @@ def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float) 
         return Motion.standing(path[0], dt)
     allowed = max(_ROOM, float(held.use(path[[0, -1]]).max()))
     for halved in range(_ROUNDS):
+        if stop.passed:
+            return None
         pieces = max(3, math.ceil(length[-1] / _SPACING)) * 2**halved
         even = np.linspace(0.0, length[-1], pieces + 1)
         points = np.stack([np.interp(even, length, joint) for joint in path.T], axis=1)

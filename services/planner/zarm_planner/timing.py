@@ -27,8 +27,8 @@ _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
 _STEPS = 8
 """At least so many of them on each straight piece and on each rounded corner."""
-_CURVE_STEPS = 4
-"""And between two points of a curve that goes through many."""
+_CURVE_STEP = 0.025
+"""And on a curve through many points."""
 _ROUNDING = 3 / 16
 """A corner rounded from `leg` before it to `leg` after it is left by `_ROUNDING * leg * |u_after - u_before|`."""
 logging.getLogger("toppra").setLevel(logging.CRITICAL)
@@ -46,7 +46,11 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
     if len(path) == 1:
         return Motion.standing(path[0], dt)
     edges = [_straight(a, b, limits, dt) for a, b in itertools.pairwise(path)]
-    if len(edges) > 1 and deviation > 0 and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEPS)):
+    if (
+        len(edges) > 1
+        and deviation > 0
+        and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
+    ):
         motion = within(partial(fastest.sample, dt=dt), limits)
         if motion.duration < sum(edge.duration for edge in edges):
             return motion
@@ -95,7 +99,7 @@ def time_curve(curve: Motion, limits: Limits, dt: float) -> Motion | None:
 
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
-    fastest = _fastest(curve, limits, dt, _CURVE_STEPS)
+    fastest = _fastest(curve, limits, dt, _CURVE_STEP, 1)
     return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
 
 
@@ -175,11 +179,11 @@ class _ToppraPath:
         return self._curve.at(s)[order]
 
 
-def _fastest(curve: Motion, limits: Limits, dt: float, steps: int) -> _Profile | None:
-    """TOPPRA under the limits on velocity and acceleration, at `steps` points at least on each piece of the curve; None
-    where its numbers fail.
+def _fastest(curve: Motion, limits: Limits, dt: float, step: float, least: int) -> _Profile | None:
+    """TOPPRA under the limits on velocity and acceleration, at points not further apart than `step` (rad), `least` on each
+    piece of the curve; None where its numbers fail.
     """
-    pieces = np.maximum(steps, np.ceil(np.diff(curve.time) / _STEP)).astype(int)
+    pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
     constraints = [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
     toppra = TOPPRA(constraints, _ToppraPath(curve), gridpoints=s, solver_wrapper="seidel")
