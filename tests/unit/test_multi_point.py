@@ -43,7 +43,7 @@ def through(
 ) -> Verified:
     world = World(objects, 0.005)
     snapshot = Snapshot(1, model, world, ExactScene(model, world))
-    options = Options(Limits.of(model), max_attempts=10, optimize_s=optimize_s, seed=seed)
+    options = Options(Limits.of(model), held=None, max_attempts=10, optimize_s=optimize_s, seed=seed)
     return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))[0]
 
 
@@ -66,7 +66,7 @@ def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint(model: Rob
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     found = through(model, *goals)
     snapshot = Snapshot(1, model, EMPTY, ExactScene(model, EMPTY))
-    options = Options(Limits.of(model), max_attempts=10, optimize_s=0.0, seed=0)
+    options = Options(Limits.of(model), held=None, max_attempts=10, optimize_s=0.0, seed=0)
     alone = [
         plan(snapshot, start, goal, options, Stop(60.0))[0].motion.duration
         for start, goal in zip([HOME, *STOPS], goals, strict=False)

@@ -40,7 +40,7 @@ def snapshot(model: RobotModel, *objects: SceneObject) -> Snapshot:
 
 
 def options(model: RobotModel, seed: int = 0) -> Options:
-    return Options(Limits.of(model), max_attempts=100, optimize_s=0.0, seed=seed)
+    return Options(Limits.of(model), held=None, max_attempts=100, optimize_s=0.0, seed=seed)
 
 
 def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Verified:

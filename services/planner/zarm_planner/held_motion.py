@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,9 +123,12 @@ def shorten_held(world: World, held: Held, path: Array, *, seed: int, stop: Stop
     return np.vstack((path[0], np.clip(room[:count], model.lower, model.upper), path[-1]))
 
 
-def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float, *, stop: Stop) -> Motion | None:
+def time_held(
+    world: World, held: Held, path: Array, limits: Limits, dt: float, *, stop: Stop, vias: Sequence[int] = ()
+) -> Motion | None:
     """The fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or a little less.
 
+    Its rows `vias` are among them, so that the motion passes these exactly.
     Where the curve between the points is not free in spheres, or loses what is held, they are put closer together. None
     where that does not help, or `stop` came first.
 
@@ -136,15 +141,14 @@ def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float, 
     for halved in range(_ROUNDS):
         if stop.passed:
             return None
-        pieces = max(3, math.ceil(length[-1] / _SPACING)) * 2**halved
-        even = np.linspace(0.0, length[-1], pieces + 1)
-        points = np.stack([np.interp(even, length, joint) for joint in path.T], axis=1)
+        at, fixed = _along(length[[0, *vias, len(path) - 1]], _SPACING / 2**halved)
+        points = np.stack([np.interp(at, length, joint) for joint in path.T], axis=1)
         # Between the ends of a step the manifold may touch what the step, known to be free, does not: in the end the curve
         # keeps to the steps themselves.
-        if halved < _ON_MANIFOLD and (near := held.projected(points[1:-1])) is not None:
-            points[1:-1] = near
+        if halved < _ON_MANIFOLD and (near := held.projected(points[~fixed])) is not None:
+            points[~fixed] = near
         curve = through(points)
-        looks = np.linspace(0.0, curve.duration, _LOOKS * pieces + 1)
+        looks = np.linspace(0.0, curve.duration, _LOOKS * len(points))
         rows, _, _ = curve.at(looks)
         if (
             np.all(np.maximum(held.model.lower - rows, rows - held.model.upper) <= _RANGE)
@@ -153,6 +157,18 @@ def time_held(world: World, held: Held, path: Array, limits: Limits, dt: float, 
         ):
             return time_curve(curve, limits, dt)
     return None
+
+
+def _along(knots: Array, spacing: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Lengths (n,) along a path, `spacing` apart at most and at least three to a stretch between `knots` (k,), which are among
+    them; and which these are (n,).
+    """
+    at, fixed = [knots[:1]], [np.ones(1, np.bool_)]
+    for a, b in itertools.pairwise(knots):
+        count = max(3, math.ceil((b - a) / spacing)) if b > a else 0
+        at.append(np.linspace(a, b, count + 1)[1:])
+        fixed.append(np.arange(count) == count - 1)
+    return np.concatenate(at), np.concatenate(fixed)
 
 
 def _inside(held: Held, rows: Array) -> Hold:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -9,10 +10,13 @@ from functools import partial
 import numpy as np
 
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
-from zarm_contract.messages import Goal, PlanTimings, WaypointsGoal
+from zarm_contract.messages import Goal, HeldAxes, JointGoal, PlanTimings, PoseGoal, WaypointsGoal
 from zarm_planner.ends import End, Snapshot, goal_ends, start_end
-from zarm_planner.improve import GAIN, Improvement
+from zarm_planner.held import Held
+from zarm_planner.held_motion import time_held
+from zarm_planner.improve import GAIN, Improvement, Routes
 from zarm_planner.motion import Array, Limits, Motion
+from zarm_planner.paths import FreePaths, HeldPaths, Paths
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.route import Route, find_route
 from zarm_planner.smooth import least_duration, smooth_path
@@ -28,11 +32,12 @@ _DEVIATIONS = (0.03, 0.01, 0.0)
 
 @dataclass(frozen=True)
 class Options:
-    """What a request asks of the motion: its limits, after how many attempts to give up, for how many seconds to look for
+    """What a request asks of the motion: its limits, what it holds of the tip's pose, after how many attempts to give up, for how many seconds to look for
     faster ones, and the seed of all chance.
     """
 
     limits: Limits
+    held: HeldAxes | None
     max_attempts: int
     optimize_s: float
     seed: int
@@ -55,8 +60,11 @@ def plan(snapshot: Snapshot, start: Array, goal: Goal, options: Options, stop: S
     watch = Watch()
     with watch.stage("ik"):
         begin = start_end(snapshot, start, options.seed, stop)
-        targets = _targets(snapshot, start, goal, options.seed, stop)
-    task = _Task(snapshot, begin, targets, goal, options.limits)
+        held = None
+        if options.held is not None and any(options.held.axes):
+            held = Held.of(snapshot.model, options.held, snapshot.model.fk_tip(start))
+        targets = _targets(snapshot, start, goal, held, options.seed, stop)
+    task = _Task(snapshot, begin, targets, goal, options.limits, held)
     verified, seed = _first(task, options, stop, watch)
     if options.optimize_s > 0.0:
         with watch.stage("optimize"):
@@ -69,12 +77,14 @@ def _first(task: _Task, options: Options, stop: Stop, watch: Watch) -> tuple[Ver
     failure: VerificationFailed | None = None
     try:
         for seed in range(options.seed, options.seed + options.max_attempts):
-            if (route := find_route(task.snapshot, task.begin, task.targets, seed, stop, watch)) is None:
+            if (route := task.route(seed, stop, watch)) is None:
                 continue
             for timed in task.motions(route, seed, stop):
                 stop.check()
                 with watch.stage("timing"):
                     motion = timed()
+                if motion is None:
+                    continue
                 try:
                     with watch.stage("verify"):
                         return task.verified(motion, stop), seed
@@ -98,16 +108,16 @@ def _fastest(task: _Task, best: Verified, seed: int, stop: Stop, budget: Stop) -
     def routes(number: int) -> tuple[Array, Sequence[int]] | None:
         stop.check()
         try:
-            route = find_route(task.snapshot, task.begin, task.targets, seed + 1 + number, budget, Watch())
+            route = task.route(seed + 1 + number, budget, Watch())
         except DeadlineExceeded:
             return None
         return None if route is None else (route.path, route.rows[:-1])
 
     goals = np.array([end.asked for end in task.targets[-1]])
     least = least_duration(task.begin.asked, goals, task.limits, task.dt)
-    improvement = Improvement(task.model, task.snapshot.world, task.limits, task.dt, routes, seed)
+    faster_than = task.improvement(routes, seed)
     while best.motion.duration > (1.0 + GAIN) * least:
-        if (motion := improvement.faster_than(best.motion.duration, budget)) is None:
+        if (motion := faster_than(best.motion.duration, budget)) is None:
             break
         try:
             best = task.verified(motion, budget)
@@ -124,14 +134,19 @@ def _given_up(failure: VerificationFailed) -> PlanningFailed:
     )
 
 
-def _targets(snapshot: Snapshot, start: Array, goal: Goal, seed: int, stop: Stop) -> list[list[End]]:
+def _targets(snapshot: Snapshot, start: Array, goal: Goal, held: Held | None, seed: int, stop: Stop) -> list[list[End]]:
     """The ends of each target in turn; those nearest to where the one before may be reached stand first."""
-    if not isinstance(goal, WaypointsGoal):
-        return [goal_ends(snapshot, start, goal, "goal", seed, stop)]
+    through: dict[str, PoseGoal | JointGoal]
+    if isinstance(goal, WaypointsGoal):
+        through = {f"goal.through.{number}": waypoint for number, waypoint in enumerate(goal.through)}
+    else:
+        through = {"goal": goal}
     targets: list[list[End]] = []
-    for number, waypoint in enumerate(goal.through):
-        targets.append(goal_ends(snapshot, start, waypoint, f"goal.through.{number}", seed, stop))
+    for field, target in through.items():
+        targets.append(goal_ends(snapshot, start, target, field, seed, stop))
         start = targets[-1][0].asked
+        if held is not None:
+            held.check_goal(snapshot.model.fk_tip(start), field)
     return targets
 
 
@@ -144,6 +159,7 @@ class _Task:
     targets: list[list[End]]
     goal: Goal
     limits: Limits
+    held: Held | None
 
     @property
     def model(self) -> RobotModel:
@@ -155,19 +171,46 @@ class _Task:
         """The sample period (s) of motions."""
         return self.model.robot.descriptor.interpolation_dt
 
-    def motions(self, route: Route, seed: int, stop: Stop) -> Sequence[Callable[[], Motion]]:
+    def route(self, seed: int, stop: Stop, watch: Watch) -> Route | None:
+        """The route that a seed leads to."""
+        paths: Paths = FreePaths(self.model, self.snapshot.world, seed, stop, watch)
+        if self.held is not None:
+            paths = HeldPaths(self.held, self.snapshot.world, seed, stop, watch)
+        return find_route(paths, self.begin, self.targets)
+
+    def motions(self, route: Route, seed: int, stop: Stop) -> Sequence[Callable[[], Motion | None]]:
         """Ways to time a route, the fastest first; those after it keep ever closer to its path."""
         world, path, limits, dt = self.snapshot.world, route.path, self.limits, self.dt
+        if self.held is not None:
+            return [partial(time_held, world, self.held, path, limits, dt, stop=stop, vias=route.rows[:-1])]
         return [
             partial(smooth_path, self.model, world, path, limits, dt, vias=route.rows[:-1], seed=seed, stop=stop),
             *(partial(time_path, path, limits, dt, deviation) for deviation in _DEVIATIONS),
         ]
 
+    def improvement(self, routes: Routes, seed: int) -> Callable[[float, Stop], Motion | None]:
+        """What finds a motion that is faster than so many seconds until it is stopped, along one of `routes`."""
+        world, held, limits, dt = self.snapshot.world, self.held, self.limits, self.dt
+        if held is None:
+            return Improvement(self.model, world, limits, dt, routes, seed).faster_than
+        numbers = itertools.count()
+
+        def faster_than(duration: float, stop: Stop) -> Motion | None:
+            while not stop.passed:
+                if (route := routes(next(numbers))) is None:
+                    continue
+                motion = time_held(world, held, route[0], limits, dt, stop=stop, vias=route[1])
+                if motion is not None and motion.duration <= (1.0 - GAIN) * duration:
+                    return motion
+            return None
+
+        return faster_than
+
     def verified(self, motion: Motion, stop: Stop) -> Verified:
         """The motion with its clearance. Raises VerificationFailed and what `stop` raises."""
         asked = np.array([end.asked for end in self.targets[-1]])
         end = asked[np.argmin(np.abs(asked - motion.position[-1]).max(axis=1))]
-        clearance = verify(motion, self.begin.asked, end, self.limits, self.snapshot.exact, stop.check)
+        clearance = verify(motion, self.begin.asked, end, self.limits, self.snapshot.exact, stop.check, self.held)
         if not isinstance(self.goal, WaypointsGoal):
             return Verified(motion, clearance, ())
         waypoints = [ends[0].asked for ends in self.targets]  # all ends of one lead to the same pose of the tip

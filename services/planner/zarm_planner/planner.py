@@ -102,6 +102,7 @@ class Planner:
                 request.velocity_scale or settings.velocity_scale,
                 request.acceleration_scale or settings.acceleration_scale,
             ),
+            held=request.held,
             max_attempts=request.max_attempts or settings.max_attempts,
             optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
             seed=request.seed,

@@ -1,13 +1,19 @@
-"""A shorter path along a given one."""
+"""Shorter paths: along a given one, and the shortest of several."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_planner.kernels import leg as kernel
 from zarm_planner.kernels.arrays import memory
 from zarm_planner.kernels.shortcut import MOST, shortcut
+from zarm_planner.kernels.trees import make_trees
 from zarm_planner.robot_model import RobotModel
+from zarm_planner.search import sampling_range
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
 
@@ -34,10 +40,48 @@ def shorten(model: RobotModel, world: World, path: Array, *, seed: int, stop: St
         np.array([seed], np.uint64),
         stop.deadline,
     )
-    shorter = [path[0]]
-    for row in np.clip(room[1 : rows - 1].astype(np.float64), model.lower, model.upper):
-        if min(np.abs(row - shorter[-1]).max(), np.abs(row - path[-1]).max()) > _SAME:
-            shorter.append(row)
-    if np.any(path[-1] != shorter[-1]):
-        shorter.append(path[-1])
-    return np.array(shorter)
+    return _without_repeats(model, room[:rows], path[0], path[-1])
+
+
+class Shortest(NamedTuple):
+    """A path (n, dof), if there is one, and the seconds that the search for it and its shortening took."""
+
+    path: Array | None
+    search: float
+    shorten: float
+
+
+def shortest_of(
+    model: RobotModel, world: World, start: Array, goal: Array, *, seeds: Sequence[int], stop: Stop, most: int
+) -> Shortest:
+    """The shortest of the shortened paths from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
+
+    The path is None where a search came to `most` samples, or `stop` came first, before there was one.
+    """
+    spent = np.zeros(2)
+    rows = kernel.shortest_of(
+        model.arrays,
+        world.arrays,
+        memory(model.arrays),
+        make_trees(model.dof),
+        sampling_range(model, np.stack((start, goal))),
+        model.weight,
+        np.array((start, goal), np.float32),
+        np.array(seeds, np.uint64),
+        most,
+        stop.deadline,
+        spent,
+    )
+    path = _without_repeats(model, rows, start, goal) if len(rows) else None
+    return Shortest(path, float(spent[0]), float(spent[1]))
+
+
+def _without_repeats(model: RobotModel, rows: NDArray[np.float32], start: Array, end: Array) -> Array:
+    """A path of the kernels with its very ends, within the joints' ranges; no row is another one's but for rounding."""
+    path = [start]
+    for row in np.clip(rows[1:-1].astype(np.float64), model.lower, model.upper):
+        if min(np.abs(row - path[-1]).max(), np.abs(row - end).max()) > _SAME:
+            path.append(row)
+    if np.any(end != path[-1]):
+        path.append(end)
+    return np.array(path)

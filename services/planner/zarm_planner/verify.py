@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from zarm_planner.exact import RESOLUTION, ExactScene
+from zarm_planner.held import Held
 from zarm_planner.motion import TOLERANCE, Array, Limits, Motion
 
 _POSITION = 1e-6
@@ -20,13 +21,19 @@ class VerificationFailed(Exception):
 
 
 def verify(
-    motion: Motion, start: Array, goal: Array, limits: Limits, scene: ExactScene, stop: Callable[[], None]
+    motion: Motion,
+    start: Array,
+    goal: Array,
+    limits: Limits,
+    scene: ExactScene,
+    stop: Callable[[], None],
+    held: Held | None = None,
 ) -> float:
     """The motion's smallest distance (m) to the scene and to the robot itself, at most 1.
 
     Raises VerificationFailed unless the motion leads from `start` to `goal` (dof,), from rest to rest, inside the joints'
     ranges and `limits`, and free of collision: between the configurations looked at no point of the robot moves further
-    than `RESOLUTION`. `stop` is called now and then and may raise.
+    than `RESOLUTION`, and what is `held` is looked at there. `stop` is called now and then and may raise.
     """
     model, joints = scene.model, scene.model.robot.descriptor.joints
     for values, wanted, what in (
@@ -49,6 +56,8 @@ def verify(
             f"the timed motion takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "
             f"{times[sample]:.2f} s"
         )
+    if held is not None and (lost := held.violation(position)):
+        raise VerificationFailed(f"{lost[1]} at {times[lost[0]]:.2f} s of the timed motion")
     nearest = scene.nearest(position, stop)
     if nearest.distance <= 0.0 and nearest.pair:
         raise VerificationFailed(

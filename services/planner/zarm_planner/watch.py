@@ -27,7 +27,11 @@ class Watch:
         try:
             yield
         finally:
-            self.spent[name] = self.spent.get(name, 0.0) + time.perf_counter() - began
+            self.add(name, time.perf_counter() - began)
+
+    def add(self, name: Stage, seconds: float) -> None:
+        """Add time that was measured elsewhere to a stage."""
+        self.spent[name] = self.spent.get(name, 0.0) + seconds
 
     def timings(self) -> PlanTimings:
         """What was spent so far."""

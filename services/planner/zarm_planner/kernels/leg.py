@@ -1,0 +1,63 @@
+"""The shortest of a few paths between two configurations, in one compiled call."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, WorldArrays
+from zarm_planner.kernels.clock import seconds
+from zarm_planner.kernels.compiled import kernel
+from zarm_planner.kernels.connect import connect
+from zarm_planner.kernels.shortcut import MOST, shortcut
+from zarm_planner.kernels.trees import Trees
+from zarm_planner.kernels.vectors import apart, copy
+
+
+@kernel
+def shortest_of(
+    robot: RobotArrays,
+    world: WorldArrays,
+    memory: Memory,
+    trees: Trees,
+    limits: Single,
+    weight: Single,
+    ends: Single,
+    seeds: NDArray[np.uint64],
+    most: int,
+    deadline: NDArray[np.float64],
+    spent: NDArray[np.float64],
+) -> Single:
+    """The shortest (n, dof) of the free paths that `seeds` lead to between `ends` (2, dof); one without rows where a search
+    ended after `most` samples or at the deadline. Nothing is shorter than the straight way, so that ends the matter.
+
+    Adds the seconds of search and of shortening to `spent` (2,). `limits` and `weight` as for `connect`.
+    """
+    dof = ends.shape[1]
+    goals = ends[1:]
+    random, now = np.empty(1, np.uint64), np.empty(2, np.int64)
+    best = np.empty((0, dof), np.float32)
+    shortest = np.inf
+    for seed in seeds:
+        if shortest <= apart(ends[0], ends[1]):
+            break
+        began = seconds(now)
+        random[0] = seed
+        path = connect(robot, world, memory, trees, limits, weight, ends[0], goals, random, most, deadline)
+        found = seconds(now)
+        spent[0] += found - began
+        rows = path.shape[0]
+        if rows == 0:
+            break
+        room = np.empty((rows + MOST, dof), np.float32)
+        for i in range(rows):
+            copy(path[i], room[i])
+        random[0] = seed
+        rows = shortcut(robot, world, memory, room, rows, random, deadline)
+        spent[1] += seconds(now) - found
+        length = 0.0
+        for i in range(rows - 1):
+            length += apart(room[i], room[i + 1])
+        if length < shortest:
+            best, shortest = room[:rows], length
+    return best

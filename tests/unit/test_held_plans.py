@@ -1,0 +1,118 @@
+"""Plans that hold axes of the tip: to a pose, to joints, and through waypoints; verified on the timed motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import second_opinion
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Cylinder, Goal, HeldAxes, JointGoal, PoseGoal, SceneObject, WaypointsGoal
+from zarm_contract.robot import load_robot
+from zarm_planner.ends import Snapshot
+from zarm_planner.exact import ExactScene
+from zarm_planner.frames import pose_of
+from zarm_planner.motion import Limits
+from zarm_planner.pipeline import Options, Verified, plan
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.stop import Stop
+from zarm_planner.world import World
+
+HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
+UPRIGHT = HeldAxes(axes=(True, True, False, False, False, False), position_tolerance=0.003, angle_tolerance=0.01)
+LEVEL = HeldAxes(axes=(True, True, True, False, False, True), position_tolerance=0.003, angle_tolerance=0.01)
+DENSE = 0.002
+
+
+@pytest.fixture(scope="module")
+def model() -> RobotModel:
+    return RobotModel.of(load_robot("ur5e"))
+
+
+def moved(model: RobotModel, x: float, y: float, z: float) -> PoseGoal:
+    """The pose at HOME, shifted in the base frame."""
+    pose = pose_of(model.fk_tip(HOME))
+    position = (pose.position[0] + x, pose.position[1] + y, pose.position[2] + z)
+    return PoseGoal(kind="pose", position=position, orientation=pose.orientation)
+
+
+def held_plan(
+    model: RobotModel, goal: Goal, held: HeldAxes, *objects: SceneObject, optimize_s: float = 0.0
+) -> Verified:
+    world = World(objects, 0.005)
+    snapshot = Snapshot(1, model, world, ExactScene(model, world))
+    options = Options(Limits.of(model), held=held, max_attempts=10, optimize_s=optimize_s, seed=0)
+    return plan(snapshot, HOME, goal, options, Stop(60.0))[0]
+
+
+def tips(model: RobotModel, found: Verified) -> np.ndarray:
+    """The tip's poses (n, 4, 4) along a motion, by forward kinematics that are not the planner's."""
+    times = np.arange(0.0, found.motion.duration, DENSE)
+    tip = model.robot.descriptor.tip_link
+    return np.array([second_opinion.link_pose(model.robot, tip, q) for q in found.motion.at(times)[0]])
+
+
+def tilt(poses: np.ndarray) -> float:
+    """The largest angle (rad) between the base's z axis at the start, seen from the tip, and later."""
+    up = poses[:, 2, :3]
+    return float(np.arccos(np.clip(up @ up[0], -1.0, 1.0)).max())
+
+
+def test_a_tool_stays_upright_all_the_way(model: RobotModel) -> None:
+    found = held_plan(model, moved(model, -0.3, 0.3, 0.2), UPRIGHT)
+    assert tilt(tips(model, found)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
+
+
+def test_what_is_held_is_kept_around_an_obstacle(model: RobotModel) -> None:
+    goal = moved(model, -0.25, 0.35, 0.0)
+    x, y, z = (np.array(moved(model, 0.0, 0.0, 0.0).position) + goal.position) / 2
+    post = Cylinder(kind="cylinder", name="post", position=(float(x), float(y), float(z)), radius=0.03, length=0.3)
+    found = held_plan(model, goal, LEVEL, post)
+    poses = tips(model, found)
+    assert np.abs(poses[:, 2, 3] - poses[0, 2, 3]).max() <= LEVEL.position_tolerance
+    assert tilt(poses) <= LEVEL.angle_tolerance * np.sqrt(2.0)
+    collisions = second_opinion.Collisions(model.robot, [post])
+    times = np.arange(0.0, found.motion.duration, DENSE)
+    assert not any(collisions.at(q) for q in found.motion.at(times)[0])
+
+
+def test_all_axes_but_one_make_a_straight_line(model: RobotModel) -> None:
+    line = HeldAxes(axes=(True, True, True, False, True, True), position_tolerance=0.002, angle_tolerance=0.01)
+    poses = tips(model, held_plan(model, moved(model, 0.2, 0.0, 0.0), line))
+    assert np.abs(poses[:, 1:3, 3] - poses[0, 1:3, 3]).max() <= line.position_tolerance
+    assert poses[-1, 0, 3] - poses[0, 0, 3] == pytest.approx(0.2, abs=1e-3)
+
+
+def test_waypoints_are_passed_without_a_stop_with_axes_held(model: RobotModel) -> None:
+    through = (moved(model, 0.0, 0.2, 0.0), moved(model, -0.15, 0.3, 0.0), moved(model, -0.2, 0.1, 0.0))
+    found = held_plan(model, WaypointsGoal(kind="waypoints", through=through), LEVEL)
+    poses = tips(model, found)
+    assert np.abs(poses[:, 2, 3] - poses[0, 2, 3]).max() <= LEVEL.position_tolerance
+    assert len(found.waypoint_times) == 3
+    for goal, time in zip(through, found.waypoint_times, strict=True):
+        q, qd, _ = found.motion.at(np.array([time]))
+        distance, _ = second_opinion.tip_error(model.robot, q[0], goal.position, goal.orientation)
+        assert distance <= 0.005
+        assert goal is through[-1] or np.abs(qd).max() > 0.01
+
+
+def test_a_budget_makes_no_held_motion_slower_and_loses_nothing(model: RobotModel) -> None:
+    goal = moved(model, -0.3, 0.3, 0.2)
+    quick, better = (held_plan(model, goal, UPRIGHT, optimize_s=seconds) for seconds in (0.0, 0.3))
+    assert better.motion.duration <= quick.motion.duration
+    assert tilt(tips(model, better)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
+
+
+def test_a_goal_that_cannot_keep_what_is_held_is_refused_with_the_axis_and_how_far_off(model: RobotModel) -> None:
+    with pytest.raises(InvalidRequest, match=r"\bz would be off by 100\.00 mm") as refused:
+        held_plan(model, moved(model, 0.0, 0.1, 0.1), LEVEL)
+    assert refused.value.problem.field == "goal"
+    turned = JointGoal(kind="joints", position=tuple((HOME + (0, 0, 0, 0.3, 0, 0)).tolist()))
+    with pytest.raises(InvalidRequest, match="theta_"):
+        held_plan(model, turned, UPRIGHT)
+
+
+def test_no_axis_held_is_a_plan_like_any_other(model: RobotModel) -> None:
+    nothing = HeldAxes(axes=(False,) * 6)
+    free, held = (held_plan(model, moved(model, 0.0, 0.2, 0.1), axes) for axes in (nothing, UPRIGHT))
+    assert free.motion.duration <= held.motion.duration
