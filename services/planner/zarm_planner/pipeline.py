@@ -29,6 +29,9 @@ from zarm_planner.waypoints import passing_times
 _DEVIATIONS = (0.03, 0.01, 0.0)
 """How far (rad) a motion may leave the path at corners where the smooth one is refused: ever closer to what is known free."""
 
+_FASTEST_ONLY = 2
+"""Attempts in which a motion that is refused gives way to another route, before other ways to time one are tried."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -76,10 +79,12 @@ def _first(task: _Task, options: Options, stop: Stop, watch: Watch) -> tuple[Ver
     """The first motion that passes verification, and its seed."""
     failure: VerificationFailed | None = None
     try:
-        for seed in range(options.seed, options.seed + options.max_attempts):
+        for attempt in range(options.max_attempts):
+            seed = options.seed + attempt
             if (route := task.route(seed, stop, watch)) is None:
                 continue
-            for timed in task.motions(route, seed, stop):
+            last = attempt >= min(_FASTEST_ONLY, options.max_attempts - 1)
+            for timed in task.motions(route, seed, stop)[: None if last else 1]:
                 stop.check()
                 with watch.stage("timing"):
                     motion = timed()
@@ -176,7 +181,7 @@ class _Task:
         paths: Paths = FreePaths(self.model, self.snapshot.world, seed, stop, watch)
         if self.held is not None:
             paths = HeldPaths(self.held, self.snapshot.world, seed, stop, watch)
-        return find_route(paths, self.begin, self.targets)
+        return find_route(paths, self.begin, self.targets, self.model.velocity)
 
     def motions(self, route: Route, seed: int, stop: Stop) -> Sequence[Callable[[], Motion | None]]:
         """Ways to time a route, the fastest first; those after it keep ever closer to its path."""

@@ -1,7 +1,7 @@
-"""Through which configuration of each target a motion goes, and the short free path through them.
+"""Through which configuration of each target a motion goes, and the quick free path through them.
 
 A pose can be reached in many ways, and a path to one costs a search. So paths are searched only between configurations
-that the shortest route may still lead through: a straight line is the least that a path between two can be (Dellin and
+that the quickest route may still lead through: a straight line is the quickest that a path between two can be (Dellin and
 Srinivasa, "A unifying formalism for shortest path problems with expensive edge evaluations via lazy best-first search
 over paths with edge selectors", 2016).
 """
@@ -30,9 +30,12 @@ class Route:
     rows: tuple[int, ...]
 
 
-def find_route(paths: Paths, start: End, targets: Sequence[Sequence[End]]) -> Route | None:
-    """A short route from `start` through one end of each target, in their order; None where none was found."""
-    chain = _shortest_chain(paths, [[start], *targets]) or _any_chain(paths, start, targets)
+def find_route(paths: Paths, start: End, targets: Sequence[Sequence[End]], fastest: Array) -> Route | None:
+    """A quick route from `start` through one end of each target, in their order, for joints that move `fastest` (dof,) at most.
+
+    None where none was found.
+    """
+    chain = _quickest_chain(paths, [[start], *targets], fastest) or _any_chain(paths, start, targets)
     if chain is None:
         return None
     path, rows = [*start.edge], []
@@ -49,11 +52,11 @@ Chain = list[tuple[End, Array]]
 """For each target the end that is gone through, and the leg that leads there."""
 
 
-def _shortest_chain(paths: Paths, layers: Sequence[Sequence[End]]) -> Chain | None:
-    """The shortest chain through the layers, of which the first is the start; None where _LEGS tries each found none."""
+def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], fastest: Array) -> Chain | None:
+    """The quickest chain through the layers, of which the first is the start; None where _LEGS tries each found none."""
     free = [np.array([end.free for end in ends]) for ends in layers]
-    # From each end of a layer to each of the next: the length of the leg, or until that is known the least it can be.
-    costs = [np.linalg.norm(b[None] - a[:, None], axis=2) for a, b in itertools.pairwise(free)]
+    # From each end of a layer to each of the next: the time of the leg, or until that is known the least it can be.
+    costs = [_seconds(b[None] - a[:, None], fastest) for a, b in itertools.pairwise(free)]
     known: list[dict[tuple[int, int], Array | None]] = [{} for _ in costs]
     tries = _LEGS * len(costs)
     while (pairs := _cheapest(costs)) is not None:
@@ -70,7 +73,7 @@ def _shortest_chain(paths: Paths, layers: Sequence[Sequence[End]]) -> Chain | No
         tries -= 1
         at, to = pairs[step]
         leg = known[step][at, to] = paths.between(layers[step][at].free, layers[step + 1][to].free)
-        costs[step][at, to] = np.inf if leg is None else _length(leg)
+        costs[step][at, to] = np.inf if leg is None else float(_seconds(np.diff(leg, axis=0), fastest).sum())
     return None
 
 
@@ -104,6 +107,7 @@ def _any_chain(paths: Paths, start: End, targets: Sequence[Sequence[End]]) -> Ch
     return chain
 
 
-def _length(path: Array) -> float:
-    """Euclidean, rad."""
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+def _seconds(way: Array, fastest: Array) -> Array:
+    """Time (...,) that the joint with the longest way (..., dof) needs at its greatest speed (dof,)."""
+    time: Array = np.max(np.abs(way) / fastest, axis=-1)
+    return time

@@ -1,4 +1,4 @@
-"""Shorter paths: along a given one, and the shortest of several."""
+"""Shorter paths: along a given one, and the quickest of several."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def shorten(model: RobotModel, world: World, path: Array, *, seed: int, stop: St
     return _without_repeats(model, room[:rows], path[0], path[-1])
 
 
-class Shortest(NamedTuple):
+class Quickest(NamedTuple):
     """A path (n, dof), if there is one, and the seconds that the search for it and its shortening took."""
 
     path: Array | None
@@ -51,15 +51,15 @@ class Shortest(NamedTuple):
     shorten: float
 
 
-def shortest_of(
+def quickest_of(
     model: RobotModel, world: World, start: Array, goal: Array, *, seeds: Sequence[int], stop: Stop, most: int
-) -> Shortest:
-    """The shortest of the shortened paths from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
+) -> Quickest:
+    """The quickest of the shortened paths from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
 
     The path is None where a search came to `most` samples, or `stop` came first, before there was one.
     """
     spent = np.zeros(2)
-    rows = kernel.shortest_of(
+    rows = kernel.quickest_of(
         model.arrays,
         world.arrays,
         memory(model.arrays),
@@ -67,13 +67,14 @@ def shortest_of(
         sampling_range(model, np.stack((start, goal))),
         model.weight,
         np.array((start, goal), np.float32),
+        model.velocity.astype(np.float32),
         np.array(seeds, np.uint64),
         most,
         stop.deadline,
         spent,
     )
     path = _without_repeats(model, rows, start, goal) if len(rows) else None
-    return Shortest(path, float(spent[0]), float(spent[1]))
+    return Quickest(path, float(spent[0]), float(spent[1]))
 
 
 def _without_repeats(model: RobotModel, rows: NDArray[np.float32], start: Array, end: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The shortest of a few paths between two configurations, in one compiled call."""
+"""The quickest of a few paths between two configurations, in one compiled call."""
 
 from __future__ import annotations
 
@@ -7,15 +7,24 @@ from numpy.typing import NDArray
 
 from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, WorldArrays
 from zarm_planner.kernels.clock import seconds
-from zarm_planner.kernels.compiled import kernel
+from zarm_planner.kernels.compiled import inlined, kernel
 from zarm_planner.kernels.connect import connect
 from zarm_planner.kernels.shortcut import MOST, shortcut
 from zarm_planner.kernels.trees import Trees
-from zarm_planner.kernels.vectors import apart, copy
+from zarm_planner.kernels.vectors import copy
+
+
+@inlined
+def seconds_between(a: Single, b: Single, fastest: Single) -> float:
+    """Time (s) that the slowest joint needs from `a` to `b` at its greatest speed (dof,)."""
+    most = 0.0
+    for k in range(a.shape[0]):
+        most = max(most, abs(b[k] - a[k]) / fastest[k])
+    return most
 
 
 @kernel
-def shortest_of(
+def quickest_of(
     robot: RobotArrays,
     world: WorldArrays,
     memory: Memory,
@@ -23,13 +32,15 @@ def shortest_of(
     limits: Single,
     weight: Single,
     ends: Single,
+    fastest: Single,
     seeds: NDArray[np.uint64],
     most: int,
     deadline: NDArray[np.float64],
     spent: NDArray[np.float64],
 ) -> Single:
-    """The shortest (n, dof) of the free paths that `seeds` lead to between `ends` (2, dof); one without rows where a search
-    ended after `most` samples or at the deadline. Nothing is shorter than the straight way, so that ends the matter.
+    """The quickest (n, dof) of the free paths that `seeds` lead to between `ends` (2, dof), each edge at the speed at which one
+    joint is at its `fastest` (dof,); one without rows where a search ended after `most` samples or at the deadline. Nothing
+    is quicker than the straight way, so that ends the matter.
 
     Adds the seconds of search and of shortening to `spent` (2,). `limits` and `weight` as for `connect`.
     """
@@ -37,9 +48,9 @@ def shortest_of(
     goals = ends[1:]
     random, now = np.empty(1, np.uint64), np.empty(2, np.int64)
     best = np.empty((0, dof), np.float32)
-    shortest = np.inf
+    least = np.inf
     for seed in seeds:
-        if shortest <= apart(ends[0], ends[1]):
+        if least <= seconds_between(ends[0], ends[1], fastest):
             break
         began = seconds(now)
         random[0] = seed
@@ -55,9 +66,9 @@ def shortest_of(
         random[0] = seed
         rows = shortcut(robot, world, memory, room, rows, random, deadline)
         spent[1] += seconds(now) - found
-        length = 0.0
+        time = 0.0
         for i in range(rows - 1):
-            length += apart(room[i], room[i + 1])
-        if length < shortest:
-            best, shortest = room[:rows], length
+            time += seconds_between(room[i], room[i + 1], fastest)
+        if time < least:
+            best, least = room[:rows], time
     return best
