@@ -142,7 +142,7 @@ def run(
         path = shorten(model, world, path, seed=seed, stop=Stop(TIMEOUT))
         runs.append(Run(searched - began, time.thread_time() - searched, length(path)))
         if motion is None:
-            motion = timed(model, world, ExactScene(model, problem.objects), path)
+            motion = timed(model, world, ExactScene(model, world), path)
     edges = [ompl_peer.plan(model, world, start, goals, PEERS_TIMEOUT, edges=True) for _ in range(OMPL_RUNS)]
     states = [ompl_peer.plan(model, world, start, goals, PEERS_TIMEOUT, edges=False)]
     roboplan: list[Run | None] = []

@@ -32,11 +32,21 @@ from harness import PATIENCE, ServiceProcess, router
 from zarm_contract.bus import Bus
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Cuboid, JointGoal, LoadScene, Plan, PlanRequest, SceneEdit, SceneEdited, SceneObject
+from zarm_contract.messages import (
+    Cuboid,
+    JointGoal,
+    LoadScene,
+    Plan,
+    PlanRequest,
+    PlanTimings,
+    SceneEdit,
+    SceneEdited,
+    SceneObject,
+)
 from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
-from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Found, plan
+from zarm_planner.motion import Limits, Motion
+from zarm_planner.pipeline import Options, plan
 from zarm_planner.planner import Planner
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
@@ -194,23 +204,26 @@ def by_objects(model: RobotModel, problems: list[motion_bench.Problem], counts: 
     rng = np.random.default_rng(0)
     rows: list[list[tuple[float, ...]]] = [[] for _ in counts]
     for problem in problems:
-        alone, _ = timed_plan(model, problem, [])
-        objects = clutter(model, alone.motion.position, counts[-1], rng, around=around)
+        alone, _, _ = timed_plan(model, problem, [])
+        objects = clutter(model, alone.position, counts[-1], rng, around=around)
         for count, row in zip(counts, rows, strict=True):
-            found, ready = timed_plan(model, problem, objects[:count])
-            timings = found.timings
+            _, timings, ready = timed_plan(model, problem, objects[:count])
             row.append((ready, timings.search + timings.shorten, timings.verify, timings.total))
     return np.median(rows, axis=1)
 
 
-def timed_plan(model: RobotModel, problem: motion_bench.Problem, objects: list[SceneObject]) -> tuple[Found, float]:
-    """A plan among other objects than the problem's, and the seconds that it took to make the scene ready."""
+def timed_plan(
+    model: RobotModel, problem: motion_bench.Problem, objects: list[SceneObject]
+) -> tuple[Motion, PlanTimings, float]:
+    """A motion among other objects than the problem's, where its time went, and the seconds that it took to make the scene ready."""
     began = time.perf_counter()
     world = World(objects, 0.005)
     snapshot = Snapshot(1, model, world, ExactScene(model, world))
     ready = time.perf_counter() - began
     goal = JointGoal(kind="joints", position=problem.goals[0])
-    return plan(snapshot, np.array(problem.start), goal, Limits.of(model), 0, Stop(60.0)), ready
+    options = Options(Limits.of(model), held=None, max_attempts=100, optimize_s=0.0, seed=0)
+    found, timings = plan(snapshot, np.array(problem.start), goal, options, Stop(60.0))
+    return found.motion, timings, ready
 
 
 def clutter(
