@@ -11,7 +11,7 @@ PINNED := pyproject.toml constraints.txt
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
 
-test: $(VENV)/.dev
+test: $(VENV)/.dev $(VENV)/.kernels
 	@$(BIN)/pytest
 
 lint: $(VENV)/.dev
@@ -21,7 +21,7 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 	$(BIN)/deptry .
 
-bench: $(VENV)/.dev
+bench: $(VENV)/.dev $(VENV)/.kernels
 	@for file in tests/benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 clean:
