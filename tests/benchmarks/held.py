@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,7 @@ def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: fl
             continue
         path = shorten_held(world, held, path, seed=seed, stop=Stop(timeout))
         times.append(time.thread_time())
-        motion = time_held(world, held, path, limits, DT, stop=Stop(timeout))
+        motion = time_held(held, path, limits, DT, free=partial(is_free, model, world), stop=Stop(timeout))
         times.append(time.thread_time())
         if motion is not None:
             moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))

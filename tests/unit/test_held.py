@@ -18,7 +18,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, HeldAxes, SceneObject
 from zarm_contract.robot import load_robot
 from zarm_planner.held import Held
-from zarm_planner.held_motion import plan_held
+from zarm_planner.held_motion import search_held, shorten_held, time_held
 from zarm_planner.ik import solve_ik
 from zarm_planner.kernels.collision import RESOLUTION
 from zarm_planner.kernels.manifold import CLOSE
@@ -103,6 +103,17 @@ def assert_kept(model: RobotModel, message: HeldAxes, motion: Motion) -> None:
     assert np.all((positions >= model.lower - 1e-4) & (positions <= model.upper + 1e-4))
 
 
+def plan_held(
+    world: World, held: Held, start: Array, goals: Array, limits: Limits, *, seed: int, stop: Stop, most: int = 10_000
+) -> Motion | None:
+    """A motion that keeps what is held, free of `world` in spheres; None where none is found."""
+    path = search_held(world, held, start, goals, seed=seed, stop=stop, most=most)
+    if path is None:
+        return None
+    path = shorten_held(world, held, path, seed=seed, stop=stop)
+    return time_held(held, path, limits, DT, free=lambda rows: is_free(held.model, world, rows), stop=stop)
+
+
 def problem(
     model: RobotModel, message: HeldAxes, rng: np.random.Generator
 ) -> tuple[tuple[SceneObject, ...], Held, Array, Array]:
@@ -131,7 +142,7 @@ def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_
     for seed in range(3):
         objects, held, start, goals = problem(model, message, rng)
         world = World(objects, 0.005)
-        motion = plan_held(world, held, start, goals, Limits.of(model), DT, seed=seed, stop=Stop(30.0), most=50)
+        motion = plan_held(world, held, start, goals, Limits.of(model), seed=seed, stop=Stop(30.0), most=50)
         if motion is None:  # obstacles and joint ranges can cut a goal off
             continue
         planned += 1
@@ -151,7 +162,7 @@ def test_a_glass_is_carried_upright_around_a_wall(sides: tuple[Array, Array], me
     pose = PANDA.fk_tip(goal)
     pose[:3, :3] = PANDA.fk_tip(start)[:3, :3]
     goals = solve_ik(PANDA, pose, start, world=world, max_solutions=16, seed=0, stop=Stop(30.0)).solutions
-    motion = plan_held(world, held, start, goals, Limits.of(PANDA), DT, seed=seed, stop=Stop(30.0))
+    motion = plan_held(world, held, start, goals, Limits.of(PANDA), seed=seed, stop=Stop(30.0))
     assert motion is not None
     assert_kept(PANDA, message, motion)
     assert clearances(PANDA, WALL, motion.position).min() > -RESOLUTION / 2
@@ -162,8 +173,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tup
     start, goal = sides
     world, held = World(WALL, 0.005), Held.of(PANDA, UPRIGHT, PANDA.fk_tip(start))
     motions = [
-        plan_held(world, held, start, goal[None], Limits.of(PANDA), DT, seed=seed, stop=Stop(30.0))
-        for seed in (1, 1, 2)
+        plan_held(world, held, start, goal[None], Limits.of(PANDA), seed=seed, stop=Stop(30.0)) for seed in (1, 1, 2)
     ]
     first, same, other = (motion for motion in motions if motion is not None)
     np.testing.assert_array_equal(first.position, same.position)
@@ -176,7 +186,7 @@ def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still
     goal = held.projected(start + [0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0])
     assert goal is not None
     assert np.abs(goal[0] - start).max() > 0.2
-    motion = plan_held(World((), 0.0), held, start, goal, Limits.of(PANDA), DT, seed=0, stop=Stop(30.0))
+    motion = plan_held(World((), 0.0), held, start, goal, Limits.of(PANDA), seed=0, stop=Stop(30.0))
     assert motion is not None
     assert_kept(PANDA, STILL, motion)
 
@@ -187,7 +197,7 @@ def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Pat
     held = Held.of(arm, LEVEL, arm.fk_tip(start))
     goals = held.projected(np.array([6.0, 0.9, 0.9, 0.15]))
     assert goals is not None
-    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm), DT, seed=0, stop=Stop(30.0))
+    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm), seed=0, stop=Stop(30.0))
     assert motion is not None
     np.testing.assert_array_equal(motion.position[-1], goals[0])
     assert_kept(arm, LEVEL, motion)
@@ -200,7 +210,7 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
     pose[:3, 3] += (0.1, 0.2, 0.9 * LEVEL.position_tolerance)
     held.check_goal(pose, "goal")
     goals = solve_ik(PANDA, pose, start, world=None, max_solutions=4, seed=0, stop=Stop(30.0)).solutions
-    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(PANDA), DT, seed=0, stop=Stop(30.0))
+    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(PANDA), seed=0, stop=Stop(30.0))
     assert motion is not None
     assert np.abs(goals - motion.position[-1]).max(axis=1).min() == 0.0
     assert_kept(PANDA, LEVEL, motion)
@@ -209,7 +219,7 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
 def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
     start = np.array(MODELS["ur5e"].robot.descriptor.home)
     held = Held.of(MODELS["ur5e"], STILL, MODELS["ur5e"].fk_tip(start))
-    motion = plan_held(World((), 0.0), held, start, start[None], Limits.of(held.model), DT, seed=0, stop=Stop(30.0))
+    motion = plan_held(World((), 0.0), held, start, start[None], Limits.of(held.model), seed=0, stop=Stop(30.0))
     assert motion is not None
     assert np.all(motion.position == start)
 
@@ -293,10 +303,10 @@ def test_a_goal_in_reach_that_no_held_motion_leads_to_ends_with_its_samples_and_
     ]  # an arm of six joints cannot get there without moving its tip
     assert len(others)
     world, limits = World((), 0.0), Limits.of(ur5e)
-    assert plan_held(world, held, start, others, limits, DT, seed=0, stop=Stop(30.0), most=50) is None
+    assert plan_held(world, held, start, others, limits, seed=0, stop=Stop(30.0), most=50) is None
     stop = Stop(60.0)
     canceller = threading.Timer(0.1, stop.cancel)
     canceller.start()
-    assert plan_held(world, held, start, others, limits, DT, seed=0, stop=stop) is None
+    assert plan_held(world, held, start, others, limits, seed=0, stop=stop) is None
     canceller.join()
     assert stop.cancelled

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import second_opinion
 
-from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Cylinder, Goal, HeldAxes, JointGoal, PoseGoal, SceneObject, WaypointsGoal
+from zarm_contract.errors import InvalidRequest, PlanningFailed
+from zarm_contract.messages import Cuboid, Cylinder, Goal, HeldAxes, JointGoal, PoseGoal, SceneObject, WaypointsGoal
 from zarm_contract.robot import load_robot
 from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
@@ -15,6 +15,7 @@ from zarm_planner.frames import pose_of
 from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
+from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
 
@@ -116,3 +117,24 @@ def test_no_axis_held_is_a_plan_like_any_other(model: RobotModel) -> None:
     nothing = HeldAxes(axes=(False,) * 6)
     free, held = (held_plan(model, moved(model, 0.0, 0.2, 0.1), axes) for axes in (nothing, UPRIGHT))
     assert free.motion.duration <= held.motion.duration
+
+
+def test_an_axis_is_held_from_a_start_and_to_a_goal_near_a_table(model: RobotModel) -> None:
+    tip = model.fk_tip(HOME)[:3, 3]
+    table = Cuboid(
+        kind="cuboid", name="table", position=(float(tip[0]), 0.0, float(tip[2]) - 0.067), size=(0.6, 1.4, 0.1)
+    )
+    goal = moved(model, 0.0, 0.15, 0.0)
+    assert not is_free(model, World((table,), 0.005), HOME)
+    found = held_plan(model, goal, UPRIGHT, table)
+    assert tilt(tips(model, found)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
+    assert 0.0 < found.clearance < 0.005
+
+
+def test_a_height_that_leaves_no_room_for_the_margin_is_refused_with_the_remedy(model: RobotModel) -> None:
+    tip = model.fk_tip(HOME)[:3, 3]
+    table = Cuboid(
+        kind="cuboid", name="table", position=(float(tip[0]), 0.0, float(tip[2]) - 0.066), size=(1.6, 2.4, 0.1)
+    )
+    with pytest.raises(PlanningFailed, match="lower margin"):
+        held_plan(model, moved(model, 0.0, 0.15, 0.0), LEVEL, table)

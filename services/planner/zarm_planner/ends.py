@@ -14,6 +14,7 @@ from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import JointGoal, PoseGoal
 from zarm_planner.exact import RESOLUTION, ExactScene, Nearest
 from zarm_planner.frames import matrix
+from zarm_planner.held import Held
 from zarm_planner.ik import solve_ik
 from zarm_planner.joints import within_range
 from zarm_planner.motion import Array
@@ -53,7 +54,7 @@ class End:
         return self.asked[None][: 0 if self.free is self.asked else 1]
 
 
-def start_end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End:
+def start_end(snapshot: Snapshot, q: Array, held: Held | None, seed: int, stop: Stop) -> End:
     """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
     nearest = snapshot.exact.nearest(q)
     if nearest.distance <= 0.0:
@@ -62,7 +63,7 @@ def start_end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End:
             code="start_in_collision",
             field="start",
         )
-    if (end := _end(snapshot, q, seed, stop)) is None:
+    if (end := _end(snapshot, q, held, seed, stop)) is None:
         raise PlanningFailed(
             f"there is no way out of the start, where {_gap(nearest)}; move the robot away by hand, or lower margin",
             code="start_in_collision",
@@ -72,7 +73,7 @@ def start_end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End:
 
 
 def goal_ends(
-    snapshot: Snapshot, start: Array, goal: PoseGoal | JointGoal, field: str, seed: int, stop: Stop
+    snapshot: Snapshot, start: Array, goal: PoseGoal | JointGoal, field: str, held: Held | None, seed: int, stop: Stop
 ) -> list[End]:
     """The configurations that reach a goal, which is the request's `field`; the one nearest to `start` first.
 
@@ -101,7 +102,7 @@ def goal_ends(
     obstacles = []
     for q in candidates:
         nearest = snapshot.exact.nearest(q)
-        if nearest.distance > 0.0 and (end := _end(snapshot, q, seed, stop)):
+        if nearest.distance > 0.0 and (end := _end(snapshot, q, held, seed, stop)):
             ends.append(end)
         else:
             obstacles.append(nearest)
@@ -117,8 +118,8 @@ def goal_ends(
     return ends
 
 
-def _end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End | None:
-    """The end at `q`, which is free of collision; None where no way leads from it to what is free in spheres."""
+def _end(snapshot: Snapshot, q: Array, held: Held | None, seed: int, stop: Stop) -> End | None:
+    """The end at `q`, which is free of collision; None where no way that keeps what is held leads to what is free in spheres."""
     if is_free(snapshot.model, snapshot.world, q):
         return End(q, q)
     model, random = snapshot.model, np.random.default_rng(seed)
@@ -126,9 +127,14 @@ def _end(snapshot: Snapshot, q: Array, seed: int, stop: Stop) -> End | None:
         for direction in random.normal(size=(_TRIES, model.dof)):
             stop.check()
             near = np.clip(q + distance * direction / np.linalg.norm(direction), model.lower, model.upper)
+            if held is not None:
+                if (kept := held.projected(near)) is None:
+                    continue
+                near = kept[0]
             if is_free(model, snapshot.world, near):
                 steps = int(np.abs(near - q) @ snapshot.exact.reach / RESOLUTION) + 2
-                if snapshot.exact.nearest(np.linspace(q, near, steps)).distance > 0.0:
+                way = np.linspace(q, near, steps)
+                if (held is None or held.use(way).max() <= 1.0) and snapshot.exact.nearest(way).distance > 0.0:
                     return End(q, near)
     return None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,33 +37,6 @@ _RANGE = 8e-5
 """Rad or m by which a curve may be outside the joints' ranges; a little less than `verify` allows."""
 _ROOM = 0.9
 """The part of the tolerances that the curve may use there."""
-
-
-def plan_held(
-    world: World,
-    held: Held,
-    start: Array,
-    goals: Array,
-    limits: Limits,
-    dt: float,
-    *,
-    seed: int,
-    stop: Stop,
-    most: int = ENDLESS,
-) -> Motion | None:
-    """A motion from rest at `start` (dof,) to rest at one of `goals` (m, dof) that keeps what is held, sampled every `dt` s.
-
-    None when `most` samples or `stop` came first, or when the path that was found could not be timed; then another seed
-    may find another one. Start and goals are free in spheres, within the joints' ranges, and keep what is held; the nearest goal
-    stands first. At its samples the motion is free of `world` in spheres and keeps what is held; the limits hold as
-    `Motion.load` measures them. The same seed gives the same motion.
-
-    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
-    """
-    path = search_held(world, held, start, goals, seed=seed, stop=stop, most=most)
-    if path is None:
-        return None
-    return time_held(world, held, shorten_held(world, held, path, seed=seed, stop=stop), limits, dt, stop=stop)
 
 
 def search_held(
@@ -124,12 +97,19 @@ def shorten_held(world: World, held: Held, path: Array, *, seed: int, stop: Stop
 
 
 def time_held(
-    world: World, held: Held, path: Array, limits: Limits, dt: float, *, stop: Stop, vias: Sequence[int] = ()
+    held: Held,
+    path: Array,
+    limits: Limits,
+    dt: float,
+    *,
+    free: Callable[[Array], bool],
+    stop: Stop,
+    vias: Sequence[int] = (),
 ) -> Motion | None:
     """The fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or a little less.
 
-    Its rows `vias` are among them, so that the motion passes these exactly.
-    Where the curve between the points is not free in spheres, or loses what is held, they are put closer together. None
+    Its rows `vias` are among them, so that the motion passes these exactly. Where configurations (n, dof) along the curve are
+    not `free`, or lose what is held, the points are put closer together. None
     where that does not help, or `stop` came first.
 
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
@@ -153,7 +133,7 @@ def time_held(
         if (
             np.all(np.maximum(held.model.lower - rows, rows - held.model.upper) <= _RANGE)
             and held.use(rows).max() <= allowed
-            and is_free(held.model, world, rows)
+            and free(rows)
         ):
             return time_curve(curve, limits, dt)
     return None

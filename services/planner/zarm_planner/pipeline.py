@@ -62,10 +62,10 @@ def plan(snapshot: Snapshot, start: Array, goal: Goal, options: Options, stop: S
     """
     watch = Watch()
     with watch.stage("ik"):
-        begin = start_end(snapshot, start, options.seed, stop)
         held = None
         if options.held is not None and any(options.held.axes):
             held = Held.of(snapshot.model, options.held, snapshot.model.fk_tip(start))
+        begin = start_end(snapshot, start, held, options.seed, stop)
         targets = _targets(snapshot, start, goal, held, options.seed, stop)
     task = _Task(snapshot, begin, targets, goal, options.limits, held)
     verified, seed = _first(task, options, stop, watch)
@@ -148,7 +148,7 @@ def _targets(snapshot: Snapshot, start: Array, goal: Goal, held: Held | None, se
         through = {"goal": goal}
     targets: list[list[End]] = []
     for field, target in through.items():
-        targets.append(goal_ends(snapshot, start, target, field, seed, stop))
+        targets.append(goal_ends(snapshot, start, target, field, held, seed, stop))
         start = targets[-1][0].asked
         if held is not None:
             held.check_goal(snapshot.model.fk_tip(start), field)
@@ -176,6 +176,10 @@ class _Task:
         """The sample period (s) of motions."""
         return self.model.robot.descriptor.interpolation_dt
 
+    def free(self, q: Array) -> bool:
+        """Whether configurations (n, dof) touch nothing, exactly."""
+        return self.snapshot.exact.nearest(q).distance > 0.0
+
     def route(self, seed: int, stop: Stop, watch: Watch) -> Route | None:
         """The route that a seed leads to."""
         paths: Paths = FreePaths(self.model, self.snapshot.world, seed, stop, watch)
@@ -187,7 +191,7 @@ class _Task:
         """Ways to time a route, the fastest first; those after it keep ever closer to its path."""
         world, path, limits, dt = self.snapshot.world, route.path, self.limits, self.dt
         if self.held is not None:
-            return [partial(time_held, world, self.held, path, limits, dt, stop=stop, vias=route.rows[:-1])]
+            return [partial(time_held, self.held, path, limits, dt, free=self.free, stop=stop, vias=route.rows[:-1])]
         return [
             partial(smooth_path, self.model, world, path, limits, dt, vias=route.rows[:-1], seed=seed, stop=stop),
             *(partial(time_path, path, limits, dt, deviation) for deviation in _DEVIATIONS),
@@ -204,7 +208,7 @@ class _Task:
             while not stop.passed:
                 if (route := routes(next(numbers))) is None:
                     continue
-                motion = time_held(world, held, route[0], limits, dt, stop=stop, vias=route[1])
+                motion = time_held(held, route[0], limits, dt, free=self.free, stop=stop, vias=route[1])
                 if motion is not None and motion.duration <= (1.0 - GAIN) * duration:
                     return motion
             return None

@@ -14,7 +14,7 @@ from zarm_contract.messages import HeldAxes
 from zarm_contract.robot import load_robot
 from zarm_planner.exact import ExactScene
 from zarm_planner.held import Held
-from zarm_planner.held_motion import plan_held
+from zarm_planner.held_motion import search_held, shorten_held
 from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
@@ -53,7 +53,9 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     exact.nearest(motion.at(motion.time)[0])
     report("loading the search for motions that hold axes")
     held = Held.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
-    plan_held(world, held, home, home[None], limits, 0.01, seed=0, stop=stop)
+    path = search_held(world, held, home, home[None], seed=0, stop=stop)
+    if path is not None:
+        shorten_held(world, held, path, seed=0, stop=stop)
 
 
 def _print_line(text: str) -> None:
