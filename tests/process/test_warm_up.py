@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 
 def test_warming_up_says_each_stage_in_a_line() -> None:
@@ -12,3 +13,9 @@ def test_warming_up_says_each_stage_in_a_line() -> None:
     assert len(stages) == len(set(stages)) > 1
     assert all(stage.startswith("loading ") for stage in stages)
     assert done.stderr == ""
+
+
+def test_after_the_warm_up_of_one_robot_no_plan_of_any_robot_waits_for_a_compiler() -> None:
+    script = Path(__file__).parents[1] / "warm_kernels.py"
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert done.stdout == ""

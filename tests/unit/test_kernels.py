@@ -20,27 +20,13 @@ from sphere_model import (
 
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, PlannerSettings, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner.exact import ExactScene
 from zarm_planner.frames import rotation
-from zarm_planner.kernels import quintic
 from zarm_planner.kernels.arrays import Single
-from zarm_planner.kernels.clearance import look
 from zarm_planner.kernels.collision import RESOLUTION, sine_cosine
-from zarm_planner.kernels.connect import connect
-from zarm_planner.kernels.edge import path_free
-from zarm_planner.kernels.inverse import solve
-from zarm_planner.kernels.kinematics import frames
 from zarm_planner.kernels.lanes import LANES, load, pointer, store
-from zarm_planner.kernels.ramps import along
-from zarm_planner.kernels.shortcut import shortcut
-from zarm_planner.kernels.smoothing import smooth
 from zarm_planner.kernels.trees import Trees, add, make_trees, nearest_node
-from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free
-from zarm_planner.timing import time_path
-from zarm_planner.verify import verify
-from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
 
 Array = NDArray[np.float64]
@@ -209,29 +195,3 @@ def test_the_nearest_node_is_found(count: int) -> None:
     index, least = find(make_trees(5), nodes, target, weight)
     assert index == np.argmin(apart)
     assert least == pytest.approx(apart.min(), rel=1e-5)
-
-
-def test_what_is_compiled_for_one_robot_serves_all(arm: RobotModel) -> None:
-    said: list[str] = []
-    warm_up(arm, said.append)
-    warm_up(RobotModel.of(load_robot("panda")), said.append)
-    home = np.array(arm.robot.descriptor.home)
-    path = home + np.array(((0.0, 0, 0, 0), (0.2, 0, 0, 0), (0.2, 0.1, 0, 0)))
-    motion = time_path(path, Limits.of(arm), 0.01, 0.0)
-    world = World([Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 2.0), radius=0.1)], 0.005)
-    verify(motion, path[0], path[-1], Limits.of(arm), ExactScene(arm, world), lambda: None)
-    assert len(set(said)) == 7
-    for kernel in (
-        frames,
-        path_free,
-        connect,
-        shortcut,
-        solve,
-        along,
-        smooth,
-        look,
-        quintic.sample,
-        quintic.load,
-        quintic.travel,
-    ):
-        assert len(kernel.signatures) == 1, kernel  # type: ignore[attr-defined]

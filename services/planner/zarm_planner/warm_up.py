@@ -19,7 +19,7 @@ from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free, search
-from zarm_planner.shorten import shorten
+from zarm_planner.shorten import quickest_of, shorten
 from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
@@ -42,6 +42,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     search(model, world, home, home, seed=0, stop=stop)
     report("loading the shortening of paths")
     shorten(model, world, np.array((home, home)), seed=0, stop=stop)
+    quickest_of(model, world, home, home, seeds=(0,), stop=stop, most=1)
     report("loading the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
     limits = Limits.of(model)
@@ -53,6 +54,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     exact.nearest(motion.at(motion.time)[0])
     report("loading the search for motions that hold axes")
     held = Held.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
+    held.use(home)
     path = search_held(world, held, home, home[None], seed=0, stop=stop)
     if path is not None:
         shorten_held(world, held, path, seed=0, stop=stop)

@@ -1,0 +1,65 @@
+"""Writes which kernels a planner still compiles after its warm-up: run in a process of its own."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+
+import numpy as np
+
+from zarm_contract.messages import Cuboid, HeldAxes, JointGoal, PoseGoal, Sphere, WaypointsGoal
+from zarm_contract.robot import load_robot
+from zarm_planner import kernels
+from zarm_planner.ends import Snapshot
+from zarm_planner.exact import ExactScene
+from zarm_planner.frames import pose_of
+from zarm_planner.motion import Limits
+from zarm_planner.pipeline import Options, plan
+from zarm_planner.robot_model import RobotModel
+from zarm_planner.stop import Stop
+from zarm_planner.warm_up import warm_up
+from zarm_planner.world import World
+
+
+def compiled() -> dict[str, int]:
+    """How often each kernel is compiled in this process."""
+    names = [f"{kernels.__name__}.{module.name}" for module in pkgutil.iter_modules(kernels.__path__)]
+    return {
+        f"{name}.{key}": len(value.signatures)
+        for name in names
+        for key, value in vars(importlib.import_module(name)).items()
+        if hasattr(value, "signatures")
+    }
+
+
+def every_kind_of_plan(model: RobotModel) -> None:
+    """To joints, to a pose, through waypoints, and with axes held; around an obstacle where there is one."""
+    home = np.array(model.robot.descriptor.home)
+    away = home + 0.8 * (np.arange(model.dof) == 0)
+    pose = pose_of(model.fk_tip(away))
+    to_joints = JointGoal(kind="joints", position=tuple(away.tolist()))
+    to_pose = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
+    through = WaypointsGoal(
+        kind="waypoints", through=(to_pose, JointGoal(kind="joints", position=tuple(home.tolist())))
+    )
+    x, y, z = model.fk_tip((home + away) / 2)[:3, 3].tolist()
+    post = Cuboid(kind="cuboid", name="post", position=(x, y, z + 0.05), size=(0.03, 0.03, 0.02))
+    ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 3.0), radius=0.1)
+    upright = HeldAxes(axes=(True, True, False, False, False, False), angle_tolerance=0.1)
+    for objects in ((), (ball, post)):
+        world = World(objects, 0.005)
+        snapshot = Snapshot(1, model, world, ExactScene(model, world))
+        for goal in (to_joints, to_pose, through):
+            for held in (None, upright):
+                plan(snapshot, home, goal, Options(Limits.of(model), held, 10, 0.05, 0), Stop(60.0))
+
+
+if __name__ == "__main__":
+    warm_up(RobotModel.of(load_robot("doosan_m1013")), lambda _: None)
+    before = compiled()
+    for robot in ("doosan_m1013", "panda"):
+        every_kind_of_plan(RobotModel.of(load_robot(robot)))
+    for name, count in compiled().items():
+        if count > before[name]:
+            sys.stdout.write(f"{name}\n")
