@@ -97,7 +97,7 @@ class RobotDescriptor(_Section):
 
     `joints` are the moving joints from `base_link` to `tip_link` in kinematic order; every joint vector of zarm follows
     it. `spheres` cover `collision` link by link: the first serve fast checks, the second are the exact geometry.
-    `interpolation_dt` (s) is the sample period of planned trajectories.
+    `interpolation_dt` (s) is the longest time between samples of planned trajectories.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
