@@ -41,6 +41,7 @@ from zarm_contract.messages import (
     Scene,
     SceneEdit,
     SceneEdited,
+    WaypointsGoal,
 )
 
 
@@ -81,6 +82,30 @@ def test_a_cancel_ends_the_planning_that_it_names(planner: Bus) -> None:
     thread.join(PATIENCE)
     assert [type(answer) for answer in answers] == [Cancelled]
     assert not cancel(planner, "in-vain")
+
+
+def test_a_cancel_ends_the_search_for_faster_motions_too(planner: Bus) -> None:
+    load(planner, POST)
+    through = (to_joints(*BEHIND_POST), to_joints(*HOME))
+    request = PlanRequest(
+        start=HOME,
+        goal=WaypointsGoal(kind="waypoints", through=through),
+        optimize_s=30.0,
+        timeout=60.0,
+        request_id="for-long",
+    )
+    answers: list[ZarmError] = []
+
+    def ask() -> None:
+        with pytest.raises(Cancelled) as caught:
+            plan(planner, request)
+        answers.append(caught.value)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    eventually(lambda: cancel(planner, "for-long"), "the planning has begun and is cancelled")
+    thread.join(PATIENCE)
+    assert len(answers) == 1
 
 
 def test_requests_that_wait_for_their_turn_can_be_cancelled_and_too_many_are_refused(planner: Bus) -> None:

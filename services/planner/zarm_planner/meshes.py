@@ -126,6 +126,10 @@ def _shapes(item: Mesh, content: bytes, field: str) -> Array:
     try:
         # From memory and without materials: so a file cannot make other files be read.
         loaded = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
+    except ImportError as error:  # text in an unknown encoding, which trimesh has a further package guess
+        raise refused(
+            f"{item.file} holds no triangles as {kind.upper()}, nor text in UTF-8; export it again"
+        ) from error
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise refused(f"{item.file} cannot be read as {kind.upper()}: {error}; export it again") from error
     faces = np.asarray(loaded.faces)

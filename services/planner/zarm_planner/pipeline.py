@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from zarm_contract.errors import DeadlineExceeded, PlanningFailed
+from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
 from zarm_contract.messages import Goal, HeldAxes, JointGoal, PlanTimings, PoseGoal, WaypointsGoal
 from zarm_planner.ends import End, Snapshot, goal_ends, start_end
 from zarm_planner.held import Held
@@ -71,7 +71,9 @@ def plan(snapshot: Snapshot, start: Array, goal: Goal, options: Options, stop: S
     verified, seed = _first(task, options, stop, watch)
     if options.optimize_s > 0.0:
         with watch.stage("optimize"):
-            verified = _fastest(task, verified, seed, stop, stop.sooner(options.optimize_s))
+            verified = _fastest(task, verified, seed, stop.sooner(options.optimize_s))
+        if stop.cancelled:
+            stop.check()
     return verified, watch.timings()
 
 
@@ -107,11 +109,10 @@ def _first(task: _Task, options: Options, stop: Stop, watch: Watch) -> tuple[Ver
     )
 
 
-def _fastest(task: _Task, best: Verified, seed: int, stop: Stop, budget: Stop) -> Verified:
+def _fastest(task: _Task, best: Verified, seed: int, budget: Stop) -> Verified:
     """The fastest among `best` and the motions found until `budget` is spent; further seeds lead to other routes."""
 
     def routes(number: int) -> tuple[Array, Sequence[int]] | None:
-        stop.check()
         try:
             route = task.route(seed + 1 + number, budget, Watch())
         except DeadlineExceeded:
@@ -122,13 +123,13 @@ def _fastest(task: _Task, best: Verified, seed: int, stop: Stop, budget: Stop) -
     least = least_duration(task.begin.asked, goals, task.limits, task.dt)
     faster_than = task.improvement(routes, seed)
     while best.motion.duration > (1.0 + GAIN) * least:
-        if (motion := faster_than(best.motion.duration, budget)) is None:
-            break
         try:
+            if (motion := faster_than(best.motion.duration, budget)) is None:
+                break
             best = task.verified(motion, budget)
         except VerificationFailed:
             continue
-        except DeadlineExceeded:
+        except (DeadlineExceeded, InvalidRequest):  # the second where a motion along a detour fits no message
             break
     return best
 

@@ -15,15 +15,22 @@ class Stop:
 
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
+        self._sooner: list[Stop] = []
         self.deadline = np.array([time.monotonic() + timeout])
 
     def sooner(self, timeout: float) -> Stop:
-        """A deadline of its own, `timeout` s from now and no later than this one's; a cancel of this one does not reach it."""
-        return Stop(min(timeout, float(self.deadline[0]) - time.monotonic()))
+        """A deadline `timeout` s from now and no later than this one's; a cancel of this one is one of that, too."""
+        stop = Stop(min(timeout, float(self.deadline[0]) - time.monotonic()))
+        self._sooner.append(stop)
+        if self.cancelled:
+            stop.cancel()
+        return stop
 
     def cancel(self) -> None:
         """End whatever runs under this deadline now."""
         self.deadline[0] = -math.inf
+        for stop in self._sooner:
+            stop.cancel()
 
     @property
     def cancelled(self) -> bool:
