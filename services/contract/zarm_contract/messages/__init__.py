@@ -5,6 +5,7 @@ descriptor; times of day are Unix seconds. Poses are of the descriptor's `tip_li
 """
 
 from zarm_contract._model import Message
+from zarm_contract.messages.driver import DriverCommand, DriverProgress
 from zarm_contract.messages.executor import (
     Accepted,
     CancelRequest,
@@ -101,6 +102,8 @@ __all__ = [
     "Cylinder",
     "DetachObject",
     "Device",
+    "DriverCommand",
+    "DriverProgress",
     "ExecuteRequest",
     "ExecutorState",
     "FkPoses",
