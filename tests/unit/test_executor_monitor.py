@@ -110,9 +110,9 @@ def test_a_driver_that_makes_no_progress_is_stopped_in_fault_long_before_the_all
     bench.arm.played = 0.0
     bench.run(EXECUTION.progress_timeout * 0.9)
     assert bench.machine.state().mode == "running"
-    began = bench.now
+    bench.until("stopping", patience=EXECUTION.progress_timeout * 0.2)
+    bench.arm.played = 1.0
     fails(bench, "driver_stalled", "progress_timeout 1 s")
-    assert bench.now - began < 2.0 + EXECUTION.settle_time
 
 
 def test_pauses_do_not_count_towards_the_allowed_duration(bench: Bench) -> None:
