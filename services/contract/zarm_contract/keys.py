@@ -140,6 +140,11 @@ class Keys:
         """JointState; published by the driver, joints in whatever order it has."""
         return self._key("driver", "joint_states")
 
+    @property
+    def simulated_fault(self) -> str:
+        """DriverFault -> Nothing; what a simulated driver is to suffer."""
+        return self._key("leeloo_sim", "fault")
+
     # robot and ghost
     @property
     def joint_states(self) -> str:

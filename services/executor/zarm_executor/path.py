@@ -113,6 +113,22 @@ class Path:
         rows: Array = powers @ self.coefficients[index]
         return rows
 
+    def sample(self, times: Array) -> Array:
+        """Position, velocity and acceleration (3, N, J) at N path times (N,) inside the path, as `at` gives them."""
+        index = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
+        step = self.steps[index]
+        u = (times - self.time[index]) / step
+        one, none = np.ones_like(u), np.zeros_like(u)
+        powers = np.array(
+            (
+                (one, u, u**2, u**3, u**4, u**5),
+                (none, one, 2 * u, 3 * u**2, 4 * u**3, 5 * u**4) / step,
+                (none, none, 2 * one, 6 * u, 12 * u**2, 20 * u**3) / step**2,
+            )
+        )
+        rows: Array = np.einsum("dkn,nkj->dnj", powers, self.coefficients[index])
+        return rows
+
     def shifted(self, offset: Array) -> Path:
         """The same motion with `offset` (J,) rad added to every position."""
         return Path(self.time, self.position + offset, self.velocity, self.acceleration)

@@ -5,7 +5,7 @@ descriptor; times of day are Unix seconds. Poses are of the descriptor's `tip_li
 """
 
 from zarm_contract._model import Message
-from zarm_contract.messages.driver import DriverCommand, DriverProgress
+from zarm_contract.messages.driver import DriverCommand, DriverFault, DriverProgress
 from zarm_contract.messages.executor import (
     Accepted,
     CancelRequest,
@@ -103,6 +103,7 @@ __all__ = [
     "DetachObject",
     "Device",
     "DriverCommand",
+    "DriverFault",
     "DriverProgress",
     "ExecuteRequest",
     "ExecutorState",

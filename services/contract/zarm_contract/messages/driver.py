@@ -52,3 +52,19 @@ class DriverProgress(Message):
 
     sequence: Annotated[int, Field(ge=1)]
     fraction: Annotated[float, Field(ge=0, le=1)]
+
+
+class DriverFault(Message):
+    """What a simulated driver suffers from now on, instead of before; what is left out is in order.
+
+    `stall`: it plays no further point, the robot stands and is reported. `drop`: the share of commands that get lost.
+    `delay`: s until a command is played. `silent`: it publishes nothing. `die`: its process ends, as by SIGKILL. `jump`:
+    the joints are this far (rad) elsewhere, once.
+    """
+
+    stall: bool = False
+    drop: Annotated[float, Field(ge=0, le=1)] = 0.0
+    delay: NonNegative = 0.0
+    silent: bool = False
+    die: bool = False
+    jump: Joints | None = None
