@@ -125,6 +125,21 @@ def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_pat
         assert bench.last().status == "succeeded"
 
 
+@pytest.mark.parametrize("case", MOVING[1:], ids=str)
+def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path: Folder) -> None:
+    bench = DriverBench(case, tmp_path)
+    bench.execute()
+    bench.run(0.7)
+    bench.stalled = True
+    bench.run(0.9)
+    bench.machine.cancel(None, "enough")
+    bench.run(0.1)
+    stood = bench.arm.position
+    bench.stalled = False
+    bench.run(3.0)
+    np.testing.assert_allclose(bench.arm.position, stood, atol=0.02)  # positions hold it on the path, not beside it
+
+
 # --- what is sent ---
 
 

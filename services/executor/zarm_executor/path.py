@@ -129,6 +129,12 @@ class Path:
         rows: Array = np.einsum("dkn,nkj->dnj", powers, self.coefficients[index])
         return rows
 
+    def nearest(self, position: Array, first: float, last: float) -> float:
+        """The path time from `first` to `last` s at which the path is nearest to `position` (J,), to 1 ms."""
+        times = np.append(np.arange(first, last, 0.001), last).clip(0.0, self.duration)
+        distance = np.abs(self.sample(times)[0] - position).max(axis=1)
+        return float(times[distance.argmin()])
+
     def shifted(self, offset: Array) -> Path:
         """The same motion with `offset` (J,) rad added to every position."""
         return Path(self.time, self.position + offset, self.velocity, self.acceleration)

@@ -17,6 +17,11 @@ from zarm_executor.stretch import Stretch
 log = logging.getLogger(__name__)
 
 
+_STILL = 5e-4
+_STANDING = 0.1
+"""A robot stands that has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
+
+
 class DriverLink:
     """Speaks to the driver that `params` describes. `joints` are the executor's; the driver has its own order of them.
 
@@ -38,6 +43,7 @@ class DriverLink:
         self._progress = bus.latest(keys.driver_progress, DriverProgress)
         self._sequence = 0
         self._measured: Measured | None = None
+        self._stood: Measured | None = None
         self._orders: dict[tuple[str, ...], list[int] | None] = {}
 
     # -- to the driver --
@@ -79,7 +85,16 @@ class DriverLink:
         order = self._order(state.joint_names)
         if order is not None:
             self._measured = Measured(np.array(state.position)[order], np.array(state.velocity)[order], at)
+            if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
+                self._stood = self._measured
         return self._measured
+
+    def standing(self) -> bool:
+        """Whether the robot stands, by its velocities and, as some drivers tell none, by its positions."""
+        measured = self.measured()
+        if measured is None or self._stood is None or measured.time - self._stood.time < _STANDING:
+            return False
+        return bool(np.all(np.abs(measured.velocity) <= self.execution.stopped_velocity))
 
     def fraction(self, sequence: int) -> float | None:
         """How much of the command `sequence` is played; None where the driver has said nothing about it."""

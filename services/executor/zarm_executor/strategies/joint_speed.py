@@ -33,7 +33,7 @@ class JointSpeed(Streaming):
     def start(self, path: Path) -> None:
         """Begin at the start of `path`, from rest."""
         super().start(path)
-        self._sent, self._before = self._sent[:0], np.zeros_like(self._before)
+        self._stands()
         self._leading_since, self._led = None, False
 
     def _send(self, ahead: Stretch, now: float, played: int) -> bool:
@@ -43,6 +43,9 @@ class JointSpeed(Streaming):
         self.link.send(Stretch(ahead.dt, ahead.time, ahead.speed, ahead.position, velocity, acceleration))
         self._before, self._sent = base, velocity
         return not velocity.any()
+
+    def _stands(self) -> None:
+        self._sent, self._before = self._sent[:0], np.zeros_like(self._before)
 
     def _playing(self, played: int) -> Array:
         """The velocity (J,) that the driver plays now; without points left it has stopped the robot."""

@@ -16,7 +16,7 @@ _WINDOW = 0.5
 _OVERRUN = 0.3
 """How far (s of the path) before and behind the braking that was commanded the robot may have come to rest."""
 _HOLD_PERIOD = 0.1
-"""A robot that moves on although it was stopped is told to stop again this often, s."""
+"""A robot that was stopped is told so again this often (s) until it stands."""
 
 
 class JointTrajectory(DriverStrategy):
@@ -40,6 +40,7 @@ class JointTrajectory(DriverStrategy):
         self._braking = False
         self._unsent = False
         self._resuming = False
+        self._emptied = False
 
     def start(self, path: Path) -> None:
         """Have the whole of `path` played from the next tick on."""
@@ -66,8 +67,11 @@ class JointTrajectory(DriverStrategy):
             return  # nobody knows what the driver is braking through
         self._braking = False
         if self._index == command.last:
-            standing = self._standing(path, command)
-            self._play(Follower(path, self.link.acceleration_limit, time=standing, speed=0.0))
+            # Where the robot came to rest is not just where it should have: the driver was on its way.
+            measured, time = self.link.measured(), float(command.time[-1])
+            if measured is not None:
+                time = path.nearest(measured.position, command.time[0] - _OVERRUN, time + _OVERRUN)
+            self._play(Follower(path, self.link.acceleration_limit, time=time, speed=0.0))
             self._lead_back()
         else:
             time, speed, _ = command.at(self._clock + 1.0)
@@ -79,7 +83,8 @@ class JointTrajectory(DriverStrategy):
         if command is None:
             return
         if self._unsent:
-            empty = self._braking and self.link.params.stop == "empty"
+            # A robot that stands already must not begin to move in order to brake.
+            empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
             self._sequence = self.link.stop() if empty else self.link.send(command)
             self._sent_at = self._held_at = now
             self._unsent = False
@@ -104,6 +109,7 @@ class JointTrajectory(DriverStrategy):
         self._command = follower.ahead(self.link.params.point_dt)
         self._index = self._clock = 0.0
         self._unsent = True
+        self._emptied = False
 
     def _reached(self, command: Stretch) -> float:
         """The index of the point that the robot has reached."""
@@ -128,15 +134,6 @@ class JointTrajectory(DriverStrategy):
         about = distance.min() + self.link.execution.goal_tolerance / 2
         return float(begin + np.flatnonzero(distance <= about)[-1])
 
-    def _standing(self, path: Path, braking: Stretch) -> float:
-        """The path time where the robot came to rest: not just where it should have, for the driver was on its way."""
-        measured = self.link.measured()
-        if measured is None:
-            return float(braking.time[-1])
-        times = np.arange(braking.time[0] - _OVERRUN, braking.time[-1] + _OVERRUN, 0.001).clip(0.0, path.duration)
-        distance = np.abs(path.sample(times)[0] - measured.position).max(axis=1)
-        return float(times[distance.argmin()])
-
     def _lead_back(self) -> None:
         """A robot that braked by itself stands beside the path: before the rest of the path comes the way back to it."""
         measured, command = self.link.measured(), self._command
@@ -157,10 +154,13 @@ class JointTrajectory(DriverStrategy):
         )
 
     def _hold(self, now: float) -> None:
-        """Stop a robot that was stopped and still moves: the driver may not have heard of it, as while a link was cut."""
-        measured, execution = self.link.measured(), self.link.execution
-        if measured is None or now - measured.time > execution.joint_state_timeout:
+        """After braking: empty the driver, and again while the robot moves.
+
+        It may not have heard of the stop, as while a link was cut, or still have points that it has not come to.
+        """
+        if self.link.standing() and self._emptied:
             return
-        if now - self._held_at >= _HOLD_PERIOD and np.any(np.abs(measured.velocity) > execution.stopped_velocity):
+        if now - self._held_at >= _HOLD_PERIOD:
             self._held_at = now
+            self._emptied = self.link.standing()
             self.link.stop()

@@ -19,6 +19,8 @@ from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.reference import Commanded, Reference
 from zarm_executor.stretch import Stretch
 
+_BEHIND = 1.0
+"""How far (s of the path) behind the commanded motion a robot that stands is looked for."""
 _OFF_GRID = 0.3
 """A chunk that cannot wait is sent when the driver is at most this share of a point from beginning the next one."""
 
@@ -51,6 +53,9 @@ class Streaming(DriverStrategy):
         """Whether the robot is where it should be at the end of the path, as far as this strategy can do anything."""
         return True
 
+    def _stands(self) -> None:
+        """The robot stands, whatever was sent."""
+
     # -- what the state machine asks --
 
     def start(self, path: Path) -> None:
@@ -62,9 +67,11 @@ class Streaming(DriverStrategy):
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""
-        if self._follower is not None and self._follower.target != 0.0:
-            self._follower.target = 0.0
-            self._urgent = True
+        follower = self._follower
+        if follower is None or follower.target == 0.0:
+            return
+        follower.target = 0.0
+        self._urgent = True
 
     def resume(self) -> None:
         """Let the path speed rise to 1."""
@@ -79,6 +86,8 @@ class Streaming(DriverStrategy):
             return
         if self._sent_at is not None:
             follower.advance(dt)
+            if follower.target == 0.0 and not follower.settled and self.link.standing():
+                follower = self._halted(follower)
         self._reference.note(now, follower)
         self._expected = self._reference.at(now - self._delay)
         if self._due(now):
@@ -93,6 +102,15 @@ class Streaming(DriverStrategy):
         if follower is None or expected is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         return Progress(expected.time, expected.speed, expected.position, follower.finished and self._over)
+
+    def _halted(self, follower: Follower) -> Follower:
+        """A robot that stands already must not begin to move in order to brake: the motion is held where it stands."""
+        measured, time = self.link.measured(), follower.time
+        if measured is not None:
+            time = follower.path.nearest(measured.position, time - _BEHIND, time)
+        self._follower = Follower(follower.path, self.link.acceleration_limit, time=time, speed=0.0, target=0.0)
+        self._stands()
+        return self._follower
 
     def _due(self, now: float) -> bool:
         if self._sent_at is None:
