@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
 from driven import FAR, LIMIT, THERE, Driven, driven
-from harness import eventually
-from motions import KEYS
+from harness import eventually, free_endpoint
+from motions import KEYS, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.messages import DriverFault
+from zarm_contract.session import open_router
+from zarm_executor.machine import STALL_LIMIT
 
 STREAMED, WHOLE = "joint_speed", "joint_trajectory"
 
@@ -105,8 +111,45 @@ def test_an_executor_killed_in_motion_comes_back_and_the_robot_rests_and_stays(m
         moving.works_again()
 
 
+def test_an_executor_frozen_in_motion_leaves_the_robot_at_rest_and_is_in_fault_when_it_goes_on(moving: Driven) -> None:
+    process = moving.executor.process
+    os.kill(process.pid, signal.SIGSTOP)
+    try:
+        time.sleep(1.2 * STALL_LIMIT)  # how long it is frozen is what is tested
+        if moving.strategy == STREAMED:
+            moving.at_rest()  # without the executor: the points have run out; a whole trajectory is played on
+    finally:
+        os.kill(process.pid, signal.SIGCONT)
+    moving.fault("driver_stalled")
+    assert np.max(np.abs(moving.at_rest() - FAR)) > 0.01
+    moving.works_again()
+
+
 @pytest.mark.parametrize("robot", [STREAMED], indirect=True)
 def test_some_lost_chunks_do_no_harm(robot: Driven) -> None:
     robot.suffer(DriverFault(drop=0.2))
     assert robot.client.ended(robot.client.execute(THERE)).status == "succeeded"
     np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
+
+
+@pytest.mark.parametrize("strategy", [STREAMED, WHOLE])
+def test_without_a_router_the_robot_comes_to_rest_and_stays_at_rest_when_it_is_back(
+    tmp_path: Path, strategy: str
+) -> None:
+    endpoint = free_endpoint()
+    with ExitStack() as stack:
+        first = stack.enter_context(ExitStack())
+        first.enter_context(open_router(endpoint))
+        bus = stack.enter_context(Bus(endpoint))
+        robot = stack.enter_context(driven(bus, endpoint, tmp_path, strategy))
+        goal_id = robot.client.execute(rest_to_rest(FAR, slower=6.0))
+        robot.client.under_way(goal_id, 0.1)
+        first.close()
+        eventually(lambda: "mode=fault" in robot.executor.output(), "the executor has noticed")
+        assert "reason=driver_stalled" in robot.executor.output()
+        stack.enter_context(open_router(endpoint))
+        seen = len(robot.told)
+        eventually(lambda: len(robot.told) > seen and not any(robot.told[-1].velocity), "the arm is told to stand")
+        assert np.max(np.abs(robot.at_rest() - FAR)) > 0.05
+        robot.fault("driver_stalled")
+        robot.works_again()
