@@ -132,6 +132,11 @@ class DriverBench:
             if self._sequence:
                 self.progress.newest = DriverProgress(sequence=self._sequence, fraction=self.arm.fraction), self.now
 
+    def freeze(self, seconds: float) -> None:
+        """Let time pass in which nobody runs the machine."""
+        for _ in range(round(seconds / TICK)):
+            self._arm_step()
+
     def tick(self) -> None:
         self._arm_step()
         measured = self.machine.tick(self.now)

@@ -11,6 +11,7 @@ from driver_bench import MOVING, Case, DriverBench, distance_from
 from motions import HOME, moved
 
 from zarm_contract.errors import Unavailable
+from zarm_executor.machine import STALL_LIMIT
 
 FAR = moved(1.0, -0.5, 0.3)
 LIMIT = 1.2
@@ -125,6 +126,16 @@ def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_pat
         assert bench.last().status == "succeeded"
 
 
+@pytest.mark.parametrize("after", [0.02, 0.7, 1.5, 2.38])
+def test_a_control_loop_that_was_away_in_motion_ends_in_fault_at_rest(bench: DriverBench, after: float) -> None:
+    bench.execute()
+    bench.run(after)
+    bench.freeze(STALL_LIMIT + 0.5)
+    bench.until("fault", patience=4.0)
+    assert bench.last().status == "aborted"
+    assert bench.rests()
+
+
 @pytest.mark.parametrize("case", MOVING[1:], ids=str)
 def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)
@@ -185,8 +196,7 @@ def test_a_streamed_robot_whose_chunks_stop_coming_comes_to_rest_by_itself(tmp_p
     bench = DriverBench(Case("joint_speed"), tmp_path)
     bench.execute()
     bench.run(1.2)
-    for _ in range(200):  # the executor is dead: nobody ticks
-        bench._arm_step()
+    bench.freeze(2.0)
     assert not bench.arm.velocity.any()
 
 

@@ -39,26 +39,24 @@ class JointTrajectory(DriverStrategy):
         self._clock = 0.0
         self._braking = False
         self._unsent = False
+        self._stopping = False
         self._resuming = False
         self._emptied = False
 
     def start(self, path: Path) -> None:
         """Have the whole of `path` played from the next tick on."""
         self._path = path
-        self._braking = self._resuming = False
+        self._braking = self._stopping = self._resuming = False
         self._play(Follower(path, self.link.acceleration_limit))
 
     def stop(self) -> None:
-        """Have the robot brake from where it will be when the driver learns of it, one point ahead."""
+        """Have the robot brake along the path, from the next tick on."""
         self._resuming = False
-        if self._path is None or self._command is None or self._braking:
-            return
-        time, speed, _ = self._command.at(self._index if self._unsent else self._index + 1.0)
-        self._braking = True
-        self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
+        self._stopping = self._command is not None and not self._braking
 
     def resume(self) -> None:
         """Have the rest of the path played, from where the robot came to rest or from what it is braking through."""
+        self._stopping = False
         path, command = self._path, self._command
         if path is None or command is None or not self._braking:
             return
@@ -78,20 +76,18 @@ class JointTrajectory(DriverStrategy):
             self._play(Follower(path, self.link.acceleration_limit, time=time, speed=speed))
 
     def tick(self, now: float, dt: float) -> None:
-        """Send what is to be played, and see how far the driver is with it."""
+        """See how far the driver is, and send what is to be played next."""
         command = self._command
         if command is None:
             return
+        if not self._unsent:
+            self._clock = (now - self._sent_at) / command.dt
+            self._index = min(max(self._index, self._reached(command, dt)), command.last)
+        if self._stopping:
+            self._brake(command)
         if self._unsent:
-            # A robot that stands already must not begin to move in order to brake.
-            empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
-            self._sequence = self.link.stop() if empty else self.link.send(command)
-            self._sent_at = self._held_at = now
-            self._unsent = False
-            return
-        self._clock = (now - self._sent_at) / command.dt
-        self._index = min(max(self._index, self._reached(command)), command.last)
-        if self._braking and self._index == command.last:
+            self._transmit(now)
+        elif self._braking and self._index == command.last:
             if self._resuming:
                 self.resume()
             else:
@@ -105,18 +101,35 @@ class JointTrajectory(DriverStrategy):
         time, speed, position = command.at(self._index)
         return Progress(time, speed, position, finished=time >= path.duration)
 
+    def _brake(self, command: Stretch) -> None:
+        """Brake from where the robot will be when the driver learns of it, one point ahead."""
+        self._stopping = False
+        self._braking = True
+        time, speed, _ = command.at(self._index if self._unsent else self._index + 1.0)
+        if self._path is not None:
+            self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
+
+    def _transmit(self, now: float) -> None:
+        if self._command is None:
+            return
+        # A robot that stands already must not begin to move in order to brake.
+        empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
+        self._sequence = self.link.stop() if empty else self.link.send(self._command)
+        self._sent_at = self._held_at = now
+        self._unsent = False
+
     def _play(self, follower: Follower) -> None:
         self._command = follower.ahead(self.link.params.point_dt)
         self._index = self._clock = 0.0
         self._unsent = True
         self._emptied = False
 
-    def _reached(self, command: Stretch) -> float:
+    def _reached(self, command: Stretch, dt: float) -> float:
         """The index of the point that the robot has reached."""
         if self._braking:
             return self._clock - self.link.params.delay / command.dt
         if self.link.params.state_topic is None:
-            window = _WINDOW / command.dt
+            window = max(_WINDOW, dt) / command.dt
             return self._nearest(self._index - window, min(self._index + window, self._clock))
         fraction = None if self._sequence is None else self.link.fraction(self._sequence)
         return 0.0 if fraction is None else fraction * len(command.time) - 1.0

@@ -121,7 +121,10 @@ class Streaming(DriverStrategy):
 
     def _caught_up(self) -> bool:
         """Whether the robot has had the time to come to rest as well."""
-        return self._expected is not None and self._follower is not None and self._expected.time == self._follower.time
+        expected, follower = self._expected, self._follower
+        return (
+            expected is not None and follower is not None and expected.time == follower.time and expected.speed == 0.0
+        )
 
     def _may_end(self) -> bool:
         return self._follower is not None and (self._follower.target == 0.0 or self._arrived())
