@@ -48,11 +48,14 @@ class JointSpeed(Streaming):
         self._sent, self._before = self._sent[:0], np.zeros_like(self._before)
 
     def _playing(self, played: int) -> Array:
-        """The velocity (J,) that the driver plays now; without points left it has stopped the robot."""
+        """The velocity (J,) that the driver plays now; without points left it is braking, or has stopped the robot."""
         if played == 0:
             return self._before
-        rest: Array = np.zeros_like(self._before)
-        return self._sent[played - 1] if played <= len(self._sent) else rest
+        if played <= len(self._sent):
+            velocity: Array = self._sent[played - 1]
+            return velocity
+        measured = self.link.measured()
+        return np.zeros_like(self._before) if measured is None else measured.velocity
 
     def _correction(self, ahead: Stretch, now: float) -> Array:
         """What is added to the velocities (N, J); it dies away over the chunk as the error does."""
