@@ -21,6 +21,8 @@ from zarm_executor.stretch import Stretch
 
 _BEHIND = 1.0
 """How far (s of the path) behind the commanded motion a robot that stands is looked for."""
+_SLOPE = 1e-6
+"""Squared speed of a path, (rad/s)^2, below which it tells nothing about the path speed of a robot on it."""
 _OFF_GRID = 0.3
 """A chunk that cannot wait is sent when the driver is at most this share of a point from beginning the next one."""
 
@@ -37,7 +39,8 @@ class Streaming(DriverStrategy):
         self._dt, self._period, self._delay = params.point_dt, params.chunk_period, params.delay
         self._count = round((params.chunk_period + params.look_ahead) / params.point_dt)
         self._follower: Follower | None = None
-        self._reference = Reference(0.0)
+        self._memory = self._delay + self.link.execution.joint_state_timeout + CATCH_UP
+        self._reference = Reference(self._memory)
         self._expected: Commanded | None = None
         self._sent_at: float | None = None
         self._urgent = False
@@ -61,7 +64,7 @@ class Streaming(DriverStrategy):
     def start(self, path: Path) -> None:
         """Begin at the start of `path`."""
         self._follower = Follower(path, self.link.acceleration_limit)
-        self._reference = Reference(self._delay + self.link.execution.joint_state_timeout + CATCH_UP)
+        self._reference = Reference(self._memory)
         self._expected = Commanded(0.0, 0.0, 0.0, path.start)
         self._sent_at, self._over = None, False
 
@@ -85,7 +88,10 @@ class Streaming(DriverStrategy):
         if follower is None or self._over:
             return
         if self._sent_at is not None:
-            follower.advance(dt)
+            if dt > CATCH_UP:
+                follower = self._picked_up(follower, now, dt)
+            else:
+                follower.advance(dt)
             if follower.target == 0.0 and not follower.settled and self.link.standing():
                 follower = self._halted(follower)
         self._reference.note(now, follower)
@@ -102,6 +108,28 @@ class Streaming(DriverStrategy):
         if follower is None or expected is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         return Progress(expected.time, expected.speed, expected.position, follower.finished and self._over)
+
+    def _picked_up(self, follower: Follower, now: float, dt: float) -> Follower:
+        """After a pause in which nothing was sent: the motion goes on from where, and as fast as, the robot moves by now.
+
+        It went on with the points that it had and then braked, so that it is neither where it was commanded last nor where
+        it would be without the pause.
+        """
+        measured, path = self.link.measured(), follower.path
+        if measured is None:
+            follower.advance(dt)
+            return follower
+        time = path.nearest(measured.position, follower.time - _BEHIND, follower.time + dt)
+        slope = path.at(time)[1]
+        length = float(slope @ slope)
+        speed = min(max(float(slope @ measured.velocity) / length, 0.0), 1.0) if length > _SLOPE else 0.0
+        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=follower.target)
+        self._reference = Reference(self._memory)
+        self._reference.note(now - self._delay, follower)
+        for _ in range(round(self._delay / TICK)):
+            follower.advance(TICK)
+        self._follower = follower
+        return follower
 
     def _halted(self, follower: Follower) -> Follower:
         """A robot that stands already must not begin to move in order to brake: the motion is held where it stands."""
