@@ -182,8 +182,6 @@ class DriverBench:
         """The greatest change of the velocity that the arm was commanded, rad/s^2; of the emulated one that it had."""
         if self.case.strategy == "emulator":
             return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)))) / TICK**2
-        if self.case.plays == "position":
-            return float(np.max(np.abs(np.diff(self.feeds[::2], axis=0)))) / (2 * TICK)
         return float(np.max(np.abs(np.diff(self.feeds[::2], axis=0)))) / (2 * TICK)
 
     def rests(self, seconds: float = 1.0) -> bool:

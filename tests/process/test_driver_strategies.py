@@ -18,6 +18,7 @@ from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
+from zarm_contract.session import open_client
 
 EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "zenoh_driver.py"
 
@@ -107,6 +108,25 @@ def test_an_executor_that_is_to_start_with_a_driver_waits_for_it(bus: Bus, endpo
             driver.wait_ready(bus, KEYS)
             process.wait_ready(bus, KEYS)
             assert Client(bus).state().strategy == "joint_speed"
+
+
+def test_noise_on_the_keys_of_the_driver_does_no_harm(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    noise = [
+        b"{",
+        b"\xff\xfe\x00",
+        b"[" * 100_000,
+        b'{"stamp": 0, "joint_names": ["joint_1"], "position": [NaN], "velocity": [0]}',
+        b'{"stamp": 0, "joint_names": ["joint_1"], "position": [1], "velocity": [0]}',
+        b'{"sequence": 1, "fraction": 2}',
+        b'{"sequence": 999999, "fraction": 1}',
+    ]
+    with driven(bus, endpoint, tmp_path, "joint_speed") as robot, open_client(endpoint) as session:
+        goal_id = robot.client.execute(THERE)
+        for payload in noise * 5:
+            for key in (KEYS.driver_joint_states, KEYS.driver_progress):
+                session.put(key, payload)
+        assert robot.client.ended(goal_id).status == "succeeded"
+        np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
 
 
 @contextmanager

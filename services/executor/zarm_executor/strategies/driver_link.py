@@ -11,6 +11,7 @@ from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import RobotDescriptor, StrategyParams
+from zarm_executor.path import Array
 from zarm_executor.strategies.base import Measured
 from zarm_executor.stretch import Stretch
 
@@ -88,6 +89,12 @@ class DriverLink:
             if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
                 self._stood = self._measured
         return self._measured
+
+    def velocity(self) -> Array:
+        """The measured velocities (J,), whatever the driver tells never outside those that it is sent."""
+        measured = self.measured()
+        told = np.zeros_like(self.velocity_clamp) if measured is None else measured.velocity
+        return np.clip(told, -self.velocity_clamp, self.velocity_clamp)
 
     def standing(self) -> bool:
         """Whether the robot stands, by its velocities and, as some drivers tell none, by its positions."""

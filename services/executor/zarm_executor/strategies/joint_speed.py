@@ -54,8 +54,7 @@ class JointSpeed(Streaming):
         if played <= len(self._sent):
             velocity: Array = self._sent[played - 1]
             return velocity
-        measured = self.link.measured()
-        return np.zeros_like(self._before) if measured is None else measured.velocity
+        return self.link.velocity()
 
     def _correction(self, ahead: Stretch, now: float) -> Array:
         """What is added to the velocities (N, J); it dies away over the chunk as the error does."""

@@ -122,7 +122,7 @@ class Streaming(DriverStrategy):
         time = path.nearest(measured.position, follower.time - _BEHIND, follower.time + dt)
         slope = path.at(time)[1]
         length = float(slope @ slope)
-        speed = min(max(float(slope @ measured.velocity) / length, 0.0), 1.0) if length > _SLOPE else 0.0
+        speed = min(max(float(slope @ self.link.velocity()) / length, 0.0), 1.0) if length > _SLOPE else 0.0
         follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=follower.target)
         self._reference = Reference(self._memory)
         self._reference.note(now - self._delay, follower)
