@@ -195,6 +195,19 @@ EXAMPLES: tuple[Message, ...] = (
     _EMULATOR,
     m.Strategies(active="emulator", strategies=(_EMULATOR,)),
     m.StrategyRequest(strategy="joint_speed"),
+    # driver
+    m.DriverCommand(
+        sequence=7,
+        joint_names=("elbow", "shoulder"),
+        time=(0.0, 0.02),
+        position=((-0.2, 0.1), (-0.21, 0.106)),
+        velocity=((-0.5, 0.3), (-0.5, 0.3)),
+        acceleration=((-0.125, 0.25), (0.0, 0.0)),
+    ),
+    m.DriverCommand(sequence=8, joint_names=("elbow", "shoulder"), time=(0.0,), position=((-0.2, 0.1),)),
+    m.DriverCommand(sequence=9, joint_names=("elbow", "shoulder")),
+    m.DriverProgress(sequence=7, fraction=0.5),
+    m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2)),
     # every service
     m.Nothing(),
     m.Health(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -232,6 +233,9 @@ def test_the_newest_message_is_kept_and_knows_its_age(bus: Bus, other: Bus, real
     for stamp in (1.0, 2.0):
         eventually(lambda stamp=stamp: arrived(stamp), "the message arrives")
     assert latest.get() == stamped(2.0)
+    message, at = latest.received()
+    assert message == stamped(2.0)
+    assert time.monotonic() - PATIENCE < at < time.monotonic()
     assert latest.get(max_age=0.0) is None
 
 

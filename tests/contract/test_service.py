@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -139,6 +140,26 @@ def test_of_two_that_start_at_once_exactly_one_stays(start: Start, bus: Bus) -> 
 def service(bus: Bus, descriptor: Path, instance: str) -> Service:
     """A service that is only made, in this process."""
     return Service("minimal", load_robot(str(descriptor)), KEYS, bus, argparse.Namespace(), instance=instance)
+
+
+def test_of_two_owners_that_meet_the_younger_knows_and_ends(start: Start, bus: Bus, pendulum: Path) -> None:
+    """As after a router that was away: neither saw the other when it claimed the robot."""
+    process = start()
+    owner = eventually(lambda: health(bus), "it is ready")
+    bus.declare_alive(KEYS.alive("minimal", "f" * 15))  # a younger one does not disturb it
+    assert service(bus, pendulum, owner.instance).older_owner() is None
+    assert process.poll() is None
+    bus.declare_alive(KEYS.alive("minimal", "0" * 15))
+    code, log = ended(process)
+    assert code == 1
+    assert "already on this bus (instance 000000000000000)" in log[-1]
+
+
+def test_an_instance_sorts_by_the_time_of_its_start(bus: Bus, pendulum: Path) -> None:
+    robot = load_robot(str(pendulum))
+    first = Service("minimal", robot, KEYS, bus, argparse.Namespace())
+    time.sleep(0.002)
+    assert first.instance < Service("minimal", robot, KEYS, bus, argparse.Namespace()).instance
 
 
 def test_whoever_is_refused_never_shows_a_token(endpoint: str, pendulum: Path) -> None:

@@ -198,3 +198,31 @@ def test_without_a_router_the_motion_goes_on_to_its_end_and_is_seen_again_later(
         eventually(seen_again, "the goal is seen again")
         np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
         assert client.ended(client.execute(rest_to_rest(moved(1.4, -0.5), moved(1.5, -0.5)))).status == "succeeded"
+
+
+def test_of_two_executors_that_meet_after_a_router_was_away_the_younger_stops_its_robot_and_ends(
+    tmp_path: Path,
+) -> None:
+    endpoint = free_endpoint()
+    with ExitStack() as stack:
+        first = stack.enter_context(ExitStack())
+        first.enter_context(open_router(endpoint))
+        (tmp_path / "older").mkdir()
+        (tmp_path / "younger").mkdir()
+        older = stack.enter_context(ServiceProcess("executor", endpoint, tmp_path / "older"))
+        client = Client(stack.enter_context(Bus(endpoint)))
+        older.wait_ready(client.bus, KEYS)
+        os.kill(older.process.pid, signal.SIGSTOP)  # so that it is not back before the other one has started
+        first.close()
+        stack.enter_context(open_router(endpoint))
+        younger = stack.enter_context(ServiceProcess("executor", endpoint, tmp_path / "younger"))
+        younger.wait_ready(client.bus, KEYS)
+        goal_id = client.execute(SLOW)
+        client.under_way(goal_id)
+        os.kill(older.process.pid, signal.SIGCONT)
+        assert younger.process.wait(PATIENCE) == 1
+        assert "already on this bus" in younger.output()
+        assert f"goal_id={goal_id} status=cancelled" in younger.output()
+        older.wait_ready(client.bus, KEYS)
+        assert older.process.poll() is None
+        assert client.ended(client.execute(rest_to_rest(moved(0.1)))).status == "succeeded"

@@ -52,6 +52,15 @@ def test_a_second_robot_joins_the_bus_under_another_name(up: Up, tmp_path: Path)
         assert json.loads(chosen.stdout)["robot"] == "left"
 
 
+def test_a_simulated_driver_is_started_where_it_is_asked_for(tmp_path: Path) -> None:
+    with Up(free_endpoint(), tmp_path, "--driver", "sim", "--strategy", "joint_speed") as up:
+        assert "joint_speed" in up.output()
+        moved = zarm("execute", "--joints", "0.2,0,1.570796,0,1.570796,0", ZARM_CONNECT=up.endpoint)
+        assert moved.returncode == 0, moved.stderr
+        with Bus(up.endpoint) as bus:
+            assert "leeloo_sim" in {service for _, service, _ in bus.alive(ALL_ALIVE)}
+
+
 def test_ctrl_c_stops_the_executor_then_the_planner_and_leaves_no_process(tmp_path: Path) -> None:
     with Up(free_endpoint(), tmp_path) as up:
         assert len(up.family()) > len(SERVICES)

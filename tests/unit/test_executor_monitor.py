@@ -104,6 +104,17 @@ def test_a_motion_that_takes_too_long_is_stopped_in_fault(bench: Bench) -> None:
     fails(bench, "driver_stalled", "more than allowed")
 
 
+def test_a_driver_that_makes_no_progress_is_stopped_in_fault_long_before_the_allowed_duration(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.played = 0.0
+    bench.run(EXECUTION.progress_timeout * 0.9)
+    assert bench.machine.state().mode == "running"
+    bench.until("stopping", patience=EXECUTION.progress_timeout * 0.2)
+    bench.arm.played = 1.0
+    fails(bench, "driver_stalled", "progress_timeout 1 s")
+
+
 def test_pauses_do_not_count_towards_the_allowed_duration(bench: Bench) -> None:
     bench.execute()
     for _ in range(10):

@@ -10,7 +10,7 @@ import pytest
 from covers import contains
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.robot import ROBOTS, CSpace, Execution, RobotDescriptor, load_robot
+from zarm_contract.robot import ROBOTS, CSpace, Execution, RobotDescriptor, StrategyParams, load_robot
 
 
 @pytest.fixture
@@ -63,6 +63,13 @@ LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
         ("  - [link_4, link_6]", "  - [link_4]", "", "self_collision_ignore.12.1: Field required; robots/README.md explains what to write here"),
         (LINK_6, LINK_6.replace("sphere", "ball"), "", "collision.link_6.0: Input tag 'ball' found using 'kind' does not match any of the expected tags: 'sphere', 'capsule', 'cylinder', 'cuboid'"),
         (LINK_6, LINK_6.replace("kind: sphere, ", ""), "", "collision.link_6.0: Unable to extract tag using discriminator 'kind'; write kind: sphere, capsule, cylinder or cuboid"),
+        ("  state_topic: /leeloo", "  state_topik: /leeloo", "", "strategy_params.state_topik: Extra inputs are not permitted; did you mean state_topic?"),
+        ("  command_topic: /leeloo/execute_trajectory\n", "", "strategy_params:", "strategy_params.command_topic: Field required; robots/README.md explains what to write here"),
+        ("  joint_order: [joint_1, joint_2", "  joint_order: [joint_1, joint_1", "", "strategy_params.joint_order: name each of joint_1, joint_2, joint_3, joint_4, joint_5, joint_6 once, in the order of the driver"),
+        ("  acceleration: [1.2, ", "  acceleration: [", "", "strategy_params.acceleration: 5 values for 6 joints"),
+        ("  point_dt: 0.02", "  point_dt: 0.03", "strategy_params:", "strategy_params.chunk_period: 0.08 s is no whole number of points; use a multiple of point_dt 0.03 s"),
+        ("  point_dt: 0.02", "  gain: 10", "", "strategy_params.gain: the robot would swing, because 10/s times delay and chunk_period is more than 1; use at most 7.14"),
+        ("  strategies: [joint_speed, ", "  strategies: [joint_force, ", "", "strategy_params.strategies.0: Input should be 'joint_speed', 'joint_pose' or 'joint_trajectory'"),
         ("urdf: doosan_m1013.urdf", "urdf: m1013.urdf", "", "urdf: cannot read the URDF {folder}/m1013.urdf: no such file; the path is relative to the descriptor's folder"),
     ],
 )  # fmt: skip
@@ -140,8 +147,8 @@ def test_several_faults_of_a_descriptor_are_reported_together(arm: Path) -> None
 def test_wrong_counts_are_reported_together(arm: Path) -> None:
     edit(arm, JOINTS, JOINTS.replace(", joint_6", ""))
     said = [re.sub(r"^.*?:\d+: ", "", fault) for fault in faults(arm)]
-    keys = ("home", "cspace.velocity", "cspace.acceleration", "cspace.jerk")
-    assert said == [f"{key}: 6 values for 5 joints" for key in keys]
+    keys = ("home", "cspace.velocity", "cspace.acceleration", "cspace.jerk", "strategy_params.acceleration")
+    assert [fault for fault in said if " values " in fault] == [f"{key}: 6 values for 5 joints" for key in keys]
 
 
 def test_several_faults_of_a_urdf_are_reported_together(arm: Path) -> None:
@@ -193,11 +200,12 @@ def keys_of(table_after: str) -> list[str]:
 
 
 def test_the_readme_explains_every_key() -> None:
-    def under(section: str, model: type[CSpace | Execution]) -> list[str]:
+    def under(section: str, model: type[CSpace | Execution | StrategyParams]) -> list[str]:
         return [f"{section}.{key}" for key in model.model_fields]
 
     fields = [key for key in RobotDescriptor.model_fields if key not in ("cspace", "execution")]
-    assert sorted(keys_of("The keys")) == sorted(fields + under("cspace", CSpace) + under("execution", Execution))
+    fields += under("cspace", CSpace) + under("execution", Execution) + under("strategy_params", StrategyParams)
+    assert sorted(keys_of("The keys")) == sorted(fields)
 
 
 def test_the_readme_lists_every_robot() -> None:

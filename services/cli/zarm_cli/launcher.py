@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +27,12 @@ from zarm_contract.session import DEFAULT_ENDPOINT, open_router
 
 SERVICES = ("planner", "executor")
 """In the order in which they start; they stop the other way round, so that the robot comes to rest first."""
+
+
+class Driver(StrEnum):
+    """What is behind the strategies that need a driver, where `zarm up` starts it."""
+
+    sim = "sim"
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,7 @@ def launch(
     *,
     name: str | None = None,
     strategy: str | None = None,
+    driver: Driver | None = None,
     connect: str | None = None,
     listen: str = DEFAULT_ENDPOINT,
     state: Path,
@@ -86,7 +94,9 @@ def launch(
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
+    simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", arguments)} if driver is Driver.sim else {}
     programs = {
+        **simulated,  # before the executor, which may wait for it
         "planner": ("zarm_planner.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
     }
@@ -130,6 +140,9 @@ def up(
     strategy: Annotated[
         str | None, typer.Option(help="Control strategy to start with; left out: the descriptor's.")
     ] = None,
+    driver: Annotated[
+        Driver | None, typer.Option(help="Start a simulated driver as well, for the strategies that need one.")
+    ] = None,
     connect: Annotated[
         str | None, typer.Option(envvar="ZARM_CONNECT", help="Join the router at this endpoint instead of running one.")
     ] = None,
@@ -157,6 +170,7 @@ def up(
             robot,
             name=name,
             strategy=strategy,
+            driver=driver,
             connect=connect,
             listen=listen or DEFAULT_ENDPOINT,
             state=state or default_state(),

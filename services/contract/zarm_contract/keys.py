@@ -124,6 +124,27 @@ class Keys:
         """ExecutorState; latched."""
         return self._key("executor", "state")
 
+    # driver: what a robot's driver takes from the executor, and tells it
+    @property
+    def driver_command(self) -> str:
+        """DriverCommand; published by the executor."""
+        return self._key("driver", "command")
+
+    @property
+    def driver_progress(self) -> str:
+        """DriverProgress; published by the driver."""
+        return self._key("driver", "progress")
+
+    @property
+    def driver_joint_states(self) -> str:
+        """JointState; published by the driver, joints in whatever order it has."""
+        return self._key("driver", "joint_states")
+
+    @property
+    def simulated_fault(self) -> str:
+        """DriverFault -> Nothing; what a simulated driver is to suffer."""
+        return self._key("leeloo_sim", "fault")
+
     # robot and ghost
     @property
     def joint_states(self) -> str:

@@ -74,6 +74,7 @@ class Latest(Generic[M]):
         self._key = key
         self._model = model
         self._newest: tuple[bytes, float] | None = None
+        self._decoded: tuple[tuple[bytes, float], M] | None = None
         self._changed = threading.Condition()
         self._subscriber = session.declare_subscriber(key, self._receive)
 
@@ -86,6 +87,13 @@ class Latest(Generic[M]):
         if newest is None or (max_age is not None and time.monotonic() - newest[1] > max_age):
             return None
         return self._read(newest)
+
+    def received(self) -> tuple[M, float] | None:
+        """The newest message and when it was received, s on the monotonic clock, or None when there is none."""
+        newest = self._newest
+        if newest is None or (message := self._read(newest)) is None:
+            return None
+        return message, newest[1]
 
     def wait(self, timeout: float) -> M | None:
         """The next message that arrives, or None after `timeout` s."""
@@ -105,8 +113,13 @@ class Latest(Generic[M]):
         self._subscriber.undeclare()
 
     def _read(self, newest: tuple[bytes, float]) -> M | None:
+        decoded = self._decoded
+        if decoded is not None and decoded[0] is newest:
+            return decoded[1]
         try:
-            return decode(self._model, newest[0])
+            message = decode(self._model, newest[0])
+            self._decoded = newest, message
+            return message
         except InvalidRequest as error:
             _log_dropped(self._key, error)
             with self._changed:

@@ -79,7 +79,8 @@ class Execution(_Section):
     """What the executor demands before and during motion. Angles in rad, times in s.
 
     Defaults: start 0.05 (MoveIt 0.01), path 0.2 and goal 0.01 (ros2_control), settle 1.0 (ros2_control),
-    allowed duration 1.1 x + 0.5 s (MoveIt), stopped below 0.01 rad/s (ros2_control).
+    allowed duration 1.1 x + 0.5 s (MoveIt), stopped below 0.01 rad/s (ros2_control). `progress_timeout` is how long a
+    moving robot's driver may stay at one point of the path.
     """
 
     start_tolerance: Positive = 0.05
@@ -90,6 +91,50 @@ class Execution(_Section):
     stopped_velocity: Positive = 0.01
     allowed_duration_factor: Annotated[float, Field(ge=1)] = 1.1
     allowed_duration_margin: NonNegative = 0.5
+    progress_timeout: Positive = 1.0
+
+
+class StrategyParams(_Section):
+    """How the robot's driver is spoken to. Times in s, angles in rad.
+
+    The topics are those of the ROS side; without `state_topic` the driver tells no progress. A command has one point
+    every `point_dt`, its columns in `joint_order`. The streaming strategies send one every `chunk_period`, which reaches
+    `look_ahead` further than the next; the robot follows `delay` later. `velocity` and `acceleration` bound what is
+    streamed. Defaults: `cspace` for the bounds and `joints` for the order; 0.02 and 0.08 from the Doosan bridge.
+    """
+
+    command_topic: str = Field(min_length=1)
+    state_topic: Annotated[str, Field(min_length=1)] | None = None
+    joint_states_topic: str = Field(min_length=1)
+    strategies: tuple[Literal["joint_speed", "joint_pose", "joint_trajectory"], ...] = Field(
+        default=("joint_speed", "joint_pose", "joint_trajectory"), min_length=1
+    )
+    joint_order: tuple[str, ...] | None = None
+    point_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
+    chunk_period: Positive = 0.08
+    look_ahead: Positive = 0.08
+    delay: Annotated[float, Field(ge=0, le=1)] = 0.06
+    gain: NonNegative = 2.0
+    velocity: tuple[Positive, ...] | None = None
+    acceleration: tuple[Positive, ...] | None = None
+    stop: Literal["path", "empty"] = "path"
+
+    def faults(self, joints: tuple[str, ...]) -> Iterator[str]:
+        """What is wrong beside these joints, as `key: message`."""
+        if self.joint_order is not None and sorted(self.joint_order) != sorted(joints):
+            yield f"joint_order: name each of {', '.join(joints)} once, in the order of the driver"
+        for name, bounds in (("velocity", self.velocity), ("acceleration", self.acceleration)):
+            if bounds is not None and len(bounds) != len(joints):
+                yield f"{name}: {len(bounds)} values for {len(joints)} joints"
+        for name, span in (("chunk_period", self.chunk_period), ("look_ahead", self.look_ahead)):
+            points = span / self.point_dt
+            if round(points) < 1 or abs(points - round(points)) > 1e-6:
+                yield f"{name}: {span:g} s is no whole number of points; use a multiple of point_dt {self.point_dt:g} s"
+        if self.gain * (self.delay + self.chunk_period) > 1.0:
+            yield (
+                f"gain: the robot would swing, because {self.gain:g}/s times delay and chunk_period is more than 1; use "
+                f"at most {1.0 / (self.delay + self.chunk_period):.3g}"
+            )
 
 
 class RobotDescriptor(_Section):
@@ -113,6 +158,7 @@ class RobotDescriptor(_Section):
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.01
     execution: Execution = Execution()
     strategy: str = "emulator"
+    strategy_params: StrategyParams | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -144,6 +190,8 @@ class RobotDescriptor(_Section):
                 "collision: no link has geometry, so that nothing would keep the robot from colliding; give the links "
                 "primitives here and the spheres that cover them in `spheres`"
             )
+        if self.strategy_params is not None:
+            faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
         if faults:
             raise ValueError("\n".join(map(one_line, faults)))
         return self

@@ -31,6 +31,11 @@ CONTRACT = "v1"
 _WITHDRAWAL = 2.0
 """Seconds that a starting service gives another one that starts at the same moment to withdraw."""
 
+_WATCH_PERIOD = 1.0
+"""Seconds between two looks for an older owner of the same robot."""
+_GLANCE = 0.3
+"""Seconds that such a look takes at most, as when no router is there."""
+
 
 def version() -> str:
     """The installed version of zarm."""
@@ -39,14 +44,17 @@ def version() -> str:
 
 @dataclass
 class Service:
-    """A running service: its robot, its keys, its bus; `options` are its command line (`connect`, `state`, its own)."""
+    """A running service: its robot, its keys, its bus; `options` are its command line (`connect`, `state`, its own).
+
+    `instance` sorts by the time of the start.
+    """
 
     name: str
     robot: Robot
     keys: Keys
     bus: Bus
     options: argparse.Namespace
-    instance: str = field(default_factory=lambda: secrets.token_hex(4))
+    instance: str = field(default_factory=lambda: f"{time.time_ns() // 1_000_000:011x}{secrets.token_hex(2)}")
     _activity: str = "starting"
     _ready: bool = False
     _started: float = field(default_factory=time.monotonic)
@@ -84,22 +92,32 @@ class Service:
         Close the bus after a refusal: this instance's token may be on it.
         """
         if others := self._others():
-            raise self._taken(others)
+            raise self.taken(others)
         self.bus.declare_alive(self.keys.alive(self.name, self.instance))
         # An owner has seen no other token since it declared its own, so there is one at most. Of several that start at
         # the same moment the smallest id waits for the rest to withdraw; whoever does not is an owner.
         deadline = time.monotonic() + _WITHDRAWAL
         while others := self._others():
             if min(others) < self.instance or time.monotonic() > deadline:
-                raise self._taken(others)
+                raise self.taken(others)
             time.sleep(0.05)
         self.bus.serve(self.keys.health(self.name), Nothing, self.health, readable=True)
 
-    def _others(self) -> list[str]:
-        alive = self.bus.alive(self.keys.alive(self.name, "*"))
+    def older_owner(self) -> str | None:
+        """The instance of an owner that was there before this one, if it is on the bus.
+
+        While a router is away an owner is not seen, and another instance may start beside it as soon as the router is back,
+        before the owner is. The younger, which started without need, must give way.
+        """
+        older = [instance for instance in self._others(_GLANCE) if instance < self.instance]
+        return min(older, default=None)
+
+    def _others(self, timeout: float = 1.0) -> list[str]:
+        alive = self.bus.alive(self.keys.alive(self.name, "*"), timeout=timeout)
         return [instance for _, _, instance in alive if instance != self.instance]
 
-    def _taken(self, others: list[str]) -> Unavailable:
+    def taken(self, others: list[str]) -> Unavailable:
+        """What to raise where these instances own the robot."""
         return Unavailable(
             f"a {self.name} for the robot {self.keys.robot} is already on this bus (instance {min(others)}); "
             "stop it, or start this one under another --name"
@@ -127,8 +145,12 @@ def run_service(
             service = Service(name, robot, keys, bus, options)
             service.claim()
             with start(service):
-                stop.wait()
+                older = None
+                while older is None and not stop.wait(_WATCH_PERIOD):
+                    older = service.older_owner()
                 log.info("stopping")
+            if older is not None:
+                raise service.taken([older])
     except ZarmError as error:
         log.error("cannot run reason=%s", error)
         return 1

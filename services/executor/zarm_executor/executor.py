@@ -5,10 +5,9 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Mapping
 
 from zarm_contract.bus import Publisher
-from zarm_contract.errors import Busy, InvalidRequest, ZarmError
+from zarm_contract.errors import Busy, ZarmError
 from zarm_contract.messages import (
     Accepted,
     CancelRequest,
@@ -17,7 +16,6 @@ from zarm_contract.messages import (
     GoalState,
     Nothing,
     Strategies,
-    StrategyInfo,
     StrategyRequest,
 )
 from zarm_contract.robot import Robot
@@ -26,7 +24,7 @@ from zarm_executor.machine import Goal, Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
-from zarm_executor.strategies.base import Strategy
+from zarm_executor.strategies.repertoire import Repertoire
 
 REST_PATIENCE = 10.0
 """Longest wait, s, for a moving robot to come to rest; a robot needs about its velocity over its acceleration limit."""
@@ -41,7 +39,7 @@ class Executor:
         machine: Machine,
         reporter: Reporter,
         plans: Plans,
-        strategies: Mapping[str, Strategy],
+        strategies: Repertoire,
         publisher: Publisher[Strategies],
     ) -> None:
         self._robot = robot
@@ -115,7 +113,7 @@ class Executor:
         name = request.strategy
         if name is None or name == self._machine.state().strategy:
             return self._describe_strategies()
-        self._machine.switch(find_strategy(self._strategies, name), REST_PATIENCE)
+        self._machine.switch(self._strategies.find(name), REST_PATIENCE)
         self._reporter.publish()
         return self.publish_strategies()
 
@@ -128,12 +126,5 @@ class Executor:
     def _describe_strategies(self) -> Strategies:
         return Strategies(
             active=self._machine.state().strategy,
-            strategies=tuple(StrategyInfo(name=name, available=True) for name in self._strategies),
+            strategies=self._strategies.describe(),
         )
-
-
-def find_strategy(strategies: Mapping[str, Strategy], name: str) -> Strategy:
-    """The strategy of this name. Raises InvalidRequest that names those there are."""
-    if name not in strategies:
-        raise InvalidRequest(f"there is no strategy {name!r}; this robot has {', '.join(strategies)}", field="strategy")
-    return strategies[name]

@@ -8,9 +8,12 @@ always allowed, and braking as hard as possible now never leads into a state wit
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 
 from zarm_executor.path import Array, Path
+from zarm_executor.stretch import Stretch
 
 TICK = 0.01
 """Period of the executor's control loop, s."""
@@ -22,15 +25,17 @@ stood, because nobody commanded the robot meanwhile."""
 class Follower:
     """Where a robot with these acceleration limits (J,) rad/s^2 is on a path, and how fast it goes along it.
 
-    `time` is the path time s, `speed` is sigma, `target` the path speed wanted (1 to move, 0 to rest); `position` (rad)
+    It begins at the path time `time` with the path speed `speed` and wants the path speed `target`. `time` is the path time s, `speed` is sigma, `target` the path speed wanted (1 to move, 0 to rest); `position` (rad)
     and `velocity` (rad/s) are the commanded joints (J,).
     """
 
-    def __init__(self, path: Path, acceleration_limit: Array) -> None:
+    def __init__(
+        self, path: Path, acceleration_limit: Array, *, time: float = 0.0, speed: float = 1.0, target: float = 1.0
+    ) -> None:
         self.path = path
-        self.time = 0.0
-        self.speed = 1.0
-        self.target = 1.0
+        self.time = time
+        self.speed = speed
+        self.target = target
         self._limit = acceleration_limit
         self._reach()
 
@@ -59,6 +64,28 @@ class Follower:
             step = min(dt, TICK)
             self._step(step)
             dt -= step
+
+    def ahead(self, dt: float, count: int | None = None) -> Stretch:
+        """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more."""
+        scout = copy.copy(self)
+        rows: list[tuple[float, float, Array]] = []
+        while count is None or len(rows) < count:
+            rows.append((scout.time, scout.speed, scout._state))
+            if count is None and (scout.settled or scout.speed == scout.target):
+                break
+            scout.advance(min(dt, CATCH_UP))
+        time = np.array([row[0] for row in rows])
+        speed = np.array([row[1] for row in rows])
+        states = np.stack([row[2] for row in rows], axis=1)
+        if not scout.settled and count is None:  # at constant speed from here: all points at once
+            rest = np.arange(scout.time, self.path.duration, dt * scout.speed)[1:]
+            rest = np.append(rest, self.path.duration)
+            time, states = np.concatenate((time, rest)), np.concatenate((states, self.path.sample(rest)), axis=1)
+            speed = np.concatenate((speed, np.full(len(rest), scout.speed)))
+        position, slope, bend = states
+        rate = np.append(np.diff(speed), 0.0)[:, None] / dt
+        speed[time >= self.path.duration] = 0.0
+        return Stretch(dt, time, speed, position, slope * speed[:, None], bend * speed[:, None] ** 2 + slope * rate)
 
     def _reach(self) -> None:
         self._state = self.path.at(self.time)

@@ -20,6 +20,8 @@ class Monitor:
         self._allowed = execution.allowed_duration_factor * path.duration + execution.allowed_duration_margin
         self._commanded = 0.0
         self._rest_since: float | None = None
+        self._reached = 0.0
+        self._reached_at: float | None = None
 
     def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> None:
         """Raises ExecutionFailed where the robot does not follow: `tolerance_violated` or `driver_stalled`.
@@ -39,11 +41,23 @@ class Monitor:
         self._within(
             np.abs(measured.position - progress.command), self._execution.path_tolerance, "path_tolerance", "left"
         )
+        self._advancing(now, progress)
         self._commanded += dt * progress.speed
         if not progress.finished and self._commanded > self._allowed:
             raise ExecutionFailed(
                 f"the robot is at {progress.time:.2f} s of a motion of {self._path.duration:.2f} s after "
                 f"{self._commanded:.2f} s, more than allowed; check its driver, then reset",
+                code="driver_stalled",
+            )
+
+    def _advancing(self, now: float, progress: Progress) -> None:
+        if self._reached_at is None or progress.at_rest or progress.time > self._reached:
+            self._reached, self._reached_at = progress.time, now
+        elif now - self._reached_at > self._execution.progress_timeout:
+            raise ExecutionFailed(
+                f"the robot has been at {progress.time:.2f} s of a motion of {self._path.duration:.2f} s for "
+                f"{now - self._reached_at:.2f} s (progress_timeout {self._execution.progress_timeout:g} s); check its "
+                "driver, then reset",
                 code="driver_stalled",
             )
 

@@ -113,6 +113,28 @@ class Path:
         rows: Array = powers @ self.coefficients[index]
         return rows
 
+    def sample(self, times: Array) -> Array:
+        """Position, velocity and acceleration (3, N, J) at N path times (N,) inside the path, as `at` gives them."""
+        index = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
+        step = self.steps[index]
+        u = (times - self.time[index]) / step
+        one, none = np.ones_like(u), np.zeros_like(u)
+        powers = np.array(
+            (
+                (one, u, u**2, u**3, u**4, u**5),
+                (none, one, 2 * u, 3 * u**2, 4 * u**3, 5 * u**4) / step,
+                (none, none, 2 * one, 6 * u, 12 * u**2, 20 * u**3) / step**2,
+            )
+        )
+        rows: Array = np.einsum("dkn,nkj->dnj", powers, self.coefficients[index])
+        return rows
+
+    def nearest(self, position: Array, first: float, last: float) -> float:
+        """The path time from `first` to `last` s at which the path is nearest to `position` (J,), to 1 ms."""
+        times = np.append(np.arange(first, last, 0.001), last).clip(0.0, self.duration)
+        distance = np.abs(self.sample(times)[0] - position).max(axis=1)
+        return float(times[distance.argmin()])
+
     def shifted(self, offset: Array) -> Path:
         """The same motion with `offset` (J,) rad added to every position."""
         return Path(self.time, self.position + offset, self.velocity, self.acceleration)

@@ -21,7 +21,7 @@ from zarm_contract.messages import (
     StrategyRequest,
 )
 from zarm_contract.service import Service, run_service, service_parser
-from zarm_executor.executor import REST_PATIENCE, Executor, find_strategy
+from zarm_executor.executor import REST_PATIENCE, Executor
 from zarm_executor.follower import TICK
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
@@ -32,6 +32,7 @@ from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
 from zarm_executor.reporter import Reporter
 from zarm_executor.state_file import StateFile
 from zarm_executor.strategies import build_strategies
+from zarm_executor.strategies.base import Strategy
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +41,9 @@ COMMAND_BACKLOG = 1024
 
 PLANNER_PATIENCE = 0.5
 """Longest wait, s, for the planner to tell its newest plan or the revision of its scene."""
+
+DRIVER_PATIENCE = 10.0
+"""Longest wait, s, at the start for the driver of the robot to tell the robot's joints."""
 
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
@@ -75,10 +79,12 @@ def start(service: Service) -> Iterator[None]:
     sys.setswitchinterval(SWITCH_INTERVAL)
     robot, keys, bus = service.robot, service.keys, service.bus
     joints, folder = robot.descriptor.joints, service.options.state / keys.robot
-    strategies = build_strategies(robot, folder)
     # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
     with Bus(service.options.connect) as command_bus:
-        machine = Machine(find_strategy(strategies, service.options.strategy or robot.descriptor.strategy))
+        strategies = build_strategies(robot, folder, command_bus, keys)
+        first = strategies.find(service.options.strategy or robot.descriptor.strategy)
+        _wait_for(first, service)
+        machine = Machine(first)
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState))
@@ -109,6 +115,16 @@ def start(service: Service) -> Iterator[None]:
                     reporter.publish()
         finally:
             machine.release()
+
+
+def _wait_for(strategy: Strategy, service: Service) -> None:
+    """Give the robot's driver, which may be starting too, the time to tell its first joints."""
+    if strategy.obstacle() is None:
+        return
+    service.starting("waiting for the robot's driver")
+    deadline = time.monotonic() + DRIVER_PATIENCE
+    while strategy.obstacle() is not None and time.monotonic() < deadline:
+        time.sleep(0.05)
 
 
 def _serve(bus: Bus, service: Service, executor: Executor) -> None:

@@ -5,6 +5,7 @@ descriptor; times of day are Unix seconds. Poses are of the descriptor's `tip_li
 """
 
 from zarm_contract._model import Message
+from zarm_contract.messages.driver import DriverCommand, DriverFault, DriverProgress
 from zarm_contract.messages.executor import (
     Accepted,
     CancelRequest,
@@ -102,6 +103,9 @@ __all__ = [
     "Cylinder",
     "DetachObject",
     "Device",
+    "DriverCommand",
+    "DriverFault",
+    "DriverProgress",
     "ExecuteRequest",
     "ExecutorState",
     "FkPoses",

@@ -45,7 +45,8 @@ JointNames = Annotated[tuple[str, ...], Field(min_length=1, max_length=32), Afte
 """Which joint each column is; no name twice."""
 
 
-def _same_length(values: Sequence[object], info: ValidationInfo, other: str) -> None:
+def same_length(values: Sequence[object], info: ValidationInfo, other: str) -> None:
+    """For a validator: raise ValueError where `values` has another length than the field `other`."""
     expected: Sequence[object] | None = info.data.get(other)  # absent when `other` itself is at fault
     if expected is not None and len(values) != len(expected):
         raise ValueError(f"{len(values)} entries where {other} has {len(expected)}")
@@ -69,7 +70,7 @@ class JointState(Message):
     @field_validator("position", "velocity")
     @classmethod
     def _one_per_joint(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-        _same_length(values, info, "joint_names")
+        same_length(values, info, "joint_names")
         return values
 
 
@@ -105,9 +106,9 @@ class Trajectory(Message):
     def _one_row_per_sample(
         cls, rows: tuple[tuple[float, ...], ...], info: ValidationInfo
     ) -> tuple[tuple[float, ...], ...]:
-        _same_length(rows, info, "time")
+        same_length(rows, info, "time")
         width: Sequence[str] | None = info.data.get("joint_names")
         if width is not None and any(len(row) != len(width) for row in rows):  # thousands of rows: no call for each
             for row in rows:
-                _same_length(row, info, "joint_names")
+                same_length(row, info, "joint_names")
         return rows

@@ -6,17 +6,45 @@ from pathlib import Path
 
 import numpy as np
 
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
 from zarm_contract.robot import Robot
 from zarm_executor.state_file import StateFile
-from zarm_executor.strategies.base import Strategy
+from zarm_executor.strategies.driver import DriverStrategy
+from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
 from zarm_executor.strategies.ghost import GhostOnly
+from zarm_executor.strategies.joint_pose import JointPose
+from zarm_executor.strategies.joint_speed import JointSpeed
+from zarm_executor.strategies.joint_trajectory import JointTrajectory
+from zarm_executor.strategies.repertoire import Repertoire
+
+DRIVER_STRATEGIES: tuple[type[DriverStrategy], ...] = (JointSpeed, JointPose, JointTrajectory)
+"""Those that need a driver, which may not be able to play all of them."""
 
 
-def build_strategies(robot: Robot, folder: Path) -> dict[str, Strategy]:
-    """Every strategy that this robot knows, by name; none is open. What they keep on disk is in `folder`."""
+def build_strategies(robot: Robot, folder: Path, bus: Bus, keys: Keys) -> Repertoire:
+    """Every strategy there is for this robot; none is open. What they keep on disk is in `folder`, drivers are on `bus`."""
     descriptor = robot.descriptor
     emulated = EmulatedRobot(descriptor, StateFile(folder / "emulated_robot.json", JointState))
-    strategies = (Emulator(emulated, np.array(descriptor.cspace.acceleration)), GhostOnly(emulated))
-    return {strategy.name: strategy for strategy in strategies}
+    repertoire = Repertoire()
+    repertoire.add(Emulator(emulated, np.array(descriptor.cspace.acceleration)))
+    repertoire.add(GhostOnly(emulated))
+    params = descriptor.strategy_params
+    link = None if params is None else DriverLink(bus, keys, descriptor, params)
+    for strategy in DRIVER_STRATEGIES:
+        if params is None or link is None:
+            repertoire.rule_out(
+                strategy.name,
+                f"the descriptor of {descriptor.name} has no strategy_params; robots/README.md explains what to write there",
+            )
+        elif strategy.name not in params.strategies:
+            repertoire.rule_out(
+                strategy.name,
+                f"strategy_params.strategies of {descriptor.name} does not list it, because its driver cannot play it; it "
+                f"plays {', '.join(params.strategies)}",
+            )
+        else:
+            repertoire.add(strategy(link))
+    return repertoire

@@ -42,6 +42,10 @@ class Strategy(ABC):
 
     name: ClassVar[str]
 
+    def obstacle(self) -> str | None:
+        """Why this strategy could not be opened now, in a sentence with the remedy; None where it could."""
+        return None
+
     @abstractmethod
     def open(self) -> None:
         """Take hold of the robot. Raises a ZarmError where that fails; then nothing is held."""

@@ -1,0 +1,98 @@
+"""How a robot without ROS is connected to zarm: a driver that speaks Zenoh, here with an ideal arm in place of hardware.
+
+    python zenoh_driver.py --joints joint_1 joint_2 joint_3 joint_4 joint_5 joint_6 --at 0 0 1.570796 0 1.570796 0
+
+It needs `eclipse-zenoh` and nothing of zarm, so that it can be rewritten in any language that has Zenoh. Put the calls of
+your controller into `Arm`. What zarm expects of a driver:
+
+- it publishes its joints on `zarm/<robot>/driver/joint_states`, at 100 Hz better than at 20, moving or not;
+- it plays the newest `driver/command` from its arrival on, one point each `time`, instead of what was left of the last;
+- a command without points, and points that run out, bring the robot to rest: that is the watchdog for a dead executor;
+- it publishes on `driver/progress` how much of the command is played, or leaves `state_topic` out of the descriptor;
+- it refuses by itself what its robot cannot do: limits of velocity and acceleration are the last line of defence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import threading
+import time
+from typing import Any
+
+import zenoh
+
+PERIOD = 0.01
+
+
+class Arm:
+    """An arm that has at once the velocity that it is told. Yours talks to a controller instead."""
+
+    def __init__(self, position: list[float]) -> None:
+        self.position = position
+        self.velocity = [0.0] * len(position)
+
+    def move(self, velocity: list[float], dt: float) -> None:
+        """Take on these velocities (rad/s) for `dt` s."""
+        self.velocity = velocity
+        self.position = [q + v * dt for q, v in zip(self.position, velocity, strict=True)]
+
+
+class Driver:
+    """Plays commands on an arm whose joints have these names, in this order."""
+
+    def __init__(self, session: zenoh.Session, robot: str, joints: list[str], arm: Arm) -> None:
+        self._joints, self._arm = joints, arm
+        self._newest: tuple[float, dict[str, Any]] = (0.0, {})
+        self._stepped = time.monotonic()
+        prefix = f"zarm/{robot}/driver"
+        self._states = session.declare_publisher(f"{prefix}/joint_states", express=True)
+        self._progress = session.declare_publisher(f"{prefix}/progress", express=True)
+        self._commands = session.declare_subscriber(f"{prefix}/command", self._receive)
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        command = json.loads(sample.payload.to_bytes())
+        if sorted(command["joint_names"]) == sorted(self._joints):
+            self._newest = time.monotonic(), command
+
+    def step(self) -> None:
+        """One period: play what is due, and tell where the arm is."""
+        now, (began, command) = time.monotonic(), self._newest
+        times, rows = command.get("time", []), command.get("velocity", [])
+        played = sum(moment <= now - began for moment in times)
+        point_dt = times[1] if len(times) > 1 else PERIOD
+        velocity = [0.0] * len(self._joints)
+        if rows and now - began < times[-1] + point_dt:
+            row = dict(zip(command["joint_names"], rows[played - 1], strict=True))
+            velocity = [row[joint] for joint in self._joints]
+        self._arm.move(velocity, now - self._stepped)
+        self._stepped = now
+        if times:
+            self._put(self._progress, sequence=command["sequence"], fraction=played / len(times))
+        state = {"joint_names": self._joints, "position": self._arm.position, "velocity": self._arm.velocity}
+        self._put(self._states, stamp=time.time(), **state)
+
+    @staticmethod
+    def _put(publisher: zenoh.Publisher, **message: Any) -> None:
+        publisher.put(json.dumps(message))
+
+
+def main() -> None:
+    """Run until interrupted."""
+    parser = argparse.ArgumentParser(description="An example of a driver for zarm.")
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="the router's endpoint")
+    parser.add_argument("--robot", default="doosan_m1013", help="the robot's name on the bus")
+    parser.add_argument("--joints", nargs="+", required=True, help="names of the joints, in the driver's order")
+    parser.add_argument("--at", nargs="+", type=float, required=True, help="where the arm stands, rad")
+    options = parser.parse_args()
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([options.connect]))
+    with zenoh.open(config) as session:
+        driver = Driver(session, options.robot, options.joints, Arm(options.at))
+        while not threading.Event().wait(PERIOD):
+            driver.step()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""The bus between the executor and a robot's driver: commands out, joint states and progress in."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+import numpy as np
+
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
+from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_contract.robot import RobotDescriptor, StrategyParams
+from zarm_executor.path import Array
+from zarm_executor.strategies.base import Measured
+from zarm_executor.stretch import Stretch
+
+log = logging.getLogger(__name__)
+
+
+_STILL = 5e-4
+_STANDING = 0.1
+"""A robot stands that has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
+
+
+class DriverLink:
+    """Speaks to the driver that `params` describes. `joints` are the executor's; the driver has its own order of them.
+
+    `bus` should carry little else: what a slow reader of other keys holds up must not hold up the robot.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, descriptor: RobotDescriptor, params: StrategyParams) -> None:
+        self.params = params
+        self.execution = descriptor.execution
+        self.joints = descriptor.joints
+        self.acceleration_limit = np.array(descriptor.cspace.acceleration)
+        self.velocity_clamp = np.array(params.velocity or descriptor.cspace.velocity)
+        self.acceleration_clamp = np.array(params.acceleration or descriptor.cspace.acceleration)
+        self._names = params.joint_order or self.joints
+        self._columns = [self.joints.index(name) for name in self._names]
+        self._key = keys.driver_joint_states
+        self._commands = bus.publisher(keys.driver_command, DriverCommand, realtime=True)
+        self._states = bus.latest(keys.driver_joint_states, JointState)
+        self._progress = bus.latest(keys.driver_progress, DriverProgress)
+        self._sequence = 0
+        self._measured: Measured | None = None
+        self._stood: Measured | None = None
+        self._orders: dict[tuple[str, ...], list[int] | None] = {}
+
+    # -- to the driver --
+
+    def send(self, points: Stretch, *, positions_only: bool = False) -> int:
+        """Have these points played from now on; returns the command's sequence number."""
+        position, velocity, acceleration = (
+            tuple(map(tuple, rows[:, self._columns].tolist()))
+            for rows in (points.position, points.velocity, points.acceleration)
+        )
+        return self._put(
+            DriverCommand(
+                sequence=self._sequence + 1,
+                joint_names=self._names,
+                time=tuple((np.arange(len(points.time)) * points.dt).tolist()),
+                position=position,
+                velocity=() if positions_only else velocity,
+                acceleration=() if positions_only else acceleration,
+            )
+        )
+
+    def stop(self) -> int:
+        """Have the driver stop now, by its own means; returns the command's sequence number."""
+        return self._put(DriverCommand(sequence=self._sequence + 1, joint_names=self._names))
+
+    def _put(self, command: DriverCommand) -> int:
+        self._sequence = command.sequence
+        self._commands.put(command)
+        return command.sequence
+
+    # -- from the driver --
+
+    def measured(self) -> Measured | None:
+        """The newest joints that could be read, in the executor's order; None before the first."""
+        received = self._states.received()
+        if received is None or (self._measured is not None and received[1] == self._measured.time):
+            return self._measured
+        state, at = received
+        order = self._order(state.joint_names)
+        if order is not None:
+            self._measured = Measured(np.array(state.position)[order], np.array(state.velocity)[order], at)
+            if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
+                self._stood = self._measured
+        return self._measured
+
+    def velocity(self) -> Array:
+        """The measured velocities (J,), whatever the driver tells never outside those that it is sent."""
+        measured = self.measured()
+        told = np.zeros_like(self.velocity_clamp) if measured is None else measured.velocity
+        return np.clip(told, -self.velocity_clamp, self.velocity_clamp)
+
+    def standing(self) -> bool:
+        """Whether the robot stands, by its velocities and, as some drivers tell none, by its positions."""
+        measured = self.measured()
+        if measured is None or self._stood is None or measured.time - self._stood.time < _STANDING:
+            return False
+        return bool(np.all(np.abs(measured.velocity) <= self.execution.stopped_velocity))
+
+    def fraction(self, sequence: int) -> float | None:
+        """How much of the command `sequence` is played; None where the driver has said nothing about it."""
+        received = self._progress.received()
+        return received[0].fraction if received is not None and received[0].sequence == sequence else None
+
+    def obstacle(self) -> str | None:
+        """Why the robot cannot be moved through this driver now; None where it can."""
+        measured = self.measured()
+        if measured is None:
+            return f"no driver tells the robot's joints on {self._key}; start the robot's driver"
+        age, limit = time.monotonic() - measured.time, self.execution.joint_state_timeout
+        if age > limit:
+            return (
+                f"the driver last told the robot's joints {age:.1f} s ago (joint_state_timeout {limit:g} s); see whether "
+                "it runs"
+            )
+        return None
+
+    def _order(self, names: tuple[str, ...]) -> list[int] | None:
+        """Where each of the executor's joints stands among these names; None where one is missing."""
+        if names not in self._orders:
+            missing = [joint for joint in self.joints if joint not in names]
+            if missing:
+                log.warning(
+                    "joint states of another robot are ignored key=%s missing=%s has=%s",
+                    self._key,
+                    ",".join(missing),
+                    ",".join(names),
+                )
+            if len(self._orders) >= 8:  # whoever sends ever new names does not fill the memory
+                self._orders.clear()
+            self._orders[names] = None if missing else [names.index(joint) for joint in self.joints]
+        return self._orders[names]

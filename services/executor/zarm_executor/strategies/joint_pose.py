@@ -1,0 +1,16 @@
+"""The strategy that streams positions, for drivers without an interface for velocities."""
+
+from __future__ import annotations
+
+from zarm_executor.strategies.streaming import Streaming
+from zarm_executor.stretch import Stretch
+
+
+class JointPose(Streaming):
+    """Sends chunks of positions; the driver closes the loop."""
+
+    name = "joint_pose"
+
+    def _send(self, ahead: Stretch, now: float, played: int) -> bool:
+        self.link.send(ahead, positions_only=True)
+        return bool((ahead.position == ahead.position[0]).all())

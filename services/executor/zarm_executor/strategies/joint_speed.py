@@ -1,0 +1,103 @@
+"""The strategy that streams velocities and closes the loop by the measured joints.
+
+velocity = planned + gain * (planned position - measured position), both at the moment at which the joints were measured,
+then clamped. The robot integrates velocities, so the error e obeys de/dt = -gain * e: it dies away at that rate instead
+of adding up, slowly enough for the loop's dead time (`strategy_params.gain` has the bound).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_executor.path import Array, Path
+from zarm_executor.strategies.driver_link import DriverLink
+from zarm_executor.strategies.streaming import Streaming
+from zarm_executor.stretch import Stretch
+
+ARRIVED = 0.002
+"""At the end of a path the robot is led on until every joint is this close to it, rad; the promise is 0.005."""
+
+
+class JointSpeed(Streaming):
+    """Sends chunks of velocities, none of which changes faster than `strategy_params.acceleration`."""
+
+    name = "joint_speed"
+
+    def __init__(self, link: DriverLink) -> None:
+        super().__init__(link)
+        self._sent: Array = np.zeros((0, len(link.joints)))
+        self._before: Array = np.zeros(len(link.joints))
+        self._leading_since: float | None = None
+        self._led = False
+
+    def start(self, path: Path) -> None:
+        """Begin at the start of `path`, from rest."""
+        super().start(path)
+        self._stands()
+        self._leading_since, self._led = None, False
+
+    def _send(self, ahead: Stretch, now: float, played: int) -> bool:
+        base = self._playing(played)
+        velocity = self._clamped(ahead.velocity + self._correction(ahead, now), base)
+        acceleration = np.diff(velocity, axis=0, prepend=base[None]) / self._dt
+        self.link.send(Stretch(ahead.dt, ahead.time, ahead.speed, ahead.position, velocity, acceleration))
+        self._before, self._sent = base, velocity
+        return not velocity.any()
+
+    def _stands(self) -> None:
+        self._sent, self._before = self._sent[:0], np.zeros_like(self._before)
+
+    def _playing(self, played: int) -> Array:
+        """The velocity (J,) that the driver plays now; without points left it is braking, or has stopped the robot."""
+        if played == 0:
+            return self._before
+        if played <= len(self._sent):
+            velocity: Array = self._sent[played - 1]
+            return velocity
+        return self.link.velocity()
+
+    def _correction(self, ahead: Stretch, now: float) -> Array:
+        """What is added to the velocities (N, J); it dies away over the chunk as the error does."""
+        error = self._error(now)
+        self._lead(now, error)
+        if error is None or self._led or self._held():
+            return np.zeros_like(ahead.velocity)
+        gain = self.link.params.gain
+        share = gain * (1.0 - gain * self._dt) ** np.arange(len(ahead.time))
+        return np.outer(share, error)
+
+    def _held(self) -> bool:
+        """Whether the robot was stopped; whoever pushes it now does not make it move."""
+        follower = self._follower
+        return follower is None or (follower.target == 0.0 and follower.settled)
+
+    def _error(self, now: float) -> Array | None:
+        """Commanded less measured position (J,); None where the joints are too old or too far off to be led by them."""
+        measured, execution = self.link.measured(), self.link.execution
+        if measured is None or now - measured.time > execution.joint_state_timeout:
+            return None
+        error: Array = self._reference.at(measured.time - self._delay).position - measured.position
+        return error if np.all(np.abs(error) <= execution.path_tolerance) else None
+
+    def _lead(self, now: float, error: Array | None) -> None:
+        """At the end of the path: note when the robot is there, or has not come there within `settle_time`."""
+        follower, measured, execution = self._follower, self.link.measured(), self.link.execution
+        if follower is None or not follower.finished or not self._caught_up():
+            return
+        if self._leading_since is None:
+            self._leading_since = now
+        near = error is not None and bool(np.all(np.abs(error) <= ARRIVED))
+        rests = measured is not None and bool(np.all(np.abs(measured.velocity) <= execution.stopped_velocity))
+        self._led = self._led or (near and rests) or now - self._leading_since > execution.settle_time
+
+    def _arrived(self) -> bool:
+        return self._led
+
+    def _clamped(self, wanted: Array, base: Array) -> Array:
+        """Velocities (N, J) as near to those wanted as the bounds allow when the robot comes from `base` (J,)."""
+        most, step = self.link.velocity_clamp, self.link.acceleration_clamp * self._dt
+        velocity = np.clip(wanted, -most, most)
+        for row in velocity:
+            np.clip(row, base - step, base + step, out=row)
+            base = row
+        return velocity

@@ -1,0 +1,179 @@
+"""The strategy that hands a whole trajectory to the driver, as ros2_control's JointTrajectoryController takes it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_executor.follower import Follower
+from zarm_executor.path import Path
+from zarm_executor.strategies.base import Progress
+from zarm_executor.strategies.driver import DriverStrategy
+from zarm_executor.strategies.driver_link import DriverLink
+from zarm_executor.stretch import Stretch
+
+_WINDOW = 0.5
+"""How far (s of the command) around where it was last the robot is looked for on its path."""
+_OVERRUN = 0.3
+"""How far (s of the path) before and behind the braking that was commanded the robot may have come to rest."""
+_HOLD_PERIOD = 0.1
+"""A robot that was stopped is told so again this often (s) until it stands."""
+
+
+class JointTrajectory(DriverStrategy):
+    """Sends the path once. A stop is a new trajectory that brakes along the path, or an empty one where `stop` is `empty`.
+
+    How far the robot is, the driver says; where it does not (no `state_topic`), it is the point of the path that is
+    nearest to the measured joints. While it brakes the clock says it, so that a silent driver keeps no goal from its end.
+    """
+
+    name = "joint_trajectory"
+
+    def __init__(self, link: DriverLink) -> None:
+        super().__init__(link)
+        self._path: Path | None = None
+        self._command: Stretch | None = None
+        self._sequence: int | None = None
+        self._sent_at = 0.0
+        self._held_at = 0.0
+        self._index = 0.0
+        self._clock = 0.0
+        self._braking = False
+        self._unsent = False
+        self._stopping = False
+        self._resuming = False
+        self._emptied = False
+
+    def start(self, path: Path) -> None:
+        """Have the whole of `path` played from the next tick on."""
+        self._path = path
+        self._braking = self._stopping = self._resuming = False
+        self._play(Follower(path, self.link.acceleration_limit))
+
+    def stop(self) -> None:
+        """Have the robot brake along the path, from the next tick on."""
+        self._resuming = False
+        self._stopping = self._command is not None and not self._braking
+
+    def resume(self) -> None:
+        """Have the rest of the path played, from where the robot came to rest or from what it is braking through."""
+        self._stopping = False
+        path, command = self._path, self._command
+        if path is None or command is None or not self._braking:
+            return
+        self._resuming = self.link.params.stop == "empty" and self._index < command.last
+        if self._resuming:
+            return  # nobody knows what the driver is braking through
+        self._braking = False
+        if self._index == command.last:
+            # Where the robot came to rest is not just where it should have: the driver was on its way.
+            measured, time = self.link.measured(), float(command.time[-1])
+            if measured is not None:
+                time = path.nearest(measured.position, command.time[0] - _OVERRUN, time + _OVERRUN)
+            self._play(Follower(path, self.link.acceleration_limit, time=time, speed=0.0))
+            self._lead_back()
+        else:
+            time, speed, _ = command.at(self._clock + 1.0)
+            self._play(Follower(path, self.link.acceleration_limit, time=time, speed=speed))
+
+    def tick(self, now: float, dt: float) -> None:
+        """See how far the driver is, and send what is to be played next."""
+        command = self._command
+        if command is None:
+            return
+        if not self._unsent:
+            self._clock = (now - self._sent_at) / command.dt
+            self._index = min(max(self._index, self._reached(command, dt)), command.last)
+        if self._stopping:
+            self._brake(command)
+        if self._unsent:
+            self._transmit(now)
+        elif self._braking and self._index == command.last:
+            if self._resuming:
+                self.resume()
+            else:
+                self._hold(now)
+
+    def progress(self) -> Progress:
+        """How far the robot is."""
+        path, command = self._path, self._command
+        if path is None or command is None:
+            return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
+        time, speed, position = command.at(self._index)
+        return Progress(time, speed, position, finished=time >= path.duration)
+
+    def _brake(self, command: Stretch) -> None:
+        """Brake from where the robot will be when the driver learns of it, one point ahead."""
+        self._stopping = False
+        self._braking = True
+        time, speed, _ = command.at(self._index if self._unsent else self._index + 1.0)
+        if self._path is not None:
+            self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
+
+    def _transmit(self, now: float) -> None:
+        if self._command is None:
+            return
+        # A robot that stands already must not begin to move in order to brake.
+        empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
+        self._sequence = self.link.stop() if empty else self.link.send(self._command)
+        self._sent_at = self._held_at = now
+        self._unsent = False
+
+    def _play(self, follower: Follower) -> None:
+        self._command = follower.ahead(self.link.params.point_dt)
+        self._index = self._clock = 0.0
+        self._unsent = True
+        self._emptied = False
+
+    def _reached(self, command: Stretch, dt: float) -> float:
+        """The index of the point that the robot has reached."""
+        if self._braking:
+            return self._clock - self.link.params.delay / command.dt
+        if self.link.params.state_topic is None:
+            window = max(_WINDOW, dt) / command.dt
+            return self._nearest(self._index - window, min(self._index + window, self._clock))
+        fraction = None if self._sequence is None else self.link.fraction(self._sequence)
+        return 0.0 if fraction is None else fraction * len(command.time) - 1.0
+
+    def _nearest(self, first: float, last: float) -> float:
+        """The index, in this range, of the point nearest to the measured robot.
+
+        Of points that are about as near, the last: a robot may rest a little beside the end, and a path may stand still.
+        """
+        measured, command = self.link.measured(), self._command
+        if measured is None or command is None:
+            return 0.0
+        begin = max(int(first), 0)
+        distance = np.abs(command.position[begin : int(max(last, 0.0)) + 1] - measured.position).max(axis=1)
+        about = distance.min() + self.link.execution.goal_tolerance / 2
+        return float(begin + np.flatnonzero(distance <= about)[-1])
+
+    def _lead_back(self) -> None:
+        """A robot that braked by itself stands beside the path: before the rest of the path comes the way back to it."""
+        measured, command = self.link.measured(), self._command
+        if measured is None or command is None:
+            return
+        limits = self.link.velocity_clamp, self.link.acceleration_limit
+        way = Path.standing(command.position[0]).approached_from(measured.position, *limits)
+        times = np.arange(0.0, way.duration - 1.0, command.dt)  # without the second of rest
+        position, velocity, acceleration = way.sample(times)
+        held = np.zeros_like(times)
+        self._command = Stretch(
+            command.dt,
+            np.concatenate((held + command.time[0], command.time)),
+            np.concatenate((held, command.speed)),
+            np.vstack((position, command.position)),
+            np.vstack((velocity, command.velocity)),
+            np.vstack((acceleration, command.acceleration)),
+        )
+
+    def _hold(self, now: float) -> None:
+        """After braking: empty the driver, and again while the robot moves.
+
+        It may not have heard of the stop, as while a link was cut, or still have points that it has not come to.
+        """
+        if self.link.standing() and self._emptied:
+            return
+        if now - self._held_at >= _HOLD_PERIOD:
+            self._held_at = now
+            self._emptied = self.link.standing()
+            self.link.stop()

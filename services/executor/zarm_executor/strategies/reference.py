@@ -1,0 +1,51 @@
+"""Where the robot should be by now, when what is commanded takes a while to become motion."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+
+from zarm_executor.follower import Follower
+from zarm_executor.path import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Commanded:
+    """What was commanded at the moment `now`: path time (s), path speed, position (J,) rad."""
+
+    now: float
+    time: float
+    speed: float
+    position: Array
+
+
+class Reference:
+    """What a follower commanded in the last `memory` s, to be read at any moment in between."""
+
+    def __init__(self, memory: float) -> None:
+        self._memory = memory
+        self._past: deque[Commanded] = deque()
+
+    def note(self, now: float, follower: Follower) -> None:
+        """The follower is there at the moment `now`, which is later than the one before."""
+        speed = 0.0 if follower.at_rest else follower.speed
+        self._past.append(Commanded(now, follower.time, speed, follower.position))
+        while len(self._past) > 1 and self._past[1].now < now - self._memory:
+            self._past.popleft()
+
+    def at(self, moment: float) -> Commanded:
+        """What was commanded at that moment; before the first and after the last, those."""
+        index = bisect_right(self._past, moment, key=lambda one: one.now)
+        if index == 0:
+            return self._past[0]
+        if index == len(self._past):
+            return self._past[-1]
+        before, after = self._past[index - 1], self._past[index]
+        share = (moment - before.now) / (after.now - before.now)
+        return Commanded(
+            moment,
+            before.time + share * (after.time - before.time),
+            before.speed + share * (after.speed - before.speed),
+            before.position + share * (after.position - before.position),
+        )

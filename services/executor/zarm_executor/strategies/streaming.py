@@ -1,0 +1,158 @@
+"""Moving a robot by short chunks of points, sent again and again: what `joint_speed` and `joint_pose` have in common.
+
+Every chunk holds the motion from now on and replaces what is left of the one before. It reaches further than the next
+one is away, so that a late chunk does no harm, and no further than that, so that without chunks the driver runs dry and
+stops the robot by itself.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+
+from zarm_executor.follower import CATCH_UP, TICK, Follower
+from zarm_executor.path import Path
+from zarm_executor.strategies.base import Progress
+from zarm_executor.strategies.driver import DriverStrategy
+from zarm_executor.strategies.driver_link import DriverLink
+from zarm_executor.strategies.reference import Commanded, Reference
+from zarm_executor.stretch import Stretch
+
+_BEHIND = 1.0
+"""How far (s of the path) behind the commanded motion a robot that stands is looked for."""
+_SLOPE = 1e-6
+"""Squared speed of a path, (rad/s)^2, below which it tells nothing about the path speed of a robot on it."""
+_OFF_GRID = 0.3
+"""A chunk that cannot wait is sent when the driver is at most this share of a point from beginning the next one."""
+
+
+class Streaming(DriverStrategy):
+    """Sends chunks from the start of a motion until the robot rests, then nothing.
+
+    The robot is expected `delay` behind what is commanded; that is what `progress` reports.
+    """
+
+    def __init__(self, link: DriverLink) -> None:
+        super().__init__(link)
+        params = link.params
+        self._dt, self._period, self._delay = params.point_dt, params.chunk_period, params.delay
+        self._count = round((params.chunk_period + params.look_ahead) / params.point_dt)
+        self._follower: Follower | None = None
+        self._memory = self._delay + self.link.execution.joint_state_timeout + CATCH_UP
+        self._reference = Reference(self._memory)
+        self._expected: Commanded | None = None
+        self._sent_at: float | None = None
+        self._urgent = False
+        self._over = True
+
+    # -- what a streaming strategy decides --
+
+    @abstractmethod
+    def _send(self, ahead: Stretch, now: float, played: int) -> bool:
+        """Send a chunk of which the driver has played `played` points of the one before; whether it is all at rest."""
+
+    def _arrived(self) -> bool:
+        """Whether the robot is where it should be at the end of the path, as far as this strategy can do anything."""
+        return True
+
+    def _stands(self) -> None:
+        """The robot stands, whatever was sent."""
+
+    # -- what the state machine asks --
+
+    def start(self, path: Path) -> None:
+        """Begin at the start of `path`."""
+        self._follower = Follower(path, self.link.acceleration_limit)
+        self._reference = Reference(self._memory)
+        self._expected = Commanded(0.0, 0.0, 0.0, path.start)
+        self._sent_at, self._over = None, False
+
+    def stop(self) -> None:
+        """Let the path speed fall to 0."""
+        follower = self._follower
+        if follower is None or follower.target == 0.0:
+            return
+        follower.target = 0.0
+        self._urgent = True
+
+    def resume(self) -> None:
+        """Let the path speed rise to 1."""
+        if self._follower is not None:
+            self._follower.target = 1.0
+            self._urgent, self._over = True, False
+
+    def tick(self, now: float, dt: float) -> None:
+        """Move on, and send a chunk where one is due."""
+        follower = self._follower
+        if follower is None or self._over:
+            return
+        if self._sent_at is not None:
+            if dt > CATCH_UP:
+                follower = self._picked_up(follower, now, dt)
+            else:
+                follower.advance(dt)
+            if follower.target == 0.0 and not follower.settled and self.link.standing():
+                follower = self._halted(follower)
+        self._reference.note(now, follower)
+        self._expected = self._reference.at(now - self._delay)
+        if self._due(now):
+            played = 0 if self._sent_at is None else round((now - self._sent_at) / self._dt)
+            rests = self._send(follower.ahead(self._dt, self._count), now, played)
+            self._sent_at, self._urgent = now, False
+            self._over = rests and follower.settled and self._caught_up() and self._may_end()
+
+    def progress(self) -> Progress:
+        """Where the robot should be by now."""
+        follower, expected = self._follower, self._expected
+        if follower is None or expected is None:
+            return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
+        return Progress(expected.time, expected.speed, expected.position, follower.finished and self._over)
+
+    def _picked_up(self, follower: Follower, now: float, dt: float) -> Follower:
+        """After a pause in which nothing was sent: the motion goes on from where, and as fast as, the robot moves by now.
+
+        It went on with the points that it had and then braked, so that it is neither where it was commanded last nor where
+        it would be without the pause.
+        """
+        measured, path = self.link.measured(), follower.path
+        if measured is None:
+            follower.advance(dt)
+            return follower
+        time = path.nearest(measured.position, follower.time - _BEHIND, follower.time + dt)
+        slope = path.at(time)[1]
+        length = float(slope @ slope)
+        speed = min(max(float(slope @ self.link.velocity()) / length, 0.0), 1.0) if length > _SLOPE else 0.0
+        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=follower.target)
+        self._reference = Reference(self._memory)
+        self._reference.note(now - self._delay, follower)
+        for _ in range(round(self._delay / TICK)):
+            follower.advance(TICK)
+        self._follower = follower
+        return follower
+
+    def _halted(self, follower: Follower) -> Follower:
+        """A robot that stands already must not begin to move in order to brake: the motion is held where it stands."""
+        measured, time = self.link.measured(), follower.time
+        if measured is not None:
+            time = follower.path.nearest(measured.position, time - _BEHIND, time)
+        self._follower = Follower(follower.path, self.link.acceleration_limit, time=time, speed=0.0, target=0.0)
+        self._stands()
+        return self._follower
+
+    def _due(self, now: float) -> bool:
+        if self._sent_at is None:
+            return True
+        elapsed = now - self._sent_at
+        points = elapsed / self._dt
+        return elapsed >= self._period - TICK / 2 or (self._urgent and abs(points - round(points)) < _OFF_GRID)
+
+    def _caught_up(self) -> bool:
+        """Whether the robot has had the time to come to rest as well."""
+        expected, follower = self._expected, self._follower
+        return (
+            expected is not None and follower is not None and expected.time == follower.time and expected.speed == 0.0
+        )
+
+    def _may_end(self) -> bool:
+        return self._follower is not None and (self._follower.target == 0.0 or self._arrived())

@@ -1,0 +1,95 @@
+"""How the simulated arm plays what it is sent: one point per tick, by index, through a drive with lag and limits.
+
+The model of one axis: the drive's velocity follows the point's with a first-order lag, dv/dt = (target - v) / lag, bounded
+by the acceleration and the velocity that the controller allows. The model knows no bus and no clock.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+TICK = 0.02
+"""One point is played for this long, s: the timer of the Doosan bridge."""
+STEP = 0.01
+"""Time step of the drives, s, and period of the joint states: two steps per point."""
+LAG = 0.03
+"""Time constant of a drive, s."""
+CEILING = math.radians(70.0)
+"""The real-time ceilings of the M1013's driver for each joint: 70 deg/s and 70 deg/s^2, in rad/s and rad/s^2."""
+STIFFNESS = 8.0
+"""How fast a drive that plays positions closes a position error, 1/s."""
+
+Kind = Literal["velocity", "position"]
+
+
+class Player:
+    """An arm of J joints at `position` (J,) rad with `velocity` (J,) rad/s.
+
+    It plays velocities and ignores positions and times, as the Doosan bridge does, or, with `plays="position"`, positions
+    as a position-controlled arm. Where the points run out it brakes to rest. No joint is ever faster than `ceiling` rad/s,
+    nor changes its velocity faster than `ceiling` rad/s^2; `feed` (J,) is the velocity that it is commanded now, rad/s.
+    """
+
+    def __init__(self, position: Array, *, plays: Kind = "velocity", ceiling: float = CEILING) -> None:
+        self.position = position.copy()
+        self.velocity: Array = np.zeros_like(position)
+        self.total = 0
+        self.played = 0
+        self._plays = plays
+        self._ceiling = ceiling
+        self._positions: Array = np.zeros((0, len(position)))
+        self._velocities: Array = np.zeros((0, len(position)))
+        self._target = position.copy()
+        self.feed: Array = np.zeros_like(position)
+        self._steps = 0
+
+    @property
+    def fraction(self) -> float:
+        """How much of the last command is played; 1 where it was empty."""
+        return self.played / self.total if self.total else 1.0
+
+    def play(self, positions: Array, velocities: Array) -> None:
+        """Play these points (N, J) from the next tick on instead of what is left; none: stop.
+
+        Without velocities, (0, J), they are those between the positions.
+        """
+        self.total, self.played = len(positions), 0
+        self._positions = positions
+        if self.total == 0:
+            self._target = self.position + self.velocity * np.abs(self.velocity) / (2 * self._ceiling)
+        if self._plays == "velocity":
+            self._velocities = velocities
+        else:
+            self._velocities = np.diff(positions, axis=0, append=positions[-1:]) / TICK
+
+    def step(self, *, stalled: bool = False) -> None:
+        """Let `STEP` seconds pass. A stalled player plays no further point and brakes to rest."""
+        if self._steps % round(TICK / STEP) == 0:
+            self._next_point(stalled)
+        self._steps += 1
+        wanted = self.feed
+        if self._plays == "position":
+            wanted = wanted + STIFFNESS * (self._target - self.position)
+        wanted = np.clip(wanted, -self._ceiling, self._ceiling)
+        change = (wanted - self.velocity) * (1.0 - math.exp(-STEP / LAG))
+        before = self.velocity
+        self.velocity = before + np.clip(change, -self._ceiling * STEP, self._ceiling * STEP)
+        self.velocity[np.abs(self.velocity) < 1e-6] = 0.0
+        self.position = self.position + 0.5 * (before + self.velocity) * STEP
+
+    def _next_point(self, stalled: bool) -> None:
+        if stalled:
+            self._target = self.position
+        if stalled or self.played >= self.total:
+            self.feed = np.zeros_like(self.position)
+            return
+        if len(self._velocities):
+            self.feed = self._velocities[self.played]
+        self._target = self._positions[self.played]
+        self.played += 1

@@ -1,0 +1,93 @@
+"""A robot behind a driver, as processes: the executor and the simulated driver on a router, and a client of both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+from executor_client import Client
+from harness import ServiceProcess, eventually
+from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState, Nothing
+
+FAR = moved(1.0, -0.5, 0.3)
+THERE = rest_to_rest(FAR, slower=1.5)
+BACK = rest_to_rest(HOME, FAR, slower=1.5)
+LIMIT = 1.2
+"""What the driver may be commanded, rad/s^2 (strategy_params.acceleration)."""
+
+
+class Driven:
+    """`client` talks to the executor; `told` is what the driver told of its joints, `commands` what it was sent."""
+
+    def __init__(self, bus: Bus, endpoint: str, folder: Path, strategy: str) -> None:
+        self.bus, self.endpoint, self.folder = bus, endpoint, folder
+        self.strategy = strategy
+        self.client = Client(bus)
+        self.told: list[JointState] = []
+        self.commands: list[DriverCommand] = []
+        bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: self.told.append(state))
+        bus.subscribe(KEYS.driver_command, DriverCommand, lambda _, command: self.commands.append(command))
+        self.driver: ServiceProcess
+        self.executor: ServiceProcess
+
+    def new_driver(self, *arguments: str) -> ServiceProcess:
+        return ServiceProcess("leeloo_sim", self.endpoint, self.folder, arguments=arguments)
+
+    def new_executor(self) -> ServiceProcess:
+        return ServiceProcess("executor", self.endpoint, self.folder, arguments=("--strategy", self.strategy))
+
+    def suffer(self, fault: DriverFault) -> None:
+        """Give the driver a fault."""
+        self.bus.call(KEYS.simulated_fault, fault, Nothing, timeout=10)
+
+    def arm(self) -> np.ndarray:
+        """Where the arm was told to be last, in the executor's order."""
+        state = self.told[-1]
+        return np.array([state.position[state.joint_names.index(name)] for name in ROBOT.descriptor.joints])
+
+    def at_rest(self) -> np.ndarray:
+        """Wait until the driver tells that the arm stands, and check that it goes on to stand; where."""
+        eventually(lambda: self.told and not any(self.told[-1].velocity), "the arm stands")
+        where, seen = self.told[-1].position, len(self.told)
+        eventually(lambda: len(self.told) > seen + 50, "the driver tells the joints")
+        assert {state.position for state in self.told[seen:]} == {where}
+        return self.arm()
+
+    def fault(self, code: str) -> ExecutorState:
+        """Wait for the executor's fault, and hold what it must say."""
+        state = self.client.mode("fault")
+        assert state.problem is not None
+        assert state.problem.code == code, state.problem
+        return state
+
+    def works_again(self) -> None:
+        """After a reset, the next goal, from where the arm stands, is reached."""
+        start = self.at_rest()
+        assert self.client.command(KEYS.reset).mode == "idle"
+        assert self.client.ended(self.client.execute(rest_to_rest(HOME, start, slower=1.5))).status == "succeeded"
+        np.testing.assert_allclose(self.at_rest(), HOME, atol=0.01)
+
+    def commanded_acceleration(self) -> float:
+        """The greatest change of velocity inside any command sent, rad/s^2."""
+        return max(
+            float(np.max(np.abs(np.diff(command.velocity, axis=0)))) / 0.02
+            for command in self.commands
+            if len(command.velocity) > 1
+        )
+
+
+@contextmanager
+def driven(bus: Bus, endpoint: str, folder: Path, strategy: str, *driver: str) -> Iterator[Driven]:
+    """The two processes, ready."""
+    with ExitStack() as stack:
+        robot = Driven(bus, endpoint, folder, strategy)
+        robot.driver = stack.enter_context(robot.new_driver(*driver))
+        robot.driver.wait_ready(bus, KEYS)
+        robot.executor = stack.enter_context(robot.new_executor())
+        robot.executor.wait_ready(bus, KEYS)
+        yield robot

@@ -1,0 +1,197 @@
+"""Every strategy on a bench: the real state machine, link and simulated arm, wired without a bus, on the test's clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path as Folder
+from typing import Any
+
+import numpy as np
+from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+
+from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState
+from zarm_contract.robot import Robot, StrategyParams
+from zarm_executor.follower import TICK
+from zarm_executor.machine import Goal, Machine
+from zarm_executor.monitor import Monitor
+from zarm_executor.path import Array, Path
+from zarm_executor.strategies import build_strategies
+from zarm_leeloo_sim.player import Player
+
+JOINTS = ROBOT.descriptor.joints
+TOLD = tuple(JOINTS[index] for index in (0, 1, 3, 4, 2, 5))
+LATENCY = 0.01
+"""Time, s, that a message takes on the bench."""
+
+
+def robot_with(**params: Any) -> Robot:
+    """The robot of the tests with other strategy_params."""
+    assert ROBOT.descriptor.strategy_params is not None
+    merged = ROBOT.descriptor.strategy_params.model_dump(exclude_none=True) | params
+    descriptor = ROBOT.descriptor.model_copy(update={"strategy_params": StrategyParams.model_validate(merged)})
+    return dataclasses.replace(ROBOT, descriptor=descriptor)
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One strategy with one kind of driver."""
+
+    strategy: str
+    plays: str = "velocity"
+    params: tuple[tuple[str, Any], ...] = ()
+
+    def __str__(self) -> str:
+        return "-".join((self.strategy, *(str(value) for _, value in self.params)))
+
+
+EVERY = (("strategies", ("joint_speed", "joint_pose", "joint_trajectory")),)
+MOVING = (
+    Case("emulator"),
+    Case("joint_speed"),
+    Case("joint_pose", "position", EVERY),
+    Case("joint_trajectory"),
+    Case("joint_trajectory", "position", (("state_topic", None),)),
+    Case("joint_trajectory", "velocity", (("stop", "empty"),)),
+)
+
+
+class Wire:
+    """Stands in for a bus: what is published arrives at the arm, and what the arm tells at the executor, a tick later."""
+
+    def __init__(self, bench: DriverBench) -> None:
+        self.bench = bench
+
+    def publisher(self, _key: str, _model: object, *, realtime: bool) -> Wire:
+        assert realtime
+        return self
+
+    def put(self, command: DriverCommand) -> None:
+        self.bench.commands.append((self.bench.now, command))
+
+    def latest(self, key: str, _model: object) -> Told:
+        return self.bench.joint_states if key == KEYS.driver_joint_states else self.bench.progress
+
+
+class Told:
+    """The newest message of the arm and when it came."""
+
+    def __init__(self) -> None:
+        self.newest: tuple[JointState | DriverProgress, float] | None = None
+
+    def received(self) -> Any:
+        return self.newest
+
+
+class DriverBench:
+    """A machine with the strategy of a case, and an arm behind a driver that tests can make misbehave."""
+
+    def __init__(self, case: Case, folder: Folder) -> None:
+        params = dict(case.params)
+        self.case = case
+        self.now = time.monotonic()
+        self.arm = Player(HOME, plays=case.plays)
+        self.silent = False
+        self.stalled = False
+        self.commands: list[tuple[float, DriverCommand]] = []
+        self.joint_states, self.progress = Told(), Told()
+        self.positions: list[Array] = []
+        self.feeds: list[Array] = []
+        self._taken = 0
+        self._told: deque[tuple[float, JointState, DriverProgress | None]] = deque()
+        self._sequence = 0
+        self.robot = robot_with(**params)
+        self.repertoire = build_strategies(self.robot, folder, Wire(self), KEYS)  # type: ignore[arg-type]
+        self._arm_step()
+        self._arm_step()
+        self.machine = Machine(self.repertoire.find(case.strategy))
+        self.tick()
+
+    def _arm_step(self) -> None:
+        self.now += TICK
+        while self._taken < len(self.commands) and self.commands[self._taken][0] <= self.now - LATENCY:
+            command = self.commands[self._taken][1]
+            assert command.joint_names == JOINTS
+            self.arm.play(np.array(command.position).reshape(-1, 6), np.array(command.velocity).reshape(-1, 6))
+            self._sequence = command.sequence
+            self._taken += 1
+        self.arm.step(stalled=self.stalled)
+        if not self.silent:
+            order = [JOINTS.index(name) for name in TOLD]
+            self.joint_states.newest = (
+                JointState(
+                    stamp=self.now,
+                    joint_names=TOLD,
+                    position=tuple(self.arm.position[order].tolist()),
+                    velocity=tuple(self.arm.velocity[order].tolist()),
+                ),
+                self.now,
+            )
+            if self._sequence:
+                self.progress.newest = DriverProgress(sequence=self._sequence, fraction=self.arm.fraction), self.now
+
+    def freeze(self, seconds: float) -> None:
+        """Let time pass in which nobody runs the machine."""
+        for _ in range(round(seconds / TICK)):
+            self._arm_step()
+
+    def tick(self) -> None:
+        self._arm_step()
+        measured = self.machine.tick(self.now)
+        assert measured is not None
+        self.positions.append(measured.position)
+        self.feeds.append(self.arm.feed.copy())
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / TICK)):
+            self.tick()
+
+    def until(self, mode: str, patience: float = 20.0) -> None:
+        for _ in range(round(patience / TICK)):
+            if self.machine.state().mode == mode:
+                return
+            self.tick()
+        raise AssertionError(f"{self.machine.state()} does not become {mode}")
+
+    def execute(self, goal: Array | None = None, start: Array = HOME) -> Path:
+        """Start a motion along a path to `goal`."""
+        trajectory = rest_to_rest(moved(1.0, -0.5, 0.3) if goal is None else goal, start)
+        path = Path.of(trajectory, JOINTS).approached_from(self.positions[-1], np.full(6, 1.2), np.full(6, 1.0))
+        monitor = Monitor(path, JOINTS, self.robot.descriptor.execution)
+        self.machine.start(Goal("goal", None, path, monitor), self.machine.stops)
+        return path
+
+    def switch(self, name: str) -> None:
+        """Switch to another strategy while time passes; raises what the switch raises."""
+        with ThreadPoolExecutor(1) as pool:
+            switched = pool.submit(self.machine.switch, self.repertoire.find(name), 10.0)
+            while not switched.done():
+                self.tick()
+                time.sleep(0)
+            switched.result()
+
+    def last(self) -> GoalState:
+        return self.machine.changes[-1]
+
+    def statuses(self) -> list[str]:
+        return [change.status for change in self.machine.changes]
+
+    def commanded_acceleration(self) -> float:
+        """The greatest change of the velocity that the arm was commanded, rad/s^2; of the emulated one that it had."""
+        if self.case.strategy == "emulator":
+            return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)))) / TICK**2
+        return float(np.max(np.abs(np.diff(self.feeds[::2], axis=0)))) / (2 * TICK)
+
+    def rests(self, seconds: float = 1.0) -> bool:
+        """Whether, once the drives have settled, nothing moves any more."""
+        self.run(0.5)
+        where = self.positions[-1]
+        self.run(seconds)
+        return bool(np.allclose(self.positions[-1], where, atol=1e-6))
+
+
+def distance_from(path: Path, position: Array) -> float:
+    """How far (rad, the worst joint) a position is from a path."""
+    return float(np.abs(path.sample(np.linspace(0.0, path.duration, 5000))[0] - position).max(axis=1).min())

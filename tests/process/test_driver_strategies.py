@@ -1,0 +1,164 @@
+"""A robot moved through its driver, as processes on a router: the simulated one, and the documented example of one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driven import FAR, LIMIT, THERE, driven
+from executor_client import Client
+from harness import PATIENCE, ServiceProcess, eventually
+from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import JointState
+from zarm_contract.session import open_client
+
+EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "zenoh_driver.py"
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
+    bus: Bus, endpoint: str, tmp_path: Path, strategy: str
+) -> None:
+    with driven(bus, endpoint, tmp_path, strategy) as robot:
+        goal_id = robot.client.execute(THERE)
+        assert robot.client.ended(goal_id).status == "succeeded"
+        np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
+        np.testing.assert_allclose(robot.client.position(), robot.arm(), atol=1e-9)
+        assert robot.client.measured[-1].joint_names == ROBOT.descriptor.joints
+        assert robot.told[-1].joint_names != ROBOT.descriptor.joints
+        progress = [goal.progress for goal in robot.client.goals]
+        assert progress == sorted(progress)
+        assert len(set(progress)) > 5
+        assert robot.commanded_acceleration() <= LIMIT * 1.01
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
+    bus: Bus, endpoint: str, tmp_path: Path, strategy: str
+) -> None:
+    with driven(bus, endpoint, tmp_path, strategy) as robot:
+        goal_id = robot.client.execute(THERE)
+        robot.client.under_way(goal_id)
+        robot.client.command(KEYS.pause)
+        robot.client.mode("paused")
+        held = robot.at_rest()
+        assert np.max(np.abs(held - FAR)) > 0.05
+        robot.client.command(KEYS.resume)
+        robot.client.under_way(goal_id, 0.6)
+        robot.client.command(KEYS.cancel)
+        assert robot.client.ended(goal_id).status == "cancelled"
+        assert np.max(np.abs(robot.at_rest() - held)) > 0.05
+        assert robot.commanded_acceleration() <= LIMIT * 1.01
+
+
+def test_switching_to_the_driver_and_back_while_it_moves(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    with driven(bus, endpoint, tmp_path, "joint_speed") as robot:
+        goal_id = robot.client.execute(THERE)
+        robot.client.under_way(goal_id)
+        assert robot.client.strategy("joint_trajectory").active == "joint_trajectory"
+        assert robot.client.goal(goal_id).status == "cancelled"
+        back = robot.client.execute(rest_to_rest(HOME, robot.at_rest(), slower=1.5))
+        robot.client.under_way(back)
+        assert robot.client.strategy("joint_speed").active == "joint_speed"
+        assert robot.client.goal(back).status == "cancelled"
+        last = robot.client.execute(rest_to_rest(HOME, robot.at_rest()))
+        assert robot.client.ended(last).status == "succeeded"
+        np.testing.assert_allclose(robot.at_rest(), HOME, atol=0.005)
+
+
+def test_without_a_driver_the_strategies_that_need_one_say_so_and_a_switch_leaves_the_former(
+    bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        client = Client(bus)
+        infos = {info.name: info for info in client.strategy().strategies}
+        assert infos["emulator"].available
+        assert not infos["joint_speed"].available
+        assert "start the robot's driver" in (infos["joint_speed"].reason or "")
+        assert "strategy_params.strategies" in (infos["joint_pose"].reason or "")
+        for name, why in (("joint_speed", "emulator is active again"), ("joint_pose", "its driver cannot play it")):
+            with pytest.raises(Unavailable, match=why):
+                client.strategy(name)
+        assert client.strategy().active == "emulator"
+        assert client.ended(client.execute(rest_to_rest(moved(0.05)))).status == "succeeded"
+
+
+def test_a_robot_without_strategy_params_says_that(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path, robot="panda") as process:
+        keys = type(KEYS)("panda")
+        process.wait_ready(bus, keys)
+        infos = {info.name: info for info in Client(bus, keys).strategy().strategies}
+        assert "has no strategy_params" in (infos["joint_trajectory"].reason or "")
+
+
+def test_an_executor_that_is_to_start_with_a_driver_waits_for_it(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    arguments = ("--strategy", "joint_speed")
+    with ServiceProcess("executor", endpoint, tmp_path, arguments=arguments) as process:
+        eventually(lambda: "waiting_for_the_robot" in process.output(), "it waits")
+        with ServiceProcess("leeloo_sim", endpoint, tmp_path) as driver:
+            driver.wait_ready(bus, KEYS)
+            process.wait_ready(bus, KEYS)
+            assert Client(bus).state().strategy == "joint_speed"
+
+
+def test_noise_on_the_keys_of_the_driver_does_no_harm(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    noise = [
+        b"{",
+        b"\xff\xfe\x00",
+        b"[" * 100_000,
+        b'{"stamp": 0, "joint_names": ["joint_1"], "position": [NaN], "velocity": [0]}',
+        b'{"stamp": 0, "joint_names": ["joint_1"], "position": [1], "velocity": [0]}',
+        b'{"sequence": 1, "fraction": 2}',
+        b'{"sequence": 999999, "fraction": 1}',
+    ]
+    with driven(bus, endpoint, tmp_path, "joint_speed") as robot, open_client(endpoint) as session:
+        goal_id = robot.client.execute(THERE)
+        for payload in noise * 5:
+            for key in (KEYS.driver_joint_states, KEYS.driver_progress):
+                session.put(key, payload)
+        assert robot.client.ended(goal_id).status == "succeeded"
+        np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
+
+
+@contextmanager
+def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
+    """The example of a driver, telling its joints."""
+    told: list[JointState] = []
+    bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: told.append(state))
+    joints, at = reversed(ROBOT.descriptor.joints), [str(value) for value in reversed(HOME.tolist())]
+    command = [sys.executable, str(EXAMPLE), "--connect", endpoint, "--joints", *joints, "--at", *at]
+    process = subprocess.Popen(command)
+    try:
+        eventually(lambda: told or process.poll() is not None, "the example tells its joints")
+        assert process.poll() is None
+        yield told
+    finally:
+        process.kill()
+        process.wait(PATIENCE)
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path: Path, strategy: str) -> None:
+    with (
+        example(bus, endpoint) as told,
+        ServiceProcess("executor", endpoint, tmp_path, arguments=("--strategy", strategy)) as process,
+    ):
+        process.wait_ready(bus, KEYS)
+        client = Client(bus)
+        goal_id = client.execute(THERE)
+        assert client.ended(goal_id).status == "succeeded", client.goal(goal_id)
+        np.testing.assert_allclose(client.position(), FAR, atol=0.01)
+        np.testing.assert_allclose(client.position(), tuple(reversed(told[-1].position)), atol=0.01)
+
+
+def test_the_example_of_a_driver_is_short() -> None:
+    assert len(EXAMPLE.read_text().splitlines()) < 100

@@ -1,0 +1,121 @@
+"""The link to a driver: joints by name, ages by the executor's clock, columns in the driver's order."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from driver_bench import robot_with
+from harness import eventually
+from motions import HOME, KEYS, moved, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_executor.follower import Follower
+from zarm_executor.path import Path
+from zarm_executor.strategies.driver_link import DriverLink
+
+ORDER = ("joint_6", "joint_1", "joint_3", "joint_2", "joint_4", "joint_5")
+ROBOT = robot_with(joint_order=ORDER)
+JOINTS = ROBOT.descriptor.joints
+
+
+@pytest.fixture
+def link(endpoint: str) -> Iterator[DriverLink]:
+    assert ROBOT.descriptor.strategy_params is not None
+    with Bus(endpoint) as bus:
+        yield DriverLink(bus, KEYS, ROBOT.descriptor, ROBOT.descriptor.strategy_params)
+
+
+def state(names: tuple[str, ...], values: tuple[float, ...]) -> JointState:
+    return JointState(stamp=0.0, joint_names=names, position=values, velocity=tuple(-value for value in values))
+
+
+def test_joint_states_are_read_by_name_whatever_their_order_and_company(link: DriverLink, bus: Bus) -> None:
+    assert link.measured() is None
+    assert "start the robot's driver" in (link.obstacle() or "")
+    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    before = time.monotonic()
+    driver.put(state(("gripper", *ORDER), (9.0, 6.0, 1.0, 3.0, 2.0, 4.0, 5.0)))
+    measured = eventually(link.measured, "the joints arrive")
+    np.testing.assert_array_equal(measured.position, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(measured.velocity, -measured.position)
+    assert before < measured.time < time.monotonic()
+    assert link.measured() is measured  # nothing new: the same, with its age
+    eventually(lambda: "joint_state_timeout" in (link.obstacle() or ""), "the joints are old")
+
+
+def test_joints_of_another_robot_and_what_cannot_be_read_are_ignored_loudly_once(
+    link: DriverLink, bus: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING)
+    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    driver.put(state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
+    good = eventually(link.measured, "the joints arrive")
+    for _ in range(3):
+        driver.put(state(("a", "b"), (0.0, 0.0)))
+        eventually(lambda: link.measured() is good and "another robot" in caplog.text, "the stranger was looked at")
+    assert caplog.text.count("another robot") == 1
+
+
+def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: Bus) -> None:
+    commands: list[DriverCommand] = []
+    bus.subscribe(KEYS.driver_command, DriverCommand, lambda _, command: commands.append(command))
+    path = Path.of(rest_to_rest(moved(0.1, 0.2, 0.3)), JOINTS)
+    points = Follower(path, link.acceleration_limit).ahead(0.02)
+
+    def sent() -> bool:  # a real-time publication may be dropped until the router knows the subscriber
+        link.send(points)
+        return bool(commands)
+
+    eventually(sent, "the command arrives")
+    command = commands[-1]
+    assert command.joint_names == ORDER
+    columns = [JOINTS.index(name) for name in ORDER]
+    np.testing.assert_array_equal(command.position, points.position[:, columns])
+    np.testing.assert_array_equal(command.velocity, points.velocity[:, columns])
+    np.testing.assert_allclose(command.position[-1], path.end[columns])
+    np.testing.assert_allclose(np.diff(command.time), 0.02)
+    count = len(commands)
+    number = link.stop()
+    eventually(lambda: len(commands) > count, "the stop arrives")
+    assert commands[-1] == DriverCommand(sequence=number, joint_names=ORDER)
+
+
+def test_progress_counts_for_the_command_that_it_names(link: DriverLink, bus: Bus) -> None:
+    progress = bus.publisher(KEYS.driver_progress, DriverProgress)
+    progress.put(DriverProgress(sequence=3, fraction=0.25))
+    assert eventually(lambda: link.fraction(3), "the progress arrives") == 0.25
+    assert link.fraction(4) is None
+
+
+# --- what lies ahead of a follower ---
+
+
+def test_what_lies_ahead_is_what_the_follower_then_does() -> None:
+    path = Path.of(rest_to_rest(moved(1.0, -0.5)), JOINTS)
+    limit = np.array(ROBOT.descriptor.cspace.acceleration)
+    for target, time_, speed in ((1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, 1.0, 0.0), (1.0, 0.5, 0.4)):
+        follower = Follower(path, limit, time=time_, speed=speed, target=target)
+        ahead = follower.ahead(0.02)
+        for index in range(len(ahead.time)):
+            np.testing.assert_allclose(ahead.position[index], follower.position, atol=1e-9)
+            np.testing.assert_allclose(ahead.velocity[index], follower.velocity, atol=1e-9)
+            assert ahead.at(index)[0] == pytest.approx(follower.time)
+            follower.advance(0.02)
+        assert follower.settled
+        assert not ahead.velocity[-1].any()
+        assert np.max(np.abs(ahead.acceleration)) <= 1.02
+        assert np.max(np.abs(np.diff(ahead.velocity, axis=0))) / 0.02 <= 1.01
+
+
+def test_a_chunk_has_as_many_points_as_asked_for_and_stays_at_the_end() -> None:
+    path = Path.of(rest_to_rest(moved(0.05)), JOINTS)
+    ahead = Follower(path, np.ones(6)).ahead(0.02, 100)
+    assert ahead.position.shape == (100, 6)
+    np.testing.assert_allclose(ahead.position[-1], path.end)
+    np.testing.assert_array_equal(ahead.position[0], HOME)
+    assert not ahead.velocity[-50:].any()

@@ -1,0 +1,242 @@
+"""What every strategy that moves a robot promises, whatever driver is behind it."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path as Folder
+
+import numpy as np
+import pytest
+from driver_bench import MOVING, Case, DriverBench, distance_from
+from motions import HOME, moved
+
+from zarm_contract.errors import Unavailable
+from zarm_executor.machine import STALL_LIMIT
+
+FAR = moved(1.0, -0.5, 0.3)
+LIMIT = 1.2
+"""What the driver of the tests' robot may be commanded, rad/s^2 (strategy_params.acceleration)."""
+
+
+@pytest.fixture(params=MOVING, ids=str)
+def bench(request: pytest.FixtureRequest, tmp_path: Folder) -> DriverBench:
+    return DriverBench(request.param, tmp_path)
+
+
+def test_it_reaches_the_goal_inside_the_limits(bench: DriverBench) -> None:
+    path = bench.execute()
+    bench.until("idle")
+    assert bench.statuses() == ["accepted", "running", "succeeded"]
+    assert bench.last().progress == 1.0
+    assert bench.last().elapsed < path.duration + 1.0
+    assert bench.rests()
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
+    assert bench.commanded_acceleration() <= LIMIT * 1.001
+
+
+@pytest.mark.parametrize("after", [0.05, 0.7, 1.5, 2.3])
+def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(bench: DriverBench, after: float) -> None:
+    path = bench.execute()
+    bench.run(after)
+    bench.machine.cancel(None, "enough")
+    bench.until("idle", patience=4.0)
+    assert bench.statuses()[-2:] == ["stopping", "cancelled"]
+    assert bench.rests()
+    if bench.case.params != (("stop", "empty"),):  # then the driver brakes by itself, each joint for itself
+        assert distance_from(path, bench.positions[-1]) < 0.002
+        assert bench.commanded_acceleration() <= LIMIT * 1.001
+
+
+@pytest.mark.parametrize("after", [0.05, 0.7, 1.5])
+def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after: float) -> None:
+    bench.execute()
+    bench.run(after)
+    bench.machine.pause()
+    bench.until("paused", patience=4.0)
+    assert bench.rests()
+    held = bench.positions[-1]
+    bench.run(5.0)
+    np.testing.assert_allclose(bench.positions[-1], held, atol=1e-6)
+    bench.machine.resume()
+    bench.until("idle")
+    assert bench.statuses() == ["accepted", "running", "paused", "running", "succeeded"]
+    assert bench.rests()
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
+
+
+def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> None:
+    bench.execute()
+    bench.run(1.0)
+    bench.machine.pause()
+    bench.run(0.2)
+    bench.machine.resume()
+    bench.until("idle")
+    assert bench.statuses()[-1] == "succeeded"
+
+
+def test_a_goal_cancelled_before_its_first_tick_does_not_move(bench: DriverBench) -> None:
+    bench.execute()
+    bench.machine.cancel(None, "never mind")
+    bench.until("idle")
+    assert bench.statuses() == ["accepted", "stopping", "cancelled"]
+    assert bench.rests()
+    np.testing.assert_allclose(bench.positions[-1], HOME, atol=1e-6)
+
+
+def test_one_motion_follows_another(bench: DriverBench) -> None:
+    for goal, start in ((FAR, HOME), (HOME, FAR), (FAR, HOME)):
+        bench.execute(goal, start)
+        bench.until("idle")
+        assert bench.last().status == "succeeded"
+        assert bench.rests()
+        np.testing.assert_allclose(bench.positions[-1], goal, atol=0.005)
+
+
+def test_a_switch_in_motion_brings_the_robot_to_rest_first(bench: DriverBench) -> None:
+    bench.execute()
+    bench.run(1.0)
+    bench.switch("ghost")
+    assert bench.last().status == "cancelled"
+    assert bench.machine.state().strategy == "ghost"
+    where = bench.arm.position
+    with pytest.raises(Unavailable, match="executor/strategy"):
+        bench.machine.admit()
+    bench.run(1.0)
+    np.testing.assert_allclose(bench.arm.position, where, atol=0.005)
+    bench.switch(bench.case.strategy)
+    bench.tick()
+    bench.execute(FAR, bench.positions[-1])
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
+def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_path: Folder) -> None:
+    for case in MOVING[1:]:
+        bench = DriverBench(case, tmp_path)
+        bench.switch("emulator")
+        bench.joint_states.newest = None
+        bench.silent = True
+        strategy = bench.repertoire.find(case.strategy)
+        strategy.link._measured = None  # type: ignore[attr-defined]  # as in a process that has just started
+        with pytest.raises(Unavailable, match=r"start the robot's driver; emulator is active again"):
+            bench.switch(case.strategy)
+        assert bench.machine.state().strategy == "emulator"
+        bench.execute()
+        bench.until("idle")
+        assert bench.last().status == "succeeded"
+
+
+@pytest.mark.parametrize("after", [0.02, 0.7, 1.5, 2.38])
+def test_a_control_loop_that_was_away_in_motion_ends_in_fault_at_rest(bench: DriverBench, after: float) -> None:
+    bench.execute()
+    bench.run(after)
+    bench.freeze(STALL_LIMIT + 0.5)
+    bench.until("fault", patience=4.0)
+    assert bench.last().status == "aborted"
+    assert bench.rests()
+
+
+@pytest.mark.parametrize("case", MOVING[1:], ids=str)
+def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path: Folder) -> None:
+    bench = DriverBench(case, tmp_path)
+    bench.execute()
+    bench.run(0.7)
+    bench.stalled = True
+    bench.run(0.9)
+    bench.machine.cancel(None, "enough")
+    bench.run(0.1)
+    stood = bench.arm.position
+    bench.stalled = False
+    bench.run(3.0)
+    np.testing.assert_allclose(bench.arm.position, stood, atol=0.02)  # positions hold it on the path, not beside it
+
+
+# --- what is sent ---
+
+
+def test_what_a_velocity_driver_is_sent_never_breaks_the_bounds_however_far_the_robot_is_off(tmp_path: Folder) -> None:
+    bench = DriverBench(Case("joint_speed"), tmp_path)
+    bench.execute()
+    for push in (0.1, -0.15, 0.12, -0.1):
+        bench.run(0.3)
+        bench.arm.position = bench.arm.position + push * np.array([1, -1, 1, -1, 1, -1])
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert bench.commanded_acceleration() <= LIMIT * 1.001
+    assert max(np.abs(command.velocity).max() for _, command in bench.commands if command.time) <= 1.2
+
+
+def test_what_is_sent_is_what_is_published_and_agrees_from_one_chunk_to_the_next(tmp_path: Folder) -> None:
+    bench = DriverBench(Case("joint_speed"), tmp_path)
+    bench.execute()
+    bench.until("idle")
+    chunks = [(at, command) for at, command in bench.commands if command.time]
+    for (at, before), (later, after) in itertools.pairwise(chunks):
+        assert after.sequence == before.sequence + 1
+        played = round((later - at) / 0.02)
+        if played <= len(before.velocity):
+            step = np.subtract(after.velocity[0], before.velocity[played - 1])
+            assert np.max(np.abs(step)) <= LIMIT * 0.02 + 1e-9
+            np.testing.assert_allclose(after.acceleration[0], step / 0.02, atol=1e-9)
+        inside = np.diff(after.velocity, axis=0)
+        assert np.max(np.abs(inside)) <= LIMIT * 0.02 + 1e-9
+        np.testing.assert_allclose(after.acceleration[1:], inside / 0.02, atol=1e-9)
+
+
+def test_after_a_chunk_that_came_too_late_the_next_begins_at_the_velocity_that_the_robot_has(tmp_path: Folder) -> None:
+    bench = DriverBench(Case("joint_speed"), tmp_path)
+    bench.execute()
+    bench.run(1.2)
+    bench.freeze(0.25)
+    sent, velocity = len(bench.commands), bench.arm.velocity
+    assert velocity[0] > 0.1
+    bench.tick()
+    (_, command) = bench.commands[sent]
+    assert np.max(np.abs(np.subtract(command.velocity[0], velocity))) <= LIMIT * 0.031
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert bench.rests()
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
+
+
+def test_positions_alone_are_streamed_by_joint_pose(tmp_path: Folder) -> None:
+    bench = DriverBench(MOVING[2], tmp_path)
+    bench.execute()
+    bench.until("idle")
+    chunks = [command for _, command in bench.commands if command.time]
+    assert len(chunks) > 20
+    assert all(not command.velocity and not command.acceleration for command in chunks)
+
+
+def test_a_streamed_robot_whose_chunks_stop_coming_comes_to_rest_by_itself(tmp_path: Folder) -> None:
+    bench = DriverBench(Case("joint_speed"), tmp_path)
+    bench.execute()
+    bench.run(1.2)
+    bench.freeze(2.0)
+    assert not bench.arm.velocity.any()
+
+
+def test_drift_does_not_add_up_when_the_measured_joints_close_the_loop(tmp_path: Folder) -> None:
+    """A driver that is 5 % too slow is corrected by joint_speed; joint_trajectory, open loop, ends beside the goal."""
+    ends = {}
+    for name in ("joint_speed", "joint_trajectory"):
+        bench = DriverBench(Case(name), tmp_path)
+        play = bench.arm.play
+        bench.arm.play = lambda positions, velocities, play=play: play(positions, velocities * 0.95)  # type: ignore[method-assign]
+        bench.execute()
+        while bench.machine.state().mode == "running":
+            bench.tick()
+        bench.run(1.0)
+        ends[name] = float(np.max(np.abs(bench.arm.position - FAR)))
+    assert ends["joint_speed"] < 0.005
+    assert ends["joint_trajectory"] > 0.03
+
+
+def test_a_robot_without_a_driver_says_why_it_has_no_driver_strategies(tmp_path: Folder) -> None:
+    bench = DriverBench(Case("emulator"), tmp_path)
+    infos = {info.name: info for info in bench.repertoire.describe()}
+    assert infos["joint_speed"].available
+    assert not infos["joint_pose"].available
+    assert "strategy_params.strategies" in (infos["joint_pose"].reason or "")
+    with pytest.raises(Unavailable, match="its driver cannot play it"):
+        bench.repertoire.find("joint_pose")
