@@ -34,6 +34,11 @@ def kernel(function: F) -> F:
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
+def brief(function: F) -> F:
+    """Like `kernel`, for a few microseconds of work: it keeps the GIL, for to hand it over would take longer than that."""
+    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+
+
 def inlined(function: F) -> F:
     """Like `kernel`, for a part of one: compiled into its callers, which saves the reference counts of its arrays."""
     return cast(F, numba.njit(forceinline=True, error_model="numpy")(function))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_planner.kernels.compiled import brief, inlined
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def joint_frames(origin: Array, revolute: NDArray[np.bool_], q: Array, out: Arra
             out[k, i, 3] = p + slide * z
 
 
-@kernel
+@brief
 def frames(
     origin: Array, revolute: NDArray[np.bool_], joint: NDArray[np.int32], offset: Array, q: Array, out: Array
 ) -> None:

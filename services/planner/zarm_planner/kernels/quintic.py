@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_planner.kernels.compiled import brief, inlined
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def _coefficients(motion: Samples, i: int, joint: int, h: float) -> tuple[float,
     return p0, v0, a0 / 2, 10 * p - 4 * v + a / 2, -15 * p + 7 * v - a, 6 * p - 3 * v + a / 2
 
 
-@kernel
+@brief
 def sample(motion: Samples, t: Array, out: Array) -> None:
     """Position, velocity and acceleration `out` (3, k, dof) at times `t` (k,) within the motion."""
     time = motion.time
@@ -59,7 +59,7 @@ def sample(motion: Samples, t: Array, out: Array) -> None:
             out[2, m, joint] = (2 * c2 + x * (6 * c3 + x * (12 * c4 + x * 20 * c5))) / (h * h)
 
 
-@kernel
+@brief
 def travel(motion: Samples, reach: Array, out: Array) -> None:
     """How far (n - 1,) a point moves at most per interval, if it moves by `reach` (dof,) at most per rad of each joint.
 
@@ -85,7 +85,7 @@ def _larger(worst: float, value: float) -> float:
     return value if value > worst or math.isnan(value) else worst
 
 
-@kernel
+@brief
 def load(motion: Samples, most: tuple[Array, Array, Array]) -> tuple[float, float, float]:
     """The largest parts of the limits `most`, each (dof,), that velocity, acceleration and jerk come to.
 

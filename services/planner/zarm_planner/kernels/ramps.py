@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_planner.kernels.compiled import brief, inlined
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ def connect_states(
     return True
 
 
-@kernel
+@brief
 def along(path: Array, vias: NDArray[np.bool_], fastest: Array, strongest: Array, ramps: Ramps) -> int:
     """Ramps straight along a path (n, dof), at rest at each of its corners; returns how many.
 

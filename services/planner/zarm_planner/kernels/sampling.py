@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_planner.kernels.compiled import kernel
+from zarm_planner.kernels.compiled import brief
 from zarm_planner.kernels.ramps import Array, Ramps
 
 
-@kernel
+@brief
 def sample_average(ramps: Ramps, count: int, window: float, t: Array, out: Array) -> None:
     """Position, velocity and acceleration (3, n, dof) at the ascending times `t` (n,) of the first `count` ramps, averaged
     over the last `window` s; before and after them the robot rests.
