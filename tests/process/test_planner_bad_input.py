@@ -9,11 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import zenoh
-from harness import PATIENCE, ServiceProcess, router
+from harness import PATIENCE
+from planner_client import HOME, KEYS
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Problem
-from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     MAX_OBJECTS,
     Health,
@@ -26,36 +26,9 @@ from zarm_contract.messages import (
     SceneEdited,
     Sphere,
 )
-from zarm_contract.robot import load_robot
-from zarm_contract.session import open_client
 
-KEYS = Keys("doosan_m1013")
-HOME = load_robot("doosan_m1013").descriptor.home
 GOOD = PlanRequest(start=HOME, goal=JointGoal(kind="joints", position=(0.5, *HOME[1:])))
 TO_HOME = {"kind": "joints", "position": HOME}
-
-
-@pytest.fixture(scope="module")
-def place() -> Iterator[str]:
-    with router() as address:
-        yield address
-
-
-@pytest.fixture(scope="module")
-def planner(place: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
-    """A session to a planner that is ready, and that must outlive all tests."""
-    with Bus(place) as bus, ServiceProcess("planner", place, tmp_path_factory.mktemp("planner")) as process:
-        process.wait_ready(bus, KEYS)
-        yield bus
-        assert process.process.poll() is None
-
-
-@pytest.fixture(scope="module")
-def foreign(planner: Bus, place: str) -> Iterator[zenoh.Session]:
-    """A client that knows nothing of zarm."""
-    session = open_client(place)
-    yield session
-    session.close()  # type: ignore[no-untyped-call]
 
 
 @pytest.fixture(autouse=True)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import PATIENCE, ServiceProcess, eventually, router
+from harness import PATIENCE, ServiceProcess, eventually
+from planner_client import HOME, KEYS, ROBOT
 from second_opinion import Collisions, link_pose
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed, Unavailable
-from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     AddObjects,
     AttachObject,
@@ -36,12 +35,8 @@ from zarm_contract.messages import (
     SceneObject,
     SetLinkCollision,
 )
-from zarm_contract.robot import load_robot
 from zarm_executor.checks import executable
 
-ROBOT = load_robot("doosan_m1013")
-KEYS = Keys("doosan_m1013")
-HOME = ROBOT.descriptor.home
 SWUNG = (1.2, *HOME[1:])
 
 TIP = link_pose(ROBOT, ROBOT.descriptor.tip_link, HOME)
@@ -54,19 +49,6 @@ def wall() -> Cuboid:
     """Half-way from HOME to SWUNG, so low that the bare robot passes above it."""
     x, y, _ = link_pose(ROBOT, ROBOT.descriptor.tip_link, (0.6, *HOME[1:]))[:3, 3].tolist()
     return Cuboid(kind="cuboid", name="wall", position=(x, y, (Z - 0.2) / 2), size=(0.1, 0.1, Z - 0.2))
-
-
-@pytest.fixture(scope="module")
-def planner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
-    """A session to a planner that is ready; each test gives it the scene it needs."""
-    with (
-        router() as place,
-        Bus(place) as bus,
-        ServiceProcess("planner", place, tmp_path_factory.mktemp("planner")) as process,
-    ):
-        process.wait_ready(bus, KEYS)
-        yield bus
-        assert process.process.poll() is None
 
 
 def edit(bus: Bus, what: AddObjects | AttachObject | DetachObject | LoadScene | SetLinkCollision) -> SceneEdited:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from harness import PATIENCE, ServiceProcess, eventually, router
+from harness import PATIENCE, ServiceProcess, eventually
 from launched import zarm
+from planner_client import HOME, KEYS, ROBOT
 from second_opinion import Collisions
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     AddObjects,
     CheckRequest,
@@ -36,13 +36,9 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
-from zarm_contract.robot import load_robot
 from zarm_contract.session import open_client
 from zarm_executor.checks import executable
 
-ROBOT = load_robot("doosan_m1013")
-KEYS = Keys("doosan_m1013")
-HOME = ROBOT.descriptor.home
 POST = Cylinder(kind="cylinder", name="post", position=(0.38, 0.38, 0.4), radius=0.039, length=0.9)
 BEHIND_POST = (1.6, *HOME[1:])
 """Home turned: the straight way there leads through the post."""
@@ -56,13 +52,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "posts").mkdir()
     trimesh.creation.cylinder(39.1, 900.0, sections=64).export(folder / "posts" / "post.stl")
     return folder
-
-
-@pytest.fixture(scope="module")
-def place() -> Iterator[str]:
-    """The router of the planner that most tests share."""
-    with router() as address:
-        yield address
 
 
 @pytest.fixture(scope="module")
