@@ -12,11 +12,14 @@ from zarm_contract.robot import load_robot
 from zarm_planner.ends import Snapshot
 from zarm_planner.exact import ExactScene
 from zarm_planner.frames import pose_of
+from zarm_planner.held import Held
 from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
+from zarm_planner.timing import time_path
+from zarm_planner.verify import VerificationFailed, verify
 from zarm_planner.world import World
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
@@ -129,3 +132,13 @@ def test_an_axis_is_held_from_a_start_and_to_a_goal_near_a_table(model: RobotMod
     found = held_plan(model, goal, UPRIGHT, table)
     assert tilt(tips(model, found)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
     assert 0.0 < found.clearance < 0.005
+
+
+def test_verification_refuses_a_motion_that_loses_what_is_held(model: RobotModel) -> None:
+    away = HOME + (0.0, 0.2, 0.0, 0.0, 0.0, 0.0)
+    limits, exact = Limits.of(model), ExactScene(model, World((), 0.0))
+    motion = time_path(np.array((HOME, away)), limits, 0.01, 0.0)
+    held = Held.of(model, UPRIGHT, model.fk_tip(HOME))
+    assert verify(motion, HOME, away, limits, exact, lambda: None) > 0.0
+    with pytest.raises(VerificationFailed, match="theta_"):
+        verify(motion, HOME, away, limits, exact, lambda: None, held)

@@ -16,6 +16,9 @@ from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
+from zarm_planner.timing import time_path
+from zarm_planner.verify import VerificationFailed
+from zarm_planner.waypoints import passing_times
 from zarm_planner.world import World
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
@@ -62,7 +65,9 @@ def test_every_pose_is_passed_in_order_within_tolerance_and_without_a_stop(model
             assert np.abs(qd).max() > 0.05
 
 
-def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint(model: RobotModel) -> None:
+def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint_and_than_rounded_corners(
+    model: RobotModel,
+) -> None:
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     found = through(model, *goals)
     snapshot = Snapshot(1, model, EMPTY, ExactScene(model, EMPTY))
@@ -72,6 +77,8 @@ def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint(model: Rob
         for start, goal in zip([HOME, *STOPS], goals, strict=False)
     ]
     assert found.motion.duration < sum(alone)
+    rounded = time_path(np.array([HOME, *STOPS]), Limits.of(model), 0.01, 0.03)
+    assert found.motion.duration < 0.95 * rounded.duration
 
 
 def test_obstacles_between_waypoints_are_avoided(model: RobotModel) -> None:
@@ -116,3 +123,14 @@ def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> No
     ]
     assert all(better <= quick for quick, better in pairs)
     assert any(better < quick for quick, better in pairs)
+
+
+def test_a_motion_that_misses_a_waypoint_or_passes_them_in_another_order_is_refused(model: RobotModel) -> None:
+    limits = Limits.of(model)
+    motion = time_path(np.array([HOME, *STOPS]), limits, 0.01, 0.0)
+    first, second, last = passing_times(model, motion, STOPS, 0.005, 0.02)
+    assert 0.0 < first < second < last
+    with pytest.raises(VerificationFailed, match="waypoint 1"):
+        passing_times(model, motion, [STOPS[0], STOPS[1] + 0.1, STOPS[2]], 0.005, 0.02)
+    with pytest.raises(VerificationFailed, match="waypoint 1"):
+        passing_times(model, motion, [STOPS[1], STOPS[0], STOPS[2]], 0.005, 0.02)
