@@ -177,7 +177,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_LINKS),
     m.SceneEdited(revision=13, count=4),
     # executor
-    m.ExecuteRequest(plan_id="plan-1"),
+    m.ExecuteRequest(plan_id="plan-1", preempt=True),
     m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=3),
     m.Accepted(goal_id="goal-1"),
     m.GoalState(
@@ -191,10 +191,15 @@ EXAMPLES: tuple[Message, ...] = (
         problem=_PROBLEM,
     ),
     m.CancelRequest(goal_id="goal-1"),
-    m.ExecutorState(mode="fault", strategy="emulator", goal_id="goal-1", problem=_PROBLEM, missed_ticks=2),
+    m.ExecutorState(
+        mode="fault", strategy="emulator", goal_id="goal-1", problem=_PROBLEM, speed_scale=0.5, missed_ticks=2
+    ),
     _EMULATOR,
     m.Strategies(active="emulator", strategies=(_EMULATOR,)),
     m.StrategyRequest(strategy="joint_speed"),
+    m.SpeedRequest(speed_scale=0.25),
+    m.Speed(speed_scale=0.25),
+    m.StreamChunk(goal_id="follow.1", sequence=2, start=0.4, trajectory=_TRAJECTORY, deadline=0.2, last=True),
     # driver
     m.DriverCommand(
         sequence=7,

@@ -16,7 +16,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.session import open_router
 
 KEYS = Keys("arm")
-IDLE = m.ExecutorState(mode="idle", strategy="emulator", missed_ticks=0)
+IDLE = m.ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)
 
 
 def ask(bus: Bus) -> bool:

@@ -22,8 +22,8 @@ from zarm_contract.messages import Message
 
 KEYS = Keys("arm")
 (JOINTS,) = by_class()[m.JointState]
-IDLE = m.ExecutorState(mode="idle", strategy="emulator", missed_ticks=0)
-RUNNING = m.ExecutorState(mode="running", strategy="emulator", goal_id="goal-1", missed_ticks=0)
+IDLE = m.ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)
+RUNNING = m.ExecutorState(mode="running", strategy="emulator", goal_id="goal-1", speed_scale=1.0, missed_ticks=0)
 (GOAL,) = by_class()[m.GoalState]
 
 Inbox = queue.SimpleQueue[tuple[str, m.ExecutorState]]

@@ -120,6 +120,16 @@ class Keys:
         return self._key("executor", "strategy")
 
     @property
+    def speed(self) -> str:
+        """SpeedRequest -> Speed; latched."""
+        return self._key("executor", "speed")
+
+    @property
+    def stream(self) -> str:
+        """StreamChunk; published by a closed-loop planner."""
+        return self._key("executor", "stream")
+
+    @property
     def executor_state(self) -> str:
         """ExecutorState; latched."""
         return self._key("executor", "state")

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from zarm_contract._document import Document, KeyPath, read_document
 from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, Vector3
+from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
 from zarm_contract.urdf import Urdf, load_urdf
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -80,8 +80,12 @@ class Execution(_Section):
 
     Defaults: start 0.05 (MoveIt 0.01), path 0.2 and goal 0.01 (ros2_control), settle 1.0 (ros2_control),
     allowed duration 1.1 x + 0.5 s (MoveIt), stopped below 0.01 rad/s (ros2_control). `progress_timeout` is how long a
-    moving robot's driver may stay at one point of the path.
+    moving robot's driver may stay at one point of the path. `control_rate` is that of the control loop in Hz, `speed_scale`
+    the share of the planned speed at which the robot moves until a client changes it.
     """
+
+    control_rate: Annotated[float, Field(ge=100, le=500)] = 100.0
+    speed_scale: SpeedScale = 1.0
 
     start_tolerance: Positive = 0.05
     path_tolerance: Positive = 0.2

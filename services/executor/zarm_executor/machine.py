@@ -168,6 +168,7 @@ class Machine:
                 strategy=self._strategy.name,
                 goal_id=self._goal.goal_id if self._goal else None,
                 problem=self._problem,
+                speed_scale=1.0,
                 missed_ticks=self._missed_ticks,
             )
 

@@ -8,21 +8,26 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message
 from zarm_contract.errors import Problem
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Trajectory
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Trajectory
 
 RobotMode = Literal["idle", "running", "stopping", "paused", "fault"]
 GoalStatus = Literal["accepted", "running", "paused", "stopping", "succeeded", "cancelled", "aborted"]
+SpeedScale = Annotated[float, Field(ge=0.05, le=1)]
+"""The share of the planned speed at which the robot moves."""
 
 
 class ExecuteRequest(Message):
     """Move the robot: along the plan `plan_id`, along `trajectory`, or (empty request) along the last plan.
 
     With `trajectory`, `scene_revision` may state the scene it was verified in; a scene that has changed since is refused.
+    A goal that is not at its end makes this one `busy`, unless `preempt`: then that goal is cancelled, and this one starts as
+    soon as the robot rests, checked against where it rests.
     """
 
     plan_id: Name | None = None
     trajectory: Trajectory | None = None
     scene_revision: Annotated[int, Field(ge=0)] | None = None
+    preempt: bool = False
 
     @field_validator("trajectory")
     @classmethod
@@ -69,6 +74,37 @@ class CancelRequest(Message):
     goal_id: Name | None = None
 
 
+class SpeedRequest(Message):
+    """Move at `speed_scale` times the planned speed from now on, also while moving; an empty request reads."""
+
+    speed_scale: SpeedScale | None = None
+
+
+class Speed(Message):
+    """The share of the planned speed at which the robot moves."""
+
+    speed_scale: SpeedScale
+
+
+class StreamChunk(Message):
+    """What a closed-loop planner wants the robot to do next, in place of whatever is left of its earlier chunks.
+
+    A stream is one goal, `goal_id`, which its client chooses; its state is on `executor/goal/<goal_id>`. Its first chunk has
+    `sequence` 1 and starts where the robot rests; later ones have higher numbers, and one that comes out of order is dropped.
+    Times of a stream run from its beginning as the robot moves (slower under a lower speed scale): the first sample of
+    `trajectory` is at `start` s of the stream, and each trajectory ends at rest. The next chunk must be received within
+    `deadline` s of this one, else the robot is brought to rest and the goal is aborted (`timeout`); not so after `last`, at
+    whose end the goal succeeds.
+    """
+
+    goal_id: Name
+    sequence: Annotated[int, Field(ge=1)]
+    start: NonNegative
+    trajectory: Trajectory
+    deadline: Annotated[Positive, Field(le=1)] = 0.1
+    last: bool = False
+
+
 class ExecutorState(Message):
     """What the robot's owner is doing. `problem` says why it is in `fault`; `missed_ticks` counts since start."""
 
@@ -76,6 +112,7 @@ class ExecutorState(Message):
     strategy: str
     goal_id: Name | None = None
     problem: Problem | None = None
+    speed_scale: SpeedScale
     missed_ticks: Annotated[int, Field(ge=0)]
 
 
