@@ -34,7 +34,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
 
     bench = Bench()
     bench.arm.exact = replace(bench.arm.exact, time=float("inf"))  # fresh, though nobody ticks
-    reporter = Reporter(bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState))
+    reporter = Reporter(bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState), lambda _: None)
     plans = Plans(ROBOT.hash, newest, unanswered)
     executor = Executor(ROBOT, bench.machine, reporter, plans, {}, bus.publisher(KEYS.strategy, Strategies))
     with ThreadPoolExecutor(1) as pool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from zarm_cli import demo, execution, kinematics, launcher, planning, robot, scene, status
+from zarm_cli import demo, execution, kinematics, launcher, planning, record, replay, robot, scene, status
 from zarm_cli.output import err, error_line
 from zarm_contract.errors import Unavailable, ZarmError
 
@@ -29,6 +29,8 @@ for command in (
     kinematics.fk,
     kinematics.ik,
     kinematics.check,
+    record.record,
+    replay.replay,
 ):
     app.command()(command)
 for name, order in execution.ORDERS.items():

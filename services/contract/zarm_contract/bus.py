@@ -15,7 +15,7 @@ from zarm_contract._model import Message
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import parse_alive
-from zarm_contract.publications import Latched, Latest, Publisher, deliver, encoding_of
+from zarm_contract.publications import Latched, Latest, Observer, Publisher, deliver, encoding_of, unobserved
 from zarm_contract.session import DEFAULT_ENDPOINT, open_client
 
 __all__ = ["Bus", "Latched", "Latest", "Publisher"]
@@ -34,6 +34,7 @@ class Bus:
         self._session = open_client(endpoint, timeout)
         self._pools: list[ThreadPoolExecutor] = []
         self._entities: list[Any] = []
+        self._observe: Observer = unobserved
 
     def __enter__(self) -> Self:
         return self
@@ -50,6 +51,10 @@ class Bus:
         while self._pools:
             self._pools.pop().shutdown(wait=True, cancel_futures=True)
         self._session.close()
+
+    def observe(self, observer: Observer) -> None:
+        """Tell `observer` of every publication that is sent or received by what is declared on this bus from now on."""
+        self._observe = observer
 
     # -- queries --
 
@@ -148,7 +153,7 @@ class Bus:
             express=realtime,
         )
         self._entities.append(entity)
-        return Publisher(entity)
+        return Publisher(entity, self._observe)
 
     def latched(self, key: str, model: type[M]) -> Latched[M]:
         """A value that is published on every change and answered to whoever asks for it.
@@ -157,7 +162,7 @@ class Bus:
         have in common. A key that takes requests as well (settings, strategy) is not latched but served and published:
         `serve` answers whoever asks, and one key has one queryable.
         """
-        latched: Latched[M] = Latched(self._session, key)
+        latched: Latched[M] = Latched(self._session, key, self._observe)
         self._entities.append(latched)
         return latched
 
@@ -166,10 +171,20 @@ class Bus:
 
         What cannot be read is logged and dropped; so is an exception of the callback.
         """
+        self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
+
+    def listen(self, key: str, callback: Callable[[str, bytes], None]) -> None:
+        """Call `callback(key, payload)` for each message on `key` as it came, whatever it holds.
+
+        Nothing is decoded, so high rates are no burden as long as the callback does next to nothing.
+        """
+        observe = self._observe
 
         def receive(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
-                deliver(str(sample.key_expr), sample.payload.to_bytes(), model, callback)
+                name, payload = str(sample.key_expr), sample.payload.to_bytes()
+                observe(name, payload)
+                callback(name, payload)
 
         self._entities.append(self._session.declare_subscriber(key, receive))
 
@@ -178,27 +193,33 @@ class Bus:
 
         The last call for a key is always with its newest value.
         """
+        self.follow(key, lambda name, payload: deliver(name, payload, model, callback), timeout=timeout)
+
+    def follow(self, key: str, callback: Callable[[str, bytes], None], *, timeout: float = 1.0) -> None:
+        """`watch` without decoding: `listen` on a latched key, and the present values first."""
         turn = threading.Lock()
         early: set[str] = set()  # what is published while the present values are on their way
         present = threading.Event()
 
-        def receive(key: str, message: M) -> None:
+        def receive(name: str, payload: bytes) -> None:
             with turn:
                 if not present.is_set():
-                    early.add(key)
-                callback(key, message)
+                    early.add(name)
+                callback(name, payload)
 
-        self.subscribe(key, model, receive)
+        self.listen(key, receive)
         for reply in self._session.get(key, timeout=timeout):
             if reply.ok is not None:
+                name, payload = str(reply.ok.key_expr), reply.ok.payload.to_bytes()
                 with turn:
-                    if str(reply.ok.key_expr) not in early:  # else this answer may be the older of the two
-                        deliver(str(reply.ok.key_expr), reply.ok.payload.to_bytes(), model, callback)
+                    if name not in early:  # else this answer may be the older of the two
+                        self._observe(name, payload)
+                        callback(name, payload)
         present.set()
 
     def latest(self, key: str, model: type[M]) -> Latest[M]:
         """The newest message on a key with a high rate; nothing is decoded until it is asked for."""
-        latest = Latest(self._session, key, model)
+        latest = Latest(self._session, key, model, self._observe)
         self._entities.append(latest)
         return latest
 

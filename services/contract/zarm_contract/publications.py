@@ -18,24 +18,36 @@ log = logging.getLogger(__name__)
 
 M = TypeVar("M", bound=Message)
 
+Observer = Callable[[str, bytes], None]
+"""Is told key and payload of what passes; called from any thread, the control loop's too, so it must return at once."""
+
+
+def unobserved(_key: str, _payload: bytes) -> None:
+    """The observer of a bus that nobody observes."""
+
 
 class Publisher(Generic[M]):
     """Publishes messages of one class on one key."""
 
-    def __init__(self, entity: zenoh.Publisher) -> None:
+    def __init__(self, entity: zenoh.Publisher, observe: Observer) -> None:
         self._entity = entity
+        self._key = str(entity.key_expr)
+        self._observe = observe
 
     def put(self, message: M) -> None:
         """Publish."""
-        self._entity.put(encode(message))
+        payload = encode(message)
+        self._entity.put(payload)
+        self._observe(self._key, payload)
 
 
 class Latched(Generic[M]):
     """See `Bus.latched`."""
 
-    def __init__(self, session: zenoh.Session, key: str) -> None:
+    def __init__(self, session: zenoh.Session, key: str, observe: Observer) -> None:
         self._session = session
         self._key = key
+        self._observe = observe
         self._values: dict[str, tuple[bytes, zenoh.Encoding]] = {}
         self._lock = threading.Lock()
         self._order = threading.Lock()
@@ -49,6 +61,7 @@ class Latched(Generic[M]):
             with self._lock:
                 self._values[key] = payload, encoding
             self._session.put(key, payload, encoding=encoding)
+            self._observe(key, payload)
 
     def forget(self, key: str) -> None:
         """Drop one member of a family; it is no longer answered."""
@@ -70,9 +83,10 @@ class Latched(Generic[M]):
 class Latest(Generic[M]):
     """See `Bus.latest`."""
 
-    def __init__(self, session: zenoh.Session, key: str, model: type[M]) -> None:
+    def __init__(self, session: zenoh.Session, key: str, model: type[M], observe: Observer) -> None:
         self._key = key
         self._model = model
+        self._observe = observe
         self._newest: tuple[bytes, float] | None = None
         self._decoded: tuple[tuple[bytes, float], M] | None = None
         self._changed = threading.Condition()
@@ -130,9 +144,11 @@ class Latest(Generic[M]):
     def _receive(self, sample: zenoh.Sample) -> None:
         if sample.kind != zenoh.SampleKind.PUT:
             return
+        payload = sample.payload.to_bytes()
         with self._changed:
-            self._newest = (sample.payload.to_bytes(), time.monotonic())
+            self._newest = (payload, time.monotonic())
             self._changed.notify_all()
+        self._observe(str(sample.key_expr), payload)
 
 
 def encoding_of(model: type[Message]) -> zenoh.Encoding:

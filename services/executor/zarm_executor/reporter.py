@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Problem
@@ -27,12 +28,23 @@ FINISHED_GOALS = 32
 
 
 class Reporter:
-    """Publishes `executor/state` and `executor/goal/<goal_id>`, and keeps the running goal in `running` for a restart."""
+    """Publishes `executor/state` and `executor/goal/<goal_id>`, and keeps the running goal in `running` for a restart.
 
-    def __init__(self, bus: Bus, keys: Keys, machine: Machine, running: StateFile[GoalState]) -> None:
+    `on_fault(problem)` is called once all that led to a fault has been published.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        machine: Machine,
+        running: StateFile[GoalState],
+        on_fault: Callable[[Problem], None],
+    ) -> None:
         self._keys = keys
         self._machine = machine
         self._running = running
+        self._on_fault = on_fault
         self._states = bus.latched(keys.executor_state, ExecutorState)
         self._goals = bus.latched(keys.goal("*"), GoalState)
         self._finished: deque[str] = deque()
@@ -95,6 +107,8 @@ class Reporter:
         elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:
             return state
         self._states.set(state)
+        if state.mode == "fault" and state.problem is not None and (before is None or before.problem != state.problem):
+            self._on_fault(state.problem)
         self._state, self._published_state = state, now
         return state
 

@@ -22,6 +22,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_executor.executor import REST_PATIENCE, Executor
+from zarm_executor.fault_records import FaultRecords
 from zarm_executor.follower import TICK
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
@@ -30,6 +31,7 @@ from zarm_executor.machine import Machine
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
 from zarm_executor.reporter import Reporter
+from zarm_executor.ring import Ring
 from zarm_executor.state_file import StateFile
 from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
@@ -79,15 +81,21 @@ def start(service: Service) -> Iterator[None]:
     sys.setswitchinterval(SWITCH_INTERVAL)
     robot, keys, bus = service.robot, service.keys, service.bus
     joints, folder = robot.descriptor.joints, service.options.state / keys.robot
+    ring = Ring(keys)
+    bus.observe(ring.observe)
     # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
-    with Bus(service.options.connect) as command_bus:
+    with (
+        FaultRecords(folder / "records", keys, ring) as records,
+        Bus(service.options.connect) as command_bus,
+    ):
+        command_bus.observe(ring.observe)
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
         machine = Machine(first)
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
-            reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState))
+            reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault)
             reporter.report_interrupted()
             reporter.publish()
             plans = Plans(
@@ -103,8 +111,12 @@ def start(service: Service) -> Iterator[None]:
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
                 bus.watch(keys.scene_revision, SceneEdited, plans.set_scene)
-                for receive in (plans.add, ghost.show):
-                    bus.watch(keys.plans, Plan, receive)
+
+                def receive(key: str, plan: Plan) -> None:
+                    plans.add(key, plan)
+                    ghost.show(key, plan)
+
+                bus.watch(keys.plans, Plan, receive)
                 _serve(bus, service, executor)
                 service.ready()
                 try:

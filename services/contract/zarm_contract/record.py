@@ -1,0 +1,129 @@
+"""A record of what happened as an MCAP file (https://mcap.dev), which Foxglove opens.
+
+A channel is a key of the bus, a message is the very bytes that went over it (encoding `json`), with the schema of its
+class (`jsonschema`, named `zarm.<Message>.v1`). `log_time` is when it was sent or received here, in ns since 1970;
+`publish_time` is the same, but for values that held already when the record begins: then it is when they were published.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from zstandard import ZstdError
+
+from zarm_contract._model import Message
+from zarm_contract.codec import schema
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.keys import Keys
+from zarm_contract.recorded import Recorded
+
+Entry = tuple[int, str, bytes]
+"""When (ns since 1970), on which key, and the payload. A plain tuple: the garbage collector does not look into those."""
+
+DRAFT = ".part"
+"""What the name of a record ends in until it is whole."""
+
+
+class RecordFile:
+    """A record that is written to `<path>.part` and appears as `path` when it is closed, whole or not at all.
+
+    Raises OSError, from any method, where it cannot be written. It is not flushed to the disk: a power cut may lose it.
+    """
+
+    def __init__(self, path: Path, keys: Keys) -> None:
+        self.path = path
+        self.draft = path.with_name(path.name + DRAFT)
+        self.count = 0
+        self._recorded = Recorded(keys)
+        self._schemas: dict[type[Message], int] = {}
+        self._channels: dict[str, int] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = self.draft.open("wb")
+        self._writer = Writer(self._stream)
+        self._writer.start(library=f"zarm {importlib.metadata.version('zarm')}")
+
+    def write(self, entry: Entry, *, published: int | None = None) -> None:
+        """Add one message. Raises ValueError for a key that is not recorded."""
+        stamp, key, payload = entry
+        channel = self._channels.get(key) or self._new_channel(key)
+        self.count += 1
+        self._writer.add_message(
+            channel, log_time=stamp, data=payload, publish_time=published or stamp, sequence=self.count
+        )
+
+    def close(self) -> None:
+        """Finish the file; from now on it is at `path`, in place of what was there."""
+        self._writer.finish()
+        self._stream.close()
+        self.draft.replace(self.path)
+
+    def abandon(self) -> None:
+        """Write no more, and leave the draft as it is."""
+        with suppress(OSError):  # what could not be written before cannot be written now
+            self._stream.close()
+
+    def _new_channel(self, key: str) -> int:
+        model = self._recorded.model(key)
+        if model is None:
+            raise ValueError(f"{key} is not recorded")
+        if model not in self._schemas:
+            self._schemas[model] = self._writer.register_schema(
+                schema(model), "jsonschema", json.dumps(plain_schema(model)).encode()
+            )
+        self._channels[key] = self._writer.register_channel(key, "json", self._schemas[model])
+        return self._channels[key]
+
+
+def read_record(path: Path) -> Iterator[Entry]:
+    """The messages of a record in the order of their `log_time`. Raises InvalidRequest where it cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            for _, channel, message in make_reader(stream).iter_messages():
+                yield message.log_time, channel.topic, message.data
+    except OSError as error:
+        raise InvalidRequest(f"cannot read {path}: {error.strerror or error}", field="file") from error
+    except (McapError, ZstdError, RuntimeError, ValueError, struct.error) as error:
+        raise InvalidRequest(
+            f"{path} is not a whole MCAP file ({error or type(error).__name__}); `mcap recover` of mcap.dev saves what "
+            "there is of one that was cut short",
+            field="file",
+        ) from error
+
+
+def plain_schema(model: type[Message]) -> dict[str, Any]:
+    """The JSON schema of a message class in the words that Foxglove knows, which are few.
+
+    Its reader (parseJsonSchema in foxglove/studio, packages/mcap-support) refuses a channel for a `$ref`, an `anyOf`, an
+    array without `items`, or an array of arrays. So references are written out, `X | None` is X, a tuple is an array; rows
+    of numbers are not described, although they are in the messages.
+    """
+    whole = model.model_json_schema()
+    return _plain(whole, whole.get("$defs", {}))
+
+
+def _plain(node: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    if "$ref" in node:
+        node = definitions[node["$ref"].rsplit("/", 1)[1]]
+    if "anyOf" in node:
+        return _plain(next(option for option in node["anyOf"] if option.get("type") != "null"), definitions)
+    plain: dict[str, Any] = {name: node[name] for name in ("type", "title", "description", "enum") if name in node}
+    if node["type"] == "array":
+        plain["items"] = _plain(node["items"] if "items" in node else node["prefixItems"][0], definitions)
+    if node["type"] == "object":
+        fields = {name: _plain(field, definitions) for name, field in node["properties"].items()}
+        plain["properties"] = {name: field for name, field in fields.items() if not _rows(field)}
+        plain["required"] = [name for name in node.get("required", ()) if name in plain["properties"]]
+    return plain
+
+
+def _rows(field: dict[str, Any]) -> bool:
+    return bool(field["type"] == "array" and field["items"]["type"] == "array")

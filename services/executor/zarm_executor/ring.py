@@ -1,0 +1,79 @@
+"""The last minute of what was sent and received, in memory."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+from zarm_contract.codec import MAX_BYTES
+from zarm_contract.keys import Keys
+from zarm_contract.record import Entry
+from zarm_contract.recorded import Recorded
+
+SECONDS = 60
+"""How far back the ring reaches."""
+SIZE = 64 * 1024 * 1024
+"""What it takes of memory (bytes) at most; then it reaches less far back."""
+
+_SPAN = 1.0
+_SHARE = 64
+"""A segment ends after so long (s), or when it holds this share of the whole; the oldest one is dropped as a whole."""
+_OVERHEAD = 220
+"""Bytes that Python needs for an entry beside its payload (sys.getsizeof: tuple 64, int 32, bytes 33, key up to 90)."""
+
+
+@dataclass
+class _Segment:
+    began: float
+    before: dict[str, Entry]  # what held when it began, of the keys that are published only when they change
+    entries: list[Entry] = field(default_factory=list)
+    size: int = 0
+
+
+class Ring:
+    """Keeps what it observes for `seconds`, in `size` bytes; both are bounds. Ages are measured on the monotonic clock.
+
+    To append costs the same whatever the ring holds, so the control loop may: segments are dropped whole.
+    """
+
+    def __init__(self, keys: Keys, seconds: float = SECONDS, size: int = SIZE) -> None:
+        self._recorded = Recorded(keys)
+        self._seconds = seconds
+        self._most = size
+        self._size = 0
+        self._present: dict[str, Entry] = {}
+        self._newest = _Segment(time.monotonic(), {})
+        self._segments = deque((self._newest,))
+        self._lock = threading.Lock()
+
+    def observe(self, key: str, payload: bytes) -> None:
+        """Append a message, if its key is recorded; one that is too large to be read by anybody is left out."""
+        if self._recorded.model(key) is None or len(payload) > MAX_BYTES:
+            return
+        entry, now, size = (time.time_ns(), key, payload), time.monotonic(), len(payload) + _OVERHEAD
+        dropped = []  # what becomes free does so outside of the lock
+        with self._lock:
+            if now - self._newest.began > _SPAN or self._newest.size + size > self._most // _SHARE:
+                self._newest = _Segment(now, self._present.copy())
+                self._segments.append(self._newest)
+            if key in self._recorded.present:
+                self._present[key] = entry
+            self._newest.entries.append(entry)
+            self._newest.size += size
+            self._size += size
+            while len(self._segments) > 1 and self._outgrown(now):
+                dropped.append(self._segments.popleft())
+                self._size -= dropped[-1].size
+
+    def contents(self) -> tuple[list[Entry], list[Entry]]:
+        """What held when the ring begins, and what it holds, in the order in which it came."""
+        with self._lock:
+            before = list(self._segments[0].before.values())
+            *whole, last = (segment.entries for segment in self._segments)
+            last = last.copy()
+        return before, [entry for entries in (*whole, last) for entry in entries]
+
+    def _outgrown(self, now: float) -> bool:
+        return self._size > self._most or self._segments[1].began < now - self._seconds
