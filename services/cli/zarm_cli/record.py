@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 _BACKLOG = 100_000
 """Messages that may wait for a disk that is slow; more are lost, and counted. Minutes of a robot, some 50 MB."""
 
+_FLUSH_SECONDS = 1.0
+"""How much is lost at most when the command is killed, and how late a full disk is noticed."""
+
 
 def record(
     file: Annotated[Path | None, typer.Argument(help="Left out: <robot>_<time in UTC>.mcap, here.")] = None,
@@ -84,8 +87,12 @@ class _Recorder:
 
     def _write(self) -> None:
         try:
+            flushed = time.monotonic()
             while (entry := self._entries.get()) is not None:
                 self._file.write(entry)
+                if time.monotonic() - flushed > _FLUSH_SECONDS:
+                    self._file.flush()
+                    flushed = time.monotonic()
             self._file.close()
         except OSError as error:
             self._error = error

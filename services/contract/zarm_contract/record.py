@@ -33,6 +33,10 @@ DRAFT = ".part"
 """What the name of a record ends in until it is whole."""
 
 
+_DAMAGED = (McapError, ZstdError, ValueError, LookupError, OverflowError, MemoryError, struct.error)
+"""What the libraries raise for a file that was cut short or changed; lengths in it may say anything."""
+
+
 class RecordFile:
     """A record that is written to `<path>.part` and appears as `path` when it is closed, whole or not at all.
 
@@ -59,6 +63,10 @@ class RecordFile:
         self._writer.add_message(
             channel, log_time=stamp, data=payload, publish_time=published or stamp, sequence=self.count
         )
+
+    def flush(self) -> None:
+        """Hand to the system what was written so far: of a process that is killed, the draft holds that much."""
+        self._writer.flush()
 
     def close(self) -> None:
         """Finish the file; from now on it is at `path`, in place of what was there."""
@@ -87,11 +95,11 @@ def read_record(path: Path) -> Iterator[Entry]:
     """The messages of a record in the order of their `log_time`. Raises InvalidRequest where it cannot be read."""
     try:
         with path.open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages():
+            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
                 yield message.log_time, channel.topic, message.data
     except OSError as error:
         raise InvalidRequest(f"cannot read {path}: {error.strerror or error}", field="file") from error
-    except (McapError, ZstdError, RuntimeError, ValueError, struct.error) as error:
+    except _DAMAGED as error:
         raise InvalidRequest(
             f"{path} is not a whole MCAP file ({error or type(error).__name__}); `mcap recover` of mcap.dev saves what "
             "there is of one that was cut short",

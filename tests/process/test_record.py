@@ -1,0 +1,199 @@
+"""`zarm record` and `zarm replay`, as a person uses them, beside a real executor."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from executor_client import Client
+from harness import ServiceProcess, eventually, free_endpoint
+from launched import Command, the_one_line, zarm
+from motions import KEYS, moved, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.codec import encode
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Speed
+from zarm_contract.record import RecordFile, read_record
+from zarm_contract.session import open_router
+
+OTHER = Keys("replayed")
+
+
+@pytest.fixture
+def client(bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[Client]:
+    """A client of an executor with an emulated robot."""
+    with ServiceProcess("executor", endpoint, tmp_path) as executor:
+        executor.wait_ready(bus, KEYS)
+        yield Client(bus)
+
+
+def recording(endpoint: str, folder: Path, *arguments: str) -> Command:
+    return Command("record", *arguments, "--name", KEYS.robot, folder=folder, ZARM_CONNECT=endpoint)
+
+
+def begun(command: Command) -> None:
+    """Wait until it records: it says so when it has subscribed to everything."""
+    eventually(lambda: "Ctrl-C" in command.errors(), "it records")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_motion_is_on_record_as_it_went_over_the_bus_and_is_told(
+    client: Client, endpoint: str, tmp_path: Path, number: int
+) -> None:
+    file = tmp_path / "one.mcap"
+    with recording(endpoint, tmp_path, str(file)) as command:
+        begun(command)
+        goal_id = client.execute(rest_to_rest(moved(0.3)))
+        assert client.ended(goal_id).status == "succeeded"
+        command.interrupt(number)
+        assert command.end() == 0
+        assert f"messages in {file}" in command.output()
+    entries = list(read_record(file))
+    told = [payload for _, key, payload in entries if key == KEYS.goal(goal_id)]
+    heard = [encode(goal) for goal in client.goals if goal.goal_id == goal_id]
+    assert told == heard
+    measured = [payload for _, key, payload in entries if key == KEYS.joint_states]
+    heard = [encode(state) for state in client.measured]
+    began = heard.index(measured[0])
+    assert measured == heard[began : began + len(measured)]
+    assert KEYS.strategy in {key for _, key, _ in entries}  # published last long before
+
+    story = zarm("replay", str(file))
+    assert story.returncode == 0, story.stderr
+    for part in (KEYS.robot, goal_id, "running", "succeeded at 100%", "emulator", "furthest off"):
+        assert part in story.stdout
+
+
+def test_a_record_ends_after_the_seconds_that_were_asked_for(client: Client, endpoint: str, tmp_path: Path) -> None:
+    file = tmp_path / "one.mcap"
+    done = zarm("record", str(file), "--seconds", "0.5", ZARM_CONNECT=endpoint)
+    assert done.returncode == 0, done.stderr
+    assert list(read_record(file))
+
+
+def test_a_record_goes_on_when_the_router_is_back(tmp_path: Path) -> None:
+    endpoint, file = free_endpoint(), tmp_path / "one.mcap"
+    with ExitStack() as stack:
+        first = stack.enter_context(ExitStack())
+        first.enter_context(open_router(endpoint))
+        bus = stack.enter_context(Bus(endpoint))
+        stack.enter_context(ServiceProcess("executor", endpoint, tmp_path)).wait_ready(bus, KEYS)
+        client = Client(bus)
+        command = stack.enter_context(recording(endpoint, tmp_path, str(file)))
+        begun(command)
+        first.close()
+        stack.enter_context(open_router(endpoint))
+        seen = len(client.measured)
+        eventually(lambda: len(client.measured) > seen, "the executor is heard again")
+        draft = file.with_name("one.mcap.part")
+        before = draft.stat().st_size
+        eventually(lambda: draft.stat().st_size > before, "the record grows again")
+        after = client.measured[-1]
+        eventually(lambda: len(client.measured) > seen + 300, "time passes")
+        command.interrupt()
+        assert command.end() == 0
+    assert encode(after) in {payload for _, key, payload in read_record(file) if key == KEYS.joint_states}
+
+
+def test_a_file_that_is_there_is_not_overwritten(client: Client, endpoint: str, tmp_path: Path) -> None:
+    file = tmp_path / "one.mcap"
+    file.write_bytes(b"dear")
+    done = zarm("record", str(file), ZARM_CONNECT=endpoint)
+    assert done.returncode == 1
+    assert str(file) in the_one_line(done.stderr)
+    assert file.read_bytes() == b"dear"
+
+
+def test_a_disk_that_is_full_ends_the_record_and_says_so(client: Client, endpoint: str, tmp_path: Path) -> None:
+    nowhere = zarm("record", "/proc/one.mcap", ZARM_CONNECT=endpoint)
+    assert nowhere.returncode == 3
+    assert "/proc/one.mcap" in the_one_line(nowhere.stderr)
+
+    file = tmp_path / "one.mcap"
+    with recording(endpoint, tmp_path, str(file)) as command:
+        begun(command)
+        _, hard = resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE)
+        resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE, (1000, hard))
+        for _ in range(3):  # as many joints as make a chunk of the file
+            client.execute(rest_to_rest(moved(0.3), slower=20))
+            eventually(lambda: client.goals[-1].status == "running", "the robot moves")
+            break
+        command.interrupt()
+        assert command.end() == 3
+        assert f"{file}.part" in command.errors()
+    assert not file.exists()
+
+
+# -- replay --
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A record of what could move a robot, and of what could not."""
+    path = tmp_path / "recorded.mcap"
+    record = RecordFile(path, KEYS)
+    for at in range(0, 4000, 10):
+        record.write((at * 1_000_000, KEYS.speed, encode(Speed(speed_scale=0.5))))
+        record.write((at * 1_000_000, KEYS.driver_command, b'{"sequence":1,"joint_names":["a"]}'))
+    record.write((5_000_000_000, KEYS.joint_states, b"noise"))
+    record.close()
+    return path
+
+
+def test_a_record_is_published_again_under_another_name_and_commands_to_drivers_never(
+    bus: Bus, endpoint: str, file: Path
+) -> None:
+    heard: list[tuple[str, bytes]] = []
+    bus.listen("zarm/*/driver/command", lambda key, payload: heard.append((key, payload)))
+    bus.listen("zarm/*/executor/stream", lambda key, payload: heard.append((key, payload)))
+    speeds: list[tuple[str, bytes]] = []
+    bus.listen("zarm/*/executor/speed", lambda key, payload: speeds.append((key, payload)))
+    done = zarm("replay", str(file), "--publish", OTHER.robot, "--speed", "4", ZARM_CONNECT=endpoint)
+    assert done.returncode == 0, done.stderr
+    eventually(lambda: len(speeds) == 400, "all of it is heard")
+    assert set(speeds) == {(OTHER.speed, encode(Speed(speed_scale=0.5)))}
+    assert heard == []
+
+
+def test_a_record_is_not_published_as_a_robot_that_is_there(client: Client, endpoint: str, file: Path) -> None:
+    done = zarm("replay", str(file), "--publish", KEYS.robot, ZARM_CONNECT=endpoint)
+    assert done.returncode == 3
+    assert "give --publish another name" in the_one_line(done.stderr)
+
+
+def test_no_executor_starts_under_the_name_that_a_record_is_published_as(
+    bus: Bus, endpoint: str, file: Path, tmp_path: Path
+) -> None:
+    with Command(
+        "replay", str(file), "--publish", OTHER.robot, "--speed", "0.01", folder=tmp_path, ZARM_CONNECT=endpoint
+    ) as command:
+        eventually(lambda: bus.alive(OTHER.alive("executor", "*")), "the record is played")
+        with ServiceProcess("executor", endpoint, tmp_path, name=OTHER.robot) as executor:
+            assert executor.process.wait(60) == 1
+            assert "is already on this bus" in executor.output()
+        assert command.process.poll() is None
+        command.interrupt()
+        assert command.end() == 130
+
+
+def test_what_is_no_record_is_refused_in_one_line(tmp_path: Path, file: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[:-100])
+    text = tmp_path / "text.mcap"
+    text.write_text("no record")
+    for path in (cut, text, tmp_path / "none.mcap", tmp_path):
+        done = zarm("replay", str(path))
+        assert done.returncode == 1, path
+        assert os.fspath(path) in the_one_line(done.stderr)
+
+
+def test_noise_on_record_is_counted(file: Path) -> None:
+    done = zarm("replay", str(file))
+    assert done.returncode == 0, done.stderr
+    assert "1 message" in next(line for line in done.stdout.splitlines() if line.startswith("unreadable"))
