@@ -287,3 +287,36 @@ def test_a_token_shows_a_process_until_it_ends(endpoint: str, other: Bus) -> Non
         assert other.alive(everyone) == [("arm", "planner", "a"), ("arm", "planner", "b")]
         assert other.alive("zarm/*/*/@alive/*") == [*other.alive(everyone), ("arm_2", "planner", "c")]
     eventually(lambda: other.alive("zarm/*/*/@alive/*") == [], "the tokens are gone")
+
+
+# -- observation --
+
+
+def test_an_observer_is_told_all_that_is_sent_and_received_as_it_went_over_the_bus(bus: Bus, other: Bus) -> None:
+    bus.latched(KEYS.executor_state, m.ExecutorState).set(IDLE)
+    declared(bus)
+    sent: list[tuple[str, bytes]] = []
+    received: list[tuple[str, bytes]] = []
+    bus.observe(lambda key, payload: sent.append((key, payload)))
+    other.observe(lambda key, payload: received.append((key, payload)))
+    inbox: Inbox = queue.SimpleQueue()
+    other.watch(KEYS.executor_state, m.ExecutorState, lambda key, message: inbox.put((key, message)))
+    other.subscribe(KEYS.goal("*"), m.GoalState, lambda _, __: None)
+    latest = other.latest(KEYS.joint_states, m.JointState)
+    goals, joints = bus.latched(KEYS.goal("*"), m.GoalState), bus.publisher(KEYS.joint_states, m.JointState)
+    declared(other)
+    goals.set(GOAL, key=KEYS.goal("goal-1"))
+    joints.put(JOINTS)
+    published = [(KEYS.goal("goal-1"), encode(GOAL)), (KEYS.joint_states, encode(JOINTS))]
+    assert sent == published
+    eventually(lambda: len(received) == 3, "all is received")
+    assert sorted(received) == sorted([(KEYS.executor_state, encode(IDLE)), *published])
+    assert latest.get() == JOINTS
+
+
+def test_whoever_listens_is_given_what_cannot_be_read_too(bus: Bus, plain: zenoh.Session) -> None:
+    heard: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+    bus.listen(KEYS.driver_joint_states, lambda key, payload: heard.put((key, payload)))
+    declared(bus)
+    plain.put(KEYS.driver_joint_states, b"noise")
+    assert heard.get(timeout=PATIENCE) == (KEYS.driver_joint_states, b"noise")

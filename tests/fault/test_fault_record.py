@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -97,3 +98,15 @@ def test_a_fault_is_on_record_even_if_the_executor_is_told_to_end_at_once(moving
     moving.executor.process.terminate()
     moving.executor.process.wait()
     assert list(read_record(written(moving)))
+
+
+def test_a_disk_that_fills_while_the_record_is_written_leaves_no_half_of_it(moving: Driven) -> None:
+    pid = moving.executor.process.pid
+    _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (20_000, hard))
+    moving.suffer(DriverFault(stall=True))
+    moving.fault("tolerance_violated")
+    eventually(lambda: "no record of the fault" in moving.executor.output(), "the warning is logged")
+    assert list((moving.folder / KEYS.robot / "records").iterdir()) == []
+    moving.suffer(DriverFault())
+    moving.works_again()

@@ -7,6 +7,7 @@ class (`jsonschema`, named `zarm.<Message>.v1`). `log_time` is when it was sent 
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import json
 import struct
@@ -107,6 +108,7 @@ def read_record(path: Path) -> Iterator[Entry]:
         ) from error
 
 
+@functools.cache
 def plain_schema(model: type[Message]) -> dict[str, Any]:
     """The JSON schema of a message class in the words that Foxglove knows, which are few.
 
