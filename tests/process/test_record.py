@@ -160,6 +160,7 @@ def test_a_record_is_not_published_as_a_robot_that_is_there(client: Client, endp
     done = zarm("replay", str(file), "--publish", KEYS.robot, ZARM_CONNECT=endpoint)
     assert done.returncode == 3
     assert "give --publish another name" in the_one_line(done.stderr)
+    assert client.state().mode == "idle"  # that executor has not given way
 
 
 def test_no_executor_starts_under_the_name_that_a_record_is_published_as(
