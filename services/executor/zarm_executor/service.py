@@ -22,7 +22,6 @@ from zarm_contract.messages import (
 )
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_executor.executor import REST_PATIENCE, Executor
-from zarm_executor.follower import TICK
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
 from zarm_executor.loop import Loop
@@ -79,12 +78,13 @@ def start(service: Service) -> Iterator[None]:
     sys.setswitchinterval(SWITCH_INTERVAL)
     robot, keys, bus = service.robot, service.keys, service.bus
     joints, folder = robot.descriptor.joints, service.options.state / keys.robot
+    period = robot.descriptor.execution.control_period
     # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
     with Bus(service.options.connect) as command_bus:
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
-        machine = Machine(first)
+        machine = Machine(first, period)
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState))
@@ -98,7 +98,7 @@ def start(service: Service) -> Iterator[None]:
             ghost = Ghost(bus, keys, robot)
             executor = Executor(robot, machine, reporter, plans, strategies, bus.publisher(keys.strategy, Strategies))
             with (
-                Loop("control", TICK, control.tick, realtime=True),
+                Loop("control", period, control.tick, realtime=True),
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
