@@ -18,6 +18,7 @@ import numpy as np
 import zarm_executor.loop
 import zarm_executor.service
 from zarm_contract.messages import DriverCommand
+from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import run_service, service_parser
 from zarm_executor.strategies.driver_link import DriverLink
 
@@ -53,7 +54,9 @@ def main() -> int:
     zarm_executor.service.Control = TimedControl  # type: ignore[misc]
     DriverLink._put = timed(DriverLink._put)  # type: ignore[method-assign]
     if options.ordinary:
-        zarm_executor.loop._ask_for_realtime = lambda _: None
+        zarm_executor.loop.ask_for_realtime = lambda _: True
+    else:
+        ask_for_realtime(PROCESS_PRIORITY)
     code = run_service("executor", parser, zarm_executor.service.start)
     np.savez(options.notes, ticks=np.array(ticks).reshape(-1, 3), commands=np.array(commands).reshape(-1, 2))
     return code

@@ -4,6 +4,7 @@ The executor, a router, the simulated driver, and beside them a planner whose cl
 processes on one machine. Lateness is the time from a tick's deadline to its start; jitter is how much the time between two
 ticks differs from the period; a missed tick is a deadline that was left out. A command's latency is from before it is
 published by the executor until another process has it, a joint state's from the driver's stamp until the executor has it.
+"ordinary" is the executor, and who listens in the driver's place, without real-time priority, as where it is not allowed.
 
 Prints tables and draws them into plots/tick.png. Needs no more than a minute and a half.
 """
@@ -20,6 +21,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import matplotlib as mpl
@@ -30,13 +32,25 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import PATIENCE, ServiceProcess, free_endpoint
+from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from motions import KEYS, descriptor_at, moved, rest_to_rest
 from planner_client import BEHIND_POST, HOME, POST, SHELF, TABLE, load, plan, to_joints
 
 from zarm_contract.bus import Bus
 from zarm_contract.codec import decode
-from zarm_contract.messages import Accepted, DriverCommand, ExecuteRequest, JointState, PlanRequest
+from zarm_contract.errors import ExecutionRefused
+from zarm_contract.messages import (
+    Accepted,
+    DriverCommand,
+    ExecuteRequest,
+    ExecutorState,
+    JointState,
+    Nothing,
+    Plan,
+    PlanRequest,
+    Trajectory,
+)
+from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.session import open_client, open_router
 
 mpl.use("Agg")
@@ -76,8 +90,8 @@ CASES = (
 
 
 @dataclass
-class Listener:
-    """What another process than the executor hears: raw payloads and when they came, on the monotonic clock."""
+class Heard:
+    """What another process hears: raw payloads, and of commands when they came, on the monotonic clock."""
 
     commands: list[tuple[float, bytes]] = field(default_factory=list)
     told: list[bytes] = field(default_factory=list)
@@ -89,20 +103,22 @@ class Result:
     """One measurement; times in s."""
 
     case: Case
+    mode: str
     late: Array
     jitter: Array
     work: Array
     missed: int
     cpu: float
+    planner_cpu: float
+    plans: float
     command_latency: Array
     state_latency: Array
-    plans: float
 
 
 def main() -> None:
     """Print the tables and draw the plot."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seconds", nargs="?", type=float, default=5.0, help="length of each measurement")
+    parser.add_argument("seconds", nargs="?", type=float, default=4.0, help="length of each measurement")
     seconds = parser.parse_args().seconds
     results = []
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
@@ -118,63 +134,82 @@ def main() -> None:
     draw(results)
 
 
-def measure(
-    case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, planner: ServiceProcess
-) -> Result:
+def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, planner: ServiceProcess) -> Result:
     """Run one case."""
-    robot = folder / f"robot_{case.rate:g}" / f"{KEYS.robot}.yaml"
-    if not robot.exists():
-        descriptor_at(case.rate, robot.parent)
     state = Path(tempfile.mkdtemp(dir=folder))
     notes = state / "notes.npz"
     with ExitStack() as stack:
         if case.strategy != "emulator":
             stack.enter_context(ServiceProcess("leeloo_sim", endpoint, state)).wait_ready(bus, KEYS)
-        executor = stack.enter_context(timed_executor(case, str(robot), endpoint, state, notes))
+        executor = stack.enter_context(timed_executor(case, endpoint, state, notes))
         executor.wait_ready(bus, KEYS)
-        listener = stack.enter_context(listening(endpoint))
+        hear = stack.enter_context(listening(endpoint, case.realtime))
+        plans: list[float] = []
         if case.planner:
+            bus.subscribe(KEYS.plans, Plan, lambda *_: plans.append(time.monotonic()))
             stack.enter_context(beside(ask_for_plans, endpoint))
+            eventually(lambda: len(plans) > CLIENTS, "the planner is at work")
         slow = rest_to_rest(moved(1.0, -0.5, 0.5), slower=10 * (seconds + WARM_UP), dt=0.1)
-        bus.call(KEYS.execute, ExecuteRequest(trajectory=slow), Accepted, timeout=PATIENCE)
+        eventually(lambda: started(bus, slow), "the motion begins")
         time.sleep(WARM_UP)
-        planned = psutil.Process(planner.process.pid).cpu_times()
-        before, began = psutil.Process(executor.process.pid).cpu_times(), time.monotonic()
+        began, before, planned_before = time.monotonic(), cpu_time(executor), cpu_time(planner)
         time.sleep(seconds)
-        after, ended = psutil.Process(executor.process.pid).cpu_times(), time.monotonic()
-        worked = psutil.Process(planner.process.pid).cpu_times()
+        ended, after, planned_after = time.monotonic(), cpu_time(executor), cpu_time(planner)
+        mode = bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=PATIENCE).mode
+        heard = hear()
     written = np.load(notes)
     deadline, start, work = written["ticks"].T
     inside = (deadline >= began) & (deadline < ended)
     return Result(
         case,
+        mode,
         late=(start - deadline)[inside],
         jitter=np.abs(np.diff(start[inside]) - 1.0 / case.rate),
         work=work[inside],
         missed=int(np.sum(np.rint(np.diff(deadline[inside]) * case.rate) - 1)),
-        cpu=(after.user + after.system - before.user - before.system) / (ended - began),
-        command_latency=command_latency(written["commands"], listener, began, ended),
-        state_latency=state_latency(listener),
-        plans=(worked.user + worked.system - planned.user - planned.system) / (ended - began),
+        cpu=(after - before) / (ended - began),
+        planner_cpu=(planned_after - planned_before) / (ended - began),
+        plans=sum(began <= at < ended for at in plans) / (ended - began),
+        command_latency=command_latency(written["commands"], heard, began, ended),
+        state_latency=state_latency(heard),
     )
 
 
-def command_latency(sent: Array, listener: Listener, began: float, ended: float) -> Array:
-    """From before a command was published until the listener had it."""
+def started(bus: Bus, trajectory: Trajectory) -> bool:
+    """Start a motion; not while the driver is too late with its joints."""
+    try:
+        bus.call(KEYS.execute, ExecuteRequest(trajectory=trajectory), Accepted, timeout=PATIENCE)
+    except ExecutionRefused:
+        return False
+    return True
+
+
+def cpu_time(service: ServiceProcess) -> float:
+    """CPU time (s) that a process has used so far."""
+    times = psutil.Process(service.process.pid).cpu_times()
+    return float(times.user + times.system)
+
+
+def command_latency(sent: Array, heard: Heard, began: float, ended: float) -> Array:
+    """From before a command was published until the other process had it."""
     left = {int(sequence): at for sequence, at in sent if began <= at < ended}
-    came = [(decode(DriverCommand, payload).sequence, at) for at, payload in listener.commands]
+    came = [(decode(DriverCommand, payload).sequence, at) for at, payload in heard.commands]
     return np.array([at - left[sequence] for sequence, at in came if sequence in left])
 
 
-def state_latency(listener: Listener) -> Array:
+def state_latency(heard: Heard) -> Array:
     """From the driver's stamp until the executor had it, which is the stamp under which it publishes the same joints.
 
-    Joints that do not move cannot be told apart.
+    Joints that do not move cannot be told apart: of those the first alone counts.
     """
-    told = {joints(state): state.stamp for state in (decode(JointState, payload) for payload in listener.told)}
-    measured = {joints(state): state.stamp for state in (decode(JointState, payload) for payload in listener.measured)}
-    moving = [position for position in measured if position in told]
-    return np.array([measured[position] - told[position] for position in moving][1:])
+    told: dict[tuple[float, ...], float] = {}
+    latencies: dict[tuple[float, ...], float] = {}
+    for state in (decode(JointState, payload) for payload in heard.told):
+        told.setdefault(joints(state), state.stamp)
+    for state in (decode(JointState, payload) for payload in heard.measured):
+        if joints(state) in told:
+            latencies.setdefault(joints(state), state.stamp - told[joints(state)])
+    return np.array(list(latencies.values())[1:])
 
 
 def joints(state: JointState) -> tuple[float, ...]:
@@ -182,31 +217,52 @@ def joints(state: JointState) -> tuple[float, ...]:
     return tuple(position for _, position in sorted(zip(state.joint_names, state.position, strict=True)))
 
 
-def timed_executor(case: Case, robot: str, endpoint: str, state: Path, notes: Path) -> ServiceProcess:
+def timed_executor(case: Case, endpoint: str, state: Path, notes: Path) -> ServiceProcess:
     """The executor of a case, with a stop-watch."""
+    robot = str(descriptor_at(case.rate, state / "robot"))
     arguments = ["--strategy", case.strategy, "--notes", str(notes), *([] if case.realtime else ["--ordinary"])]
     script = str(Path(__file__).parents[1] / "timed_executor.py")
     return ServiceProcess("executor", endpoint, state, robot=robot, arguments=tuple(arguments), script=script)
 
 
 @contextmanager
-def listening(endpoint: str) -> Iterator[Listener]:
-    """Somebody who hears what the driver hears and tells, and what the executor measures."""
-    listener = Listener()
+def listening(endpoint: str, realtime: bool) -> Iterator[Callable[[], Heard]]:
+    """A process that hears what the driver hears and tells, and what the executor measures; yields how to ask it for that."""
+    here, there = multiprocessing.Pipe()
+    with beside(listen, endpoint, there, realtime):
+        here.recv()
+
+        def heard() -> Heard:
+            here.send("tell")
+            answer = here.recv()
+            assert isinstance(answer, Heard)
+            return answer
+
+        yield heard
+
+
+def listen(endpoint: str, pipe: Connection, realtime: bool) -> None:
+    """Note what is heard until asked for it."""
+    if realtime:
+        ask_for_realtime(PROCESS_PRIORITY)
+    heard = Heard()
     with open_client(endpoint) as session:
         for key, note in (
-            (KEYS.driver_command, lambda payload: listener.commands.append((time.monotonic(), payload))),
-            (KEYS.driver_joint_states, listener.told.append),
-            (KEYS.joint_states, listener.measured.append),
+            (KEYS.driver_command, lambda payload: heard.commands.append((time.monotonic(), payload))),
+            (KEYS.driver_joint_states, heard.told.append),
+            (KEYS.joint_states, heard.measured.append),
         ):
             session.declare_subscriber(key, lambda sample, note=note: note(sample.payload.to_bytes()))
-        yield listener
+        pipe.send("ready")
+        pipe.recv()
+    pipe.send(heard)
+    pipe.recv()
 
 
 @contextmanager
-def beside(work: Callable[[str], None], endpoint: str) -> Iterator[None]:
+def beside(work: Callable[..., None], *arguments: object) -> Iterator[None]:
     """Another process."""
-    process = multiprocessing.get_context("spawn").Process(target=work, args=(endpoint,))
+    process = multiprocessing.get_context("spawn").Process(target=work, args=arguments)
     process.start()
     try:
         yield
@@ -223,7 +279,9 @@ def serve_router(endpoint: str) -> None:
 
 def ask_for_plans(endpoint: str) -> None:
     """Clients that ask for a way around the post and back, without a break."""
-    ways = [PlanRequest(goal=to_joints(*goal), start=start) for start, goal in ((HOME, BEHIND_POST), (BEHIND_POST, HOME))]
+    ways = [
+        PlanRequest(goal=to_joints(*goal), start=start) for start, goal in ((HOME, BEHIND_POST), (BEHIND_POST, HOME))
+    ]
 
     def ask() -> None:
         with Bus(endpoint) as bus:
@@ -238,17 +296,38 @@ def ask_for_plans(endpoint: str) -> None:
 
 def show(results: list[Result]) -> None:
     """Two tables."""
-    columns = ("late us", "jitter us", "missed", "tick CPU us", "executor CPU", "planner cores")
+    columns = (
+        "late us",
+        "jitter us",
+        "jitter p99 / period",
+        "missed",
+        "tick CPU us",
+        "executor CPU",
+        "planner CPU",
+        "plans/s",
+    )
     table = Table("p50 / p99 / max", *columns)
     for r in results:
-        shares = (f"{r.missed} of {len(r.late) + r.missed}", cell(r.work), f"{r.cpu:.0%}", f"{r.plans:.1f}")
-        table.add_row(str(r.case), cell(r.late), cell(r.jitter), *shares)
-    latency = Table("p50 / p99 / max, us", "command, executor to driver", "joint state, driver to executor", "of so many")
+        share = f"{np.percentile(r.jitter, 99) * r.case.rate:.1%}"
+        missed = f"{r.missed} of {len(r.late) + r.missed}"
+        load = (f"{r.cpu:.0%}", f"{r.planner_cpu:.0%}", f"{r.plans:.0f}")
+        table.add_row(
+            str(r.case) + ("" if r.mode == "running" else f" [{r.mode} at the end]"),
+            cell(r.late),
+            cell(r.jitter),
+            share,
+            missed,
+            cell(r.work),
+            *load,
+        )
+    latency = Table(
+        "p50 / p99 / max, us", "command, executor to driver", "joint state, driver to executor", "of so many"
+    )
     for r in results:
         if len(r.command_latency):
             counts = f"{len(r.command_latency)}, {len(r.state_latency)}"
             latency.add_row(str(r.case), cell(r.command_latency), cell(r.state_latency), counts)
-    console = Console(width=170)
+    console = Console(width=180)
     console.print(table)
     console.print(latency)
 

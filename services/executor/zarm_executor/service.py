@@ -21,6 +21,7 @@ from zarm_contract.messages import (
     Strategies,
     StrategyRequest,
 )
+from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_executor.executor import REST_PATIENCE, Executor
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
@@ -45,24 +46,29 @@ PLANNER_PATIENCE = 0.5
 DRIVER_PATIENCE = 10.0
 """Longest wait, s, at the start for the driver of the robot to tell the robot's joints."""
 
+JOINT_STATES_PERIOD = 0.008
+"""Shortest time, s, between two publications of the joints, 125 Hz: the faster ones of a driver are on its own key."""
+
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
 
 
 class Control:
-    """One period of control: moves the robot on and publishes where it is."""
+    """One period of control: moves the robot on and publishes where it is, `JOINT_STATES_PERIOD` apart at least."""
 
     def __init__(self, machine: Machine, joints: tuple[str, ...], publisher: Publisher[JointState]) -> None:
         self._machine = machine
         self._joints = joints
         self._publisher = publisher
         self._published = 0.0
+        self._published_at = -JOINT_STATES_PERIOD
 
     def tick(self, now: float) -> None:
         """`now` is on the monotonic clock."""
         measured = self._machine.tick(now)
-        if measured is not None and measured.time != self._published:
-            self._published = measured.time
+        due = now - self._published_at > 0.9 * JOINT_STATES_PERIOD
+        if due and measured is not None and measured.time != self._published:
+            self._published, self._published_at = measured.time, now
             self._publisher.put(
                 JointState(
                     stamp=time.time() - (time.monotonic() - measured.time),
@@ -104,8 +110,12 @@ def start(service: Service) -> Iterator[None]:
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
                 bus.watch(keys.scene_revision, SceneEdited, plans.set_scene)
-                for receive in (plans.add, ghost.show):
-                    bus.watch(keys.plans, Plan, receive)
+
+                def receive(key: str, plan: Plan) -> None:
+                    plans.add(key, plan)
+                    ghost.show(key, plan)
+
+                bus.watch(keys.plans, Plan, receive)
                 _serve(bus, service, executor)
                 _exempt_from_collection()
                 service.ready()
@@ -158,6 +168,8 @@ def main() -> int:
     """Run the executor of one robot until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("executor")
     parser.add_argument("--strategy", help="control strategy at the start (default: the descriptor's)")
+    # A thread that is put aside while it holds the interpreter holds up the control loop, whatever the priority of that.
+    ask_for_realtime(PROCESS_PRIORITY)
     return run_service("executor", parser, start)
 
 
