@@ -312,7 +312,7 @@ def show(results: list[Result]) -> None:
         missed = f"{r.missed} of {len(r.late) + r.missed}"
         load = (f"{r.cpu:.0%}", f"{r.planner_cpu:.0%}", f"{r.plans:.0f}")
         table.add_row(
-            str(r.case) + ("" if r.mode == "running" else f" [{r.mode} at the end]"),
+            str(r.case) + ("" if r.mode == "running" else f" ({r.mode} at the end)"),
             cell(r.late),
             cell(r.jitter),
             share,
