@@ -14,12 +14,11 @@ from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState
 from zarm_contract.robot import Robot, StrategyParams
-from zarm_executor.follower import TICK
 from zarm_executor.machine import Goal, Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Array, Path
 from zarm_executor.strategies import build_strategies
-from zarm_leeloo_sim.player import Player
+from zarm_leeloo_sim.player import STEP, Player
 
 JOINTS = ROBOT.descriptor.joints
 TOLD = tuple(JOINTS[index] for index in (0, 1, 3, 4, 2, 5))
@@ -27,11 +26,14 @@ LATENCY = 0.01
 """Time, s, that a message takes on the bench."""
 
 
-def robot_with(**params: Any) -> Robot:
-    """The robot of the tests with other strategy_params."""
+def robot_with(*, control_rate: float = 100.0, **params: Any) -> Robot:
+    """The robot of the tests with other strategy_params, or another rate (Hz) of the control loop."""
     assert ROBOT.descriptor.strategy_params is not None
     merged = ROBOT.descriptor.strategy_params.model_dump(exclude_none=True) | params
-    descriptor = ROBOT.descriptor.model_copy(update={"strategy_params": StrategyParams.model_validate(merged)})
+    execution = ROBOT.descriptor.execution.model_copy(update={"control_rate": control_rate})
+    descriptor = ROBOT.descriptor.model_copy(
+        update={"strategy_params": StrategyParams.model_validate(merged), "execution": execution}
+    )
     return dataclasses.replace(ROBOT, descriptor=descriptor)
 
 
@@ -59,7 +61,7 @@ MOVING = (
 
 
 class Wire:
-    """Stands in for a bus: what is published arrives at the arm, and what the arm tells at the executor, a tick later."""
+    """Stands in for a bus: what is published arrives at the arm, and what the arm tells at the executor, a step of it later."""
 
     def __init__(self, bench: DriverBench) -> None:
         self.bench = bench
@@ -86,12 +88,16 @@ class Told:
 
 
 class DriverBench:
-    """A machine with the strategy of a case, and an arm behind a driver that tests can make misbehave."""
+    """A machine with the strategy of a case, and an arm behind a driver that tests can make misbehave.
 
-    def __init__(self, case: Case, folder: Folder) -> None:
+    The machine ticks at `rate` Hz; the driver tells the arm's joints at 100 Hz and plays a point in 20 ms, whatever that is.
+    """
+
+    def __init__(self, case: Case, folder: Folder, rate: float = 100.0) -> None:
         params = dict(case.params)
+        self.period = 1.0 / rate
         self.case = case
-        self.now = time.monotonic()
+        self.now = self._arm_at = time.monotonic()
         self.arm = Player(HOME, plays=case.plays)
         self.silent = False
         self.stalled = False
@@ -102,54 +108,58 @@ class DriverBench:
         self._taken = 0
         self._told: deque[tuple[float, JointState, DriverProgress | None]] = deque()
         self._sequence = 0
-        self.robot = robot_with(**params)
+        self.robot = robot_with(control_rate=rate, **params)
         self.repertoire = build_strategies(self.robot, folder, Wire(self), KEYS)  # type: ignore[arg-type]
-        self._arm_step()
-        self._arm_step()
-        self.machine = Machine(self.repertoire.find(case.strategy))
+        self._pass(2 * STEP)
+        self.machine = Machine(self.repertoire.find(case.strategy), self.period)
         self.tick()
 
-    def _arm_step(self) -> None:
-        self.now += TICK
-        while self._taken < len(self.commands) and self.commands[self._taken][0] <= self.now - LATENCY:
+    def _pass(self, seconds: float) -> None:
+        """Let time pass for the arm, which goes on in steps of its own."""
+        self.now += seconds
+        while self._arm_at + STEP <= self.now + 1e-6:
+            self._arm_at += STEP
+            self._arm_step(self._arm_at)
+
+    def _arm_step(self, now: float) -> None:
+        while self._taken < len(self.commands) and self.commands[self._taken][0] <= now - LATENCY + 1e-6:
             command = self.commands[self._taken][1]
             assert command.joint_names == JOINTS
             self.arm.play(np.array(command.position).reshape(-1, 6), np.array(command.velocity).reshape(-1, 6))
             self._sequence = command.sequence
             self._taken += 1
         self.arm.step(stalled=self.stalled)
+        self.feeds.append(self.arm.feed.copy())
         if not self.silent:
             order = [JOINTS.index(name) for name in TOLD]
             self.joint_states.newest = (
                 JointState(
-                    stamp=self.now,
+                    stamp=now,
                     joint_names=TOLD,
                     position=tuple(self.arm.position[order].tolist()),
                     velocity=tuple(self.arm.velocity[order].tolist()),
                 ),
-                self.now,
+                now,
             )
             if self._sequence:
-                self.progress.newest = DriverProgress(sequence=self._sequence, fraction=self.arm.fraction), self.now
+                self.progress.newest = DriverProgress(sequence=self._sequence, fraction=self.arm.fraction), now
 
     def freeze(self, seconds: float) -> None:
         """Let time pass in which nobody runs the machine."""
-        for _ in range(round(seconds / TICK)):
-            self._arm_step()
+        self._pass(seconds)
 
     def tick(self) -> None:
-        self._arm_step()
+        self._pass(self.period)
         measured = self.machine.tick(self.now)
         assert measured is not None
         self.positions.append(measured.position)
-        self.feeds.append(self.arm.feed.copy())
 
     def run(self, seconds: float) -> None:
-        for _ in range(round(seconds / TICK)):
+        for _ in range(round(seconds / self.period)):
             self.tick()
 
     def until(self, mode: str, patience: float = 20.0) -> None:
-        for _ in range(round(patience / TICK)):
+        for _ in range(round(patience / self.period)):
             if self.machine.state().mode == mode:
                 return
             self.tick()
@@ -181,8 +191,8 @@ class DriverBench:
     def commanded_acceleration(self) -> float:
         """The greatest change of the velocity that the arm was commanded, rad/s^2; of the emulated one that it had."""
         if self.case.strategy == "emulator":
-            return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)))) / TICK**2
-        return float(np.max(np.abs(np.diff(self.feeds[::2], axis=0)))) / (2 * TICK)
+            return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)))) / self.period**2
+        return float(np.max(np.abs(np.diff(self.feeds[::2], axis=0)))) / (2 * STEP)
 
     def rests(self, seconds: float = 1.0) -> bool:
         """Whether, once the drives have settled, nothing moves any more."""

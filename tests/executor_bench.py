@@ -77,7 +77,7 @@ class Bench:
     now: float = 100.0
 
     def __post_init__(self) -> None:
-        self.machine = Machine(self.arm)
+        self.machine = Machine(self.arm, TICK)
         self.positions: list[Array] = []
         self.machine.tick(self.now)
 

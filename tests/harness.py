@@ -56,7 +56,10 @@ def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIE
 
 @dataclass
 class ServiceProcess:
-    """One service of zarm as a process of its own; use it in `with`. Leaving stops it with SIGTERM and waits."""
+    """One service of zarm as a process of its own; use it in `with`. Leaving stops it with SIGTERM and waits.
+
+    `script` is run in its place.
+    """
 
     service: str
     endpoint: str
@@ -64,9 +67,11 @@ class ServiceProcess:
     robot: str = "doosan_m1013"
     name: str | None = None
     arguments: tuple[str, ...] = ()
+    script: str | None = None
 
     def __enter__(self) -> Self:
-        command = [sys.executable, "-m", f"zarm_{self.service}.service", "--robot", self.robot]
+        program = [self.script] if self.script else ["-m", f"zarm_{self.service}.service"]
+        command = [sys.executable, *program, "--robot", self.robot]
         command += ["--connect", self.endpoint, "--state", str(self.state)]
         command += [*(["--name", self.name] if self.name else []), *self.arguments]
         self.log = self.state / f"{self.service}-{time.monotonic_ns()}.log"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import shutil
+from pathlib import Path
 
 import numpy as np
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Plan, PlanTimings, Pose, Trajectory
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import Robot, find_robot, load_robot
 
 ROBOT = load_robot("doosan_m1013")
 """The robot that tests move."""
@@ -39,6 +41,16 @@ def rest_to_rest(
         velocity=rows(distance * (30 * u**2 - 60 * u**3 + 30 * u**4) / duration),
         acceleration=rows(distance * (60 * u - 180 * u**2 + 120 * u**3) / duration**2),
     )
+
+
+def descriptor_at(control_rate: float, folder: Path) -> Path:
+    """The descriptor of the tests' robot with another rate (Hz) of the control loop, in a folder of its own."""
+    folder.mkdir(parents=True)
+    text = find_robot(ROBOT.descriptor.name).read_text() + f"\nexecution: {{control_rate: {control_rate}}}\n"
+    descriptor = folder / f"{ROBOT.descriptor.name}.yaml"
+    descriptor.write_text(text)
+    shutil.copy(ROBOT.urdf_path, folder)
+    return descriptor
 
 
 def rows(array: np.ndarray) -> tuple[tuple[float, ...], ...]:

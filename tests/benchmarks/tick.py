@@ -1,130 +1,355 @@
-"""How late the executor's 100 Hz control loop is: `python tests/benchmarks/tick.py [seconds]`.
+"""How steady the executor's control loop is: `python tests/benchmarks/tick.py [seconds of each measurement]`.
 
-Runs the whole executor in this process on a router of another one. Lateness is the time from a tick's deadline to its
-start; missed ticks are deadlines left out. The ratio compares the 99th percentile with a bare loop that does nothing.
+The executor, a router, the simulated driver, and beside them a planner whose clients ask for one plan after the other:
+processes on one machine. Lateness is the time from a tick's deadline to its start; jitter is how much the time between two
+ticks differs from the period; a missed tick is a deadline that was left out. A command's latency is from before it is
+published by the executor until another process has it, a joint state's from the driver's stamp until the executor has it.
+"ordinary" is the executor, and who listens in the driver's place, without real-time priority, as where it is not allowed.
+
+Prints tables and draws them into plots/tick.png. Needs no more than a minute and a half.
 """
-# ruff: noqa: T201  printing is what a benchmark does
 
 from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
+import psutil
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import free_endpoint
-from motions import KEYS, ROBOT, moved, rest_to_rest
+from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from motions import KEYS, descriptor_at, moved, rest_to_rest
+from planner_client import BEHIND_POST, HOME, POST, SHELF, TABLE, load, plan, to_joints
 
-import zarm_executor.service
 from zarm_contract.bus import Bus
-from zarm_contract.errors import ZarmError
-from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState
-from zarm_contract.service import Service
-from zarm_contract.session import open_router
-from zarm_executor.follower import TICK
-from zarm_executor.loop import Loop
-from zarm_executor.service import Control
+from zarm_contract.codec import decode
+from zarm_contract.errors import ExecutionRefused
+from zarm_contract.messages import (
+    Accepted,
+    DriverCommand,
+    ExecuteRequest,
+    ExecutorState,
+    JointState,
+    Nothing,
+    Plan,
+    PlanRequest,
+    Trajectory,
+)
+from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_contract.session import open_client, open_router
 
-late: list[float] = []
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+Array = NDArray[np.float64]
+
+PLOT = Path(__file__).parent / "plots" / "tick.png"
+CLIENTS = 2 * (os.cpu_count() or 1)
+"""Clients of the planner: more than it needs to be busy all the time."""
+WARM_UP = 1.0
+"""Seconds of motion before a measurement."""
 
 
-class TimedControl(Control):
-    """Control that notes how late each tick begins."""
+@dataclass(frozen=True)
+class Case:
+    """One executor: its rate in Hz, its strategy, whether a planner works beside it, and with which priority it runs."""
 
-    def tick(self, now: float) -> None:
-        late.append(time.monotonic() - now)
-        super().tick(now)
+    rate: float
+    strategy: str
+    planner: bool
+    realtime: bool
+
+    def __str__(self) -> str:
+        priority = "real-time" if self.realtime else "ordinary"
+        return f"{self.rate:g} Hz, {self.strategy}, {'planner at work' if self.planner else 'alone'}, {priority}"
+
+
+CASES = (
+    Case(250, "emulator", planner=False, realtime=True),
+    *(Case(rate, "emulator", planner=True, realtime=True) for rate in (100, 250, 500)),
+    Case(250, "emulator", planner=True, realtime=False),
+    Case(250, "joint_speed", planner=False, realtime=True),
+    Case(250, "joint_speed", planner=True, realtime=True),
+    Case(250, "joint_speed", planner=True, realtime=False),
+)
+
+
+@dataclass
+class Heard:
+    """What another process hears: raw payloads, and of commands when they came, on the monotonic clock."""
+
+    commands: list[tuple[float, bytes]] = field(default_factory=list)
+    told: list[bytes] = field(default_factory=list)
+    measured: list[bytes] = field(default_factory=list)
+
+
+@dataclass
+class Result:
+    """One measurement; times in s."""
+
+    case: Case
+    mode: str
+    late: Array
+    jitter: Array
+    work: Array
+    missed: int
+    cpu: float
+    planner_cpu: float
+    plans: float
+    command_latency: Array
+    state_latency: Array
+
+
+def main() -> None:
+    """Print the tables and draw the plot."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seconds", nargs="?", type=float, default=4.0, help="length of each measurement")
+    seconds = parser.parse_args().seconds
+    results = []
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder, endpoint = Path(name), free_endpoint()
+        stack.enter_context(beside(serve_router, endpoint))
+        bus = stack.enter_context(Bus(endpoint, timeout=PATIENCE))
+        planner = stack.enter_context(ServiceProcess("planner", endpoint, folder))
+        planner.wait_ready(bus, KEYS)
+        load(bus, TABLE, POST, SHELF)
+        for case in CASES:
+            results.append(measure(case, seconds, bus, endpoint, folder, planner))
+    show(results)
+    draw(results)
+
+
+def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, planner: ServiceProcess) -> Result:
+    """Run one case."""
+    state = Path(tempfile.mkdtemp(dir=folder))
+    notes = state / "notes.npz"
+    with ExitStack() as stack:
+        if case.strategy != "emulator":
+            stack.enter_context(ServiceProcess("leeloo_sim", endpoint, state)).wait_ready(bus, KEYS)
+        executor = stack.enter_context(timed_executor(case, endpoint, state, notes))
+        executor.wait_ready(bus, KEYS)
+        hear = stack.enter_context(listening(endpoint, case.realtime))
+        plans: list[float] = []
+        if case.planner:
+            bus.subscribe(KEYS.plans, Plan, lambda *_: plans.append(time.monotonic()))
+            stack.enter_context(beside(ask_for_plans, endpoint))
+            eventually(lambda: len(plans) > CLIENTS, "the planner is at work")
+        slow = rest_to_rest(moved(1.0, -0.5, 0.5), slower=10 * (seconds + WARM_UP), dt=0.1)
+        eventually(lambda: started(bus, slow), "the motion begins")
+        time.sleep(WARM_UP)
+        began, before, planned_before = time.monotonic(), cpu_time(executor), cpu_time(planner)
+        time.sleep(seconds)
+        ended, after, planned_after = time.monotonic(), cpu_time(executor), cpu_time(planner)
+        mode = bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=PATIENCE).mode
+        heard = hear()
+    written = np.load(notes)
+    deadline, start, work = written["ticks"].T
+    inside = (deadline >= began) & (deadline < ended)
+    return Result(
+        case,
+        mode,
+        late=(start - deadline)[inside],
+        jitter=np.abs(np.diff(start[inside]) - 1.0 / case.rate),
+        work=work[inside],
+        missed=int(np.sum(np.rint(np.diff(deadline[inside]) * case.rate) - 1)),
+        cpu=(after - before) / (ended - began),
+        planner_cpu=(planned_after - planned_before) / (ended - began),
+        plans=sum(began <= at < ended for at in plans) / (ended - began),
+        command_latency=command_latency(written["commands"], heard, began, ended),
+        state_latency=state_latency(heard),
+    )
+
+
+def started(bus: Bus, trajectory: Trajectory) -> bool:
+    """Start a motion; not while the driver is too late with its joints."""
+    try:
+        bus.call(KEYS.execute, ExecuteRequest(trajectory=trajectory), Accepted, timeout=PATIENCE)
+    except ExecutionRefused:
+        return False
+    return True
+
+
+def cpu_time(service: ServiceProcess) -> float:
+    """CPU time (s) that a process has used so far."""
+    times = psutil.Process(service.process.pid).cpu_times()
+    return float(times.user + times.system)
+
+
+def command_latency(sent: Array, heard: Heard, began: float, ended: float) -> Array:
+    """From before a command was published until the other process had it."""
+    left = {int(sequence): at for sequence, at in sent if began <= at < ended}
+    came = [(decode(DriverCommand, payload).sequence, at) for at, payload in heard.commands]
+    return np.array([at - left[sequence] for sequence, at in came if sequence in left])
+
+
+def state_latency(heard: Heard) -> Array:
+    """From the driver's stamp until the executor had it, which is the stamp under which it publishes the same joints.
+
+    Joints that do not move cannot be told apart: of those the first alone counts.
+    """
+    told: dict[tuple[float, ...], float] = {}
+    latencies: dict[tuple[float, ...], float] = {}
+    for state in (decode(JointState, payload) for payload in heard.told):
+        told.setdefault(joints(state), state.stamp)
+    for state in (decode(JointState, payload) for payload in heard.measured):
+        if joints(state) in told:
+            latencies.setdefault(joints(state), state.stamp - told[joints(state)])
+    return np.array(list(latencies.values())[1:])
+
+
+def joints(state: JointState) -> tuple[float, ...]:
+    """The positions in the order of the joints' names."""
+    return tuple(position for _, position in sorted(zip(state.joint_names, state.position, strict=True)))
+
+
+def timed_executor(case: Case, endpoint: str, state: Path, notes: Path) -> ServiceProcess:
+    """The executor of a case, with a stop-watch."""
+    robot = str(descriptor_at(case.rate, state / "robot"))
+    arguments = ["--strategy", case.strategy, "--notes", str(notes), *([] if case.realtime else ["--ordinary"])]
+    script = str(Path(__file__).parents[1] / "timed_executor.py")
+    return ServiceProcess("executor", endpoint, state, robot=robot, arguments=tuple(arguments), script=script)
+
+
+@contextmanager
+def listening(endpoint: str, realtime: bool) -> Iterator[Callable[[], Heard]]:
+    """A process that hears what the driver hears and tells, and what the executor measures; yields how to ask it for that."""
+    here, there = multiprocessing.Pipe()
+    with beside(listen, endpoint, there, realtime):
+        here.recv()
+
+        def heard() -> Heard:
+            here.send("tell")
+            answer = here.recv()
+            assert isinstance(answer, Heard)
+            return answer
+
+        yield heard
+
+
+def listen(endpoint: str, pipe: Connection, realtime: bool) -> None:
+    """Note what is heard until asked for it."""
+    if realtime:
+        ask_for_realtime(PROCESS_PRIORITY)
+    heard = Heard()
+    with open_client(endpoint) as session:
+        for key, note in (
+            (KEYS.driver_command, lambda payload: heard.commands.append((time.monotonic(), payload))),
+            (KEYS.driver_joint_states, heard.told.append),
+            (KEYS.joint_states, heard.measured.append),
+        ):
+            session.declare_subscriber(key, lambda sample, note=note: note(sample.payload.to_bytes()))
+        pipe.send("ready")
+        pipe.recv()
+    pipe.send(heard)
+    pipe.recv()
+
+
+@contextmanager
+def beside(work: Callable[..., None], *arguments: object) -> Iterator[None]:
+    """Another process."""
+    process = multiprocessing.get_context("spawn").Process(target=work, args=arguments)
+    process.start()
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.join()
 
 
 def serve_router(endpoint: str) -> None:
+    """A router until the process ends."""
     with open_router(endpoint):
         threading.Event().wait()
 
 
-def burn() -> None:
-    while True:
-        sum(range(1000))
+def ask_for_plans(endpoint: str) -> None:
+    """Clients that ask for a way around the post and back, without a break."""
+    ways = [
+        PlanRequest(goal=to_joints(*goal), start=start) for start, goal in ((HOME, BEHIND_POST), (BEHIND_POST, HOME))
+    ]
+
+    def ask() -> None:
+        with Bus(endpoint) as bus:
+            while True:
+                for way in ways:
+                    plan(bus, way)
+
+    for _ in range(CLIENTS):
+        threading.Thread(target=ask, daemon=True).start()
+    threading.Event().wait()
 
 
-def shout(endpoint: str) -> None:
-    """Cancels goals that do not exist, and asks for motions too fast to be allowed, one after the other."""
-    refused = ExecuteRequest(trajectory=rest_to_rest(moved(1.0, -0.5, 0.5), slower=0.8))
-    with Bus(endpoint) as bus:
-        while True:
-            bus.call(KEYS.cancel, CancelRequest(goal_id="nobody"), ExecutorState, timeout=5)
-            with suppress(ZarmError):
-                bus.call(KEYS.execute, refused, Accepted, timeout=5)
+def show(results: list[Result]) -> None:
+    """Two tables."""
+    columns = (
+        "late us",
+        "jitter us",
+        "jitter p99 / period",
+        "missed",
+        "tick CPU us",
+        "executor CPU",
+        "planner CPU",
+        "plans/s",
+    )
+    table = Table("p50 / p99 / max", *columns)
+    for r in results:
+        share = f"{np.percentile(r.jitter, 99) * r.case.rate:.1%}"
+        missed = f"{r.missed} of {len(r.late) + r.missed}"
+        load = (f"{r.cpu:.0%}", f"{r.planner_cpu:.0%}", f"{r.plans:.0f}")
+        table.add_row(
+            str(r.case) + ("" if r.mode == "running" else f" ({r.mode} at the end)"),
+            cell(r.late),
+            cell(r.jitter),
+            share,
+            missed,
+            cell(r.work),
+            *load,
+        )
+    latency = Table(
+        "p50 / p99 / max, us", "command, executor to driver", "joint state, driver to executor", "of so many"
+    )
+    for r in results:
+        if len(r.command_latency):
+            counts = f"{len(r.command_latency)}, {len(r.state_latency)}"
+            latency.add_row(str(r.case), cell(r.command_latency), cell(r.state_latency), counts)
+    console = Console(width=180)
+    console.print(table)
+    console.print(latency)
 
 
-@contextmanager
-def beside(work: Callable[..., None], *arguments: object, count: int = 1) -> Iterator[None]:
-    spawn = multiprocessing.get_context("spawn")
-    processes = [spawn.Process(target=work, args=arguments) for _ in range(count)]
-    for process in processes:
-        process.start()
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.terminate()
-            process.join()
+def cell(seconds: Array) -> str:
+    return " / ".join(f"{1e6 * value:.0f}" for value in np.percentile(seconds, (50, 99, 100))) if len(seconds) else ""
 
 
-def report(name: str, samples: list[float], missed: int, bare: float) -> float:
-    p50, p99, worst = np.percentile(np.array(samples) * 1e6, (50, 99, 100))
-    print(f"{name:<34}{p50:9.0f}{p99:9.0f}{worst:9.0f}{missed:9d}{p99 / (bare or p99):9.1f}")
-    return float(p99)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seconds", nargs="?", type=float, default=10.0, help="length of each measurement")
-    seconds = parser.parse_args().seconds
-    print(f"{'lateness of a tick':<34}{'p50 us':>9}{'p99 us':>9}{'max us':>9}{'missed':>9}{'p99/bare':>9}")
-
-    samples: list[float] = []
-    with Loop("bare", TICK, lambda now: samples.append(time.monotonic() - now)):
-        time.sleep(seconds)
-    bare = report("bare loop", samples, max(0, round(seconds / TICK) - len(samples)), 0.0)
-
-    zarm_executor.service.Control = TimedControl  # type: ignore[misc]
-    endpoint = free_endpoint()
-    with ExitStack() as stack:
-        stack.enter_context(beside(serve_router, endpoint))
-        state = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        bus = stack.enter_context(Bus(endpoint, timeout=30.0))
-        options = argparse.Namespace(connect=endpoint, state=state, strategy="emulator")
-        stack.enter_context(zarm_executor.service.start(Service("executor", ROBOT, KEYS, bus, options)))
-        client = stack.enter_context(Bus(endpoint))
-
-        def measure(name: str) -> None:
-            before = client_state().missed_ticks
-            late.clear()
-            time.sleep(seconds)
-            report(name, late.copy(), client_state().missed_ticks - before, bare)
-
-        def client_state() -> ExecutorState:
-            return client.call(KEYS.cancel, CancelRequest(goal_id="nobody"), ExecutorState, timeout=5)
-
-        measure("idle")
-        slow = rest_to_rest(moved(1.0, -0.5, 0.5), slower=20 * seconds, dt=0.1)
-        client.call(KEYS.execute, ExecuteRequest(trajectory=slow), Accepted, timeout=5)
-        measure("moving")
-        with beside(burn):
-            measure("moving, a busy process beside")
-        with beside(burn, count=multiprocessing.cpu_count()):
-            measure("moving, every core busy")
-        with beside(shout, endpoint):
-            measure("moving, a client that shouts")
-        client.call(KEYS.stop, CancelRequest(), ExecutorState, timeout=5)
+def draw(results: list[Result]) -> None:
+    """The share of ticks that are later than so much."""
+    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    for r in results:
+        late = np.sort(r.late) * 1e3
+        style = "-" if r.case.realtime else ":"
+        axes.step(np.maximum(late, 1e-3), 1.0 - np.arange(len(late)) / len(late), style, label=str(r.case))
+    axes.axvline(1.0, color="grey", linewidth=0.8)
+    axes.axhline(0.01, color="grey", linewidth=0.8)
+    axes.set(xscale="log", yscale="log", xlabel="lateness of a tick, ms", ylabel="share of ticks that are later")
+    axes.set_title("The control loop beside a planner")
+    axes.legend(fontsize="small")
+    figure.savefig(PLOT, dpi=120)
+    print(f"plotted into {PLOT}")  # noqa: T201
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from executor_client import Client, distance_from
 from harness import PATIENCE, ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, moved, plan, rest_to_rest
+from motions import HOME, KEYS, ROBOT, descriptor_at, moved, plan, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import (
@@ -23,6 +23,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import GoalState, JointState, Nothing, Plan, SceneEdited, Strategies, Trajectory
 from zarm_executor.path import Path as Motion
 from zarm_executor.reporter import FINISHED_GOALS
+from zarm_executor.service import JOINT_STATES_PERIOD
 
 FAR = rest_to_rest(moved(1.5, -0.5))
 SHORT = rest_to_rest(moved(0.01))
@@ -70,6 +71,23 @@ def test_the_joints_are_measured_at_100_hz_also_when_nothing_moves(client: Clien
     np.testing.assert_allclose(np.diff(stamps) % 0.01, 0.005, atol=0.0051)
     assert np.median(np.diff(stamps)) == pytest.approx(0.01, abs=1e-4)
     assert client.measured[-1].joint_names == ROBOT.descriptor.joints
+
+
+@pytest.mark.parametrize("rate", [125, 250, 500])
+def test_it_works_at_the_control_rate_of_the_descriptor(endpoint: str, bus: Bus, tmp_path: Path, rate: int) -> None:
+    robot = str(descriptor_at(rate, tmp_path / "robot"))
+    with ServiceProcess("executor", endpoint, tmp_path, robot=robot) as process:
+        process.wait_ready(bus, KEYS)
+        client = Client(bus)
+        end = client.ended(client.execute(FAR))
+        assert end.status == "succeeded"
+        np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
+        assert client.greatest_acceleration() <= 1.02
+        client.stands(100)
+    stamps = np.array([joints.stamp for joints in client.measured])
+    ticks = np.diff(stamps) * rate  # each in a tick of its own; some may be left out
+    np.testing.assert_allclose(ticks, np.rint(ticks), atol=0.1)
+    assert ticks.min() > rate * JOINT_STATES_PERIOD - 0.5
 
 
 @pytest.mark.parametrize("key", [KEYS.cancel, KEYS.stop])

@@ -18,11 +18,21 @@ LIMIT = 1.2
 """What the driver of the tests' robot may be commanded, rad/s^2 (strategy_params.acceleration)."""
 
 
+at_every_rate = pytest.mark.parametrize("rate", [100.0, 130.0, 250.0, 500.0])
+"""Of the control loop, Hz; at 130 no period of chunks or of points is one of ticks."""
+
+
+@pytest.fixture
+def rate() -> float:
+    return 100.0
+
+
 @pytest.fixture(params=MOVING, ids=str)
-def bench(request: pytest.FixtureRequest, tmp_path: Folder) -> DriverBench:
-    return DriverBench(request.param, tmp_path)
+def bench(request: pytest.FixtureRequest, rate: float, tmp_path: Folder) -> DriverBench:
+    return DriverBench(request.param, tmp_path, rate)
 
 
+@at_every_rate
 def test_it_reaches_the_goal_inside_the_limits(bench: DriverBench) -> None:
     path = bench.execute()
     bench.until("idle")
@@ -34,6 +44,7 @@ def test_it_reaches_the_goal_inside_the_limits(bench: DriverBench) -> None:
     assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
+@at_every_rate
 @pytest.mark.parametrize("after", [0.05, 0.7, 1.5, 2.3])
 def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(bench: DriverBench, after: float) -> None:
     path = bench.execute()
@@ -64,6 +75,7 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
 
 
+@at_every_rate
 def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> None:
     bench.execute()
     bench.run(1.0)
@@ -126,6 +138,7 @@ def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_pat
         assert bench.last().status == "succeeded"
 
 
+@at_every_rate
 @pytest.mark.parametrize("after", [0.02, 0.7, 1.5, 2.38])
 def test_a_control_loop_that_was_away_in_motion_ends_in_fault_at_rest(bench: DriverBench, after: float) -> None:
     bench.execute()

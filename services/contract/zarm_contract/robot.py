@@ -97,6 +97,11 @@ class Execution(_Section):
     allowed_duration_margin: NonNegative = 0.5
     progress_timeout: Positive = 1.0
 
+    @property
+    def control_period(self) -> float:
+        """Time between two ticks of the control loop, s."""
+        return 1.0 / self.control_rate
+
 
 class StrategyParams(_Section):
     """How the robot's driver is spoken to. Times in s, angles in rad.
@@ -196,6 +201,12 @@ class RobotDescriptor(_Section):
             )
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
+            shortest = self.execution.control_period
+            if self.strategy_params.chunk_period < shortest - 1e-9:
+                faults.append(
+                    f"strategy_params.chunk_period: {self.strategy_params.chunk_period:g} s is shorter than the control "
+                    f"loop's period of {shortest:g} s; use at least that, or a higher execution.control_rate"
+                )
         if faults:
             raise ValueError("\n".join(map(one_line, faults)))
         return self

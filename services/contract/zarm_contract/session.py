@@ -8,6 +8,7 @@ import re
 import zenoh
 
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.realtime import PROCESS_PRIORITY, realtime_offspring
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
@@ -32,11 +33,13 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0) -> zenoh
 def open_router(endpoint: str, connect: str | None = None) -> zenoh.Session:
     """A router in this process that listens at `endpoint` and, if given, links to the router at `connect`.
 
-    Raises Unavailable where the endpoint is taken.
+    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them. Raises
+    Unavailable where the endpoint is taken.
     """
     config = _config("router", listen=endpoint, connect=connect)
     try:
-        return zenoh.open(config)
+        with realtime_offspring(PROCESS_PRIORITY):
+            return zenoh.open(config)
     except zenoh.ZError as error:
         raise Unavailable(
             f"cannot listen at {endpoint}: the port is taken or not allowed; use --listen with another, or --connect to "

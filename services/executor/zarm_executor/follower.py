@@ -16,7 +16,7 @@ from zarm_executor.path import Array, Path
 from zarm_executor.stretch import Stretch
 
 TICK = 0.01
-"""Period of the executor's control loop, s."""
+"""Longest step, s, in which time passes for a follower: the longest period of the control loop (100 Hz)."""
 CATCH_UP = 0.1
 """A pause between ticks up to this long (s) is caught up with; after a longer one the path goes on from rest where it
 stood, because nobody commanded the robot meanwhile."""

@@ -18,6 +18,8 @@ log = logging.getLogger(__name__)
 
 PERIOD = 0.02
 """Period of `preview/joint_states`, s."""
+LEAST = 0.2
+"""Shortest time, s, for which a plan is shown: of plans that come faster than anybody can see, the newest is."""
 
 
 class Ghost:
@@ -40,8 +42,7 @@ class Ghost:
 
     def play(self, now: float) -> None:
         """One period; `now` is on the monotonic clock."""
-        with self._lock:
-            plan, self._newest = self._newest, None
+        plan = self._next() if now - self._began > LEAST else None
         if plan is not None:
             self._begin(plan, now)
         if self._path is not None:
@@ -54,6 +55,11 @@ class Ghost:
                     velocity=tuple(velocity.tolist()),
                 )
             )
+
+    def _next(self) -> Plan | None:
+        with self._lock:
+            plan, self._newest = self._newest, None
+            return plan
 
     def _begin(self, plan: Plan, now: float) -> None:
         try:

@@ -10,10 +10,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-log = logging.getLogger(__name__)
+from zarm_contract.realtime import CONTROL_PRIORITY, ask_for_realtime
 
-REALTIME_PRIORITY = 10
-"""Above every ordinary thread, below the kernel's own (50)."""
+log = logging.getLogger(__name__)
 
 
 class Loop:
@@ -22,7 +21,7 @@ class Loop:
     Deadlines lie on one fixed grid of the monotonic clock, so they neither drift nor bunch up; `now` is the deadline. A
     deadline that has passed when the thread gets to it is left out: the next call is then two or more periods later.
 
-    A `realtime` loop goes before every ordinary thread of the machine, where the system lets it.
+    A `realtime` loop goes before every other thread of the machine, where the system lets it.
 
     An exception ends the whole process at once with code 1: a robot whose owner has lost a thread has no owner, and
     what supervises the process starts it again, at rest.
@@ -58,8 +57,8 @@ class Loop:
 
     def _run(self) -> None:
         try:
-            if self._realtime:
-                _ask_for_realtime(self._name)
+            if self._realtime and not ask_for_realtime(CONTROL_PRIORITY):
+                log.info("no real-time priority loop=%s remedy=allow_CAP_SYS_NICE_or_RLIMIT_RTPRIO", self._name)
             deadline = time.monotonic()
             while not self._ended.is_set():
                 time.sleep(max(0.0, deadline - time.monotonic()))
@@ -70,11 +69,3 @@ class Loop:
         except Exception:
             log.critical("the loop %s failed; the process ends", self._name, exc_info=True)
             os._exit(1)
-
-
-def _ask_for_realtime(name: str) -> None:
-    """Give the calling thread a real-time priority. Measured on two busy cores: p99 of lateness 0.2 ms instead of 9.8."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REALTIME_PRIORITY))
-    except (AttributeError, PermissionError):  # no such call on macOS; no such right in most containers
-        log.info("no real-time priority loop=%s remedy=allow_CAP_SYS_NICE_or_RLIMIT_RTPRIO", name)

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
-from zarm_executor.follower import TICK
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Path
 from zarm_executor.strategies.base import Measured, Strategy
@@ -41,13 +40,14 @@ class Goal:
 
 
 class Machine:
-    """See the module. `strategy` is opened; raises the ZarmError of that.
+    """See the module. `strategy` is opened; raises the ZarmError of that. `period` (s) is that of the control loop.
 
     `stops` counts how often the robot was told to stop, whatever it did then.
     """
 
-    def __init__(self, strategy: Strategy) -> None:
+    def __init__(self, strategy: Strategy, period: float) -> None:
         strategy.open()
+        self._period = period
         self._strategy = strategy
         self._goal: Goal | None = None
         self._problem: Problem | None = None
@@ -201,7 +201,7 @@ class Machine:
         with self._lock:
             dt = 0.0 if self._last_tick is None else now - self._last_tick
             self._last_tick = now
-            self._missed_ticks += max(0, round(dt / TICK) - 1)
+            self._missed_ticks += max(0, round(dt / self._period) - 1)
             goal = self._goal
             if goal is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
                 self._abort(goal, self._stalled(dt))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import sys
 import time
@@ -20,10 +21,10 @@ from zarm_contract.messages import (
     Strategies,
     StrategyRequest,
 )
+from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_executor.executor import REST_PATIENCE, Executor
 from zarm_executor.fault_records import FaultRecords
-from zarm_executor.follower import TICK
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
 from zarm_executor.loop import Loop
@@ -47,24 +48,29 @@ PLANNER_PATIENCE = 0.5
 DRIVER_PATIENCE = 10.0
 """Longest wait, s, at the start for the driver of the robot to tell the robot's joints."""
 
+JOINT_STATES_PERIOD = 0.008
+"""Shortest time, s, between two publications of the joints, 125 Hz: the faster ones of a driver are on its own key."""
+
 SWITCH_INTERVAL = 0.0005
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
 
 
 class Control:
-    """One period of control: moves the robot on and publishes where it is."""
+    """One period of control: moves the robot on and publishes where it is, `JOINT_STATES_PERIOD` apart at least."""
 
     def __init__(self, machine: Machine, joints: tuple[str, ...], publisher: Publisher[JointState]) -> None:
         self._machine = machine
         self._joints = joints
         self._publisher = publisher
         self._published = 0.0
+        self._published_at = -JOINT_STATES_PERIOD
 
     def tick(self, now: float) -> None:
         """`now` is on the monotonic clock."""
         measured = self._machine.tick(now)
-        if measured is not None and measured.time != self._published:
-            self._published = measured.time
+        due = now - self._published_at > 0.9 * JOINT_STATES_PERIOD
+        if due and measured is not None and measured.time != self._published:
+            self._published, self._published_at = measured.time, now
             self._publisher.put(
                 JointState(
                     stamp=time.time() - (time.monotonic() - measured.time),
@@ -83,6 +89,7 @@ def start(service: Service) -> Iterator[None]:
     joints, folder = robot.descriptor.joints, service.options.state / keys.robot
     ring = Ring(keys)
     bus.observe(ring.observe)
+    period = robot.descriptor.execution.control_period
     # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
     with (
         FaultRecords(folder / "records", keys, ring) as records,
@@ -92,7 +99,7 @@ def start(service: Service) -> Iterator[None]:
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
-        machine = Machine(first)
+        machine = Machine(first, period)
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault)
@@ -106,7 +113,7 @@ def start(service: Service) -> Iterator[None]:
             ghost = Ghost(bus, keys, robot)
             executor = Executor(robot, machine, reporter, plans, strategies, bus.publisher(keys.strategy, Strategies))
             with (
-                Loop("control", TICK, control.tick, realtime=True),
+                Loop("control", period, control.tick, realtime=True),
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
@@ -118,6 +125,7 @@ def start(service: Service) -> Iterator[None]:
 
                 bus.watch(keys.plans, Plan, receive)
                 _serve(bus, service, executor)
+                _exempt_from_collection()
                 service.ready()
                 try:
                     yield
@@ -127,6 +135,16 @@ def start(service: Service) -> Iterator[None]:
                     reporter.publish()
         finally:
             machine.release()
+
+
+def _exempt_from_collection() -> None:
+    """Have the garbage collector pass over everything that lives as long as the process, which is nearly all there is.
+
+    It holds up every thread while it looks: measured, 21 ms before this and 0.3 ms at most after it. It goes on to free what
+    comes later, so that memory stays flat.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def _wait_for(strategy: Strategy, service: Service) -> None:
@@ -158,6 +176,8 @@ def main() -> int:
     """Run the executor of one robot until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("executor")
     parser.add_argument("--strategy", help="control strategy at the start (default: the descriptor's)")
+    # A thread that is put aside while it holds the interpreter holds up the control loop, whatever the priority of that.
+    ask_for_realtime(PROCESS_PRIORITY)
     return run_service("executor", parser, start)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message
-from zarm_contract.messages.motion import JointNames, Joints, NonNegative, same_length
+from zarm_contract.messages.motion import JointNames, Joints, NonNegative, same_length, same_width
 
 
 class DriverCommand(Message):
@@ -42,8 +42,7 @@ class DriverCommand(Message):
     ) -> tuple[tuple[float, ...], ...]:
         if rows or info.field_name == "position":
             same_length(rows, info, "time")
-        for row in rows:
-            same_length(row, info, "joint_names")
+        same_width(rows, info)
         return rows
 
 

@@ -45,6 +45,14 @@ JointNames = Annotated[tuple[str, ...], Field(min_length=1, max_length=32), Afte
 """Which joint each column is; no name twice."""
 
 
+def same_width(rows: Sequence[Sequence[float]], info: ValidationInfo) -> None:
+    """For a validator: raise ValueError where a row has another number of entries than `joint_names`."""
+    width: Sequence[str] | None = info.data.get("joint_names")
+    if width is not None and set(map(len, rows)) - {len(width)}:  # thousands of rows: no call for each
+        for row in rows:
+            same_length(row, info, "joint_names")
+
+
 def same_length(values: Sequence[object], info: ValidationInfo, other: str) -> None:
     """For a validator: raise ValueError where `values` has another length than the field `other`."""
     expected: Sequence[object] | None = info.data.get(other)  # absent when `other` itself is at fault
@@ -107,8 +115,5 @@ class Trajectory(Message):
         cls, rows: tuple[tuple[float, ...], ...], info: ValidationInfo
     ) -> tuple[tuple[float, ...], ...]:
         same_length(rows, info, "time")
-        width: Sequence[str] | None = info.data.get("joint_names")
-        if width is not None and set(map(len, rows)) - {len(width)}:  # thousands of rows: no call for each
-            for row in rows:
-                same_length(row, info, "joint_names")
+        same_width(rows, info)
         return rows

@@ -52,7 +52,7 @@ class DriverLink:
     def send(self, points: Stretch, *, positions_only: bool = False) -> int:
         """Have these points played from now on; returns the command's sequence number."""
         position, velocity, acceleration = (
-            tuple(map(tuple, rows[:, self._columns].tolist()))
+            tuple(zip(*rows.T[self._columns].tolist(), strict=True))
             for rows in (points.position, points.velocity, points.acceleration)
         )
         return self._put(

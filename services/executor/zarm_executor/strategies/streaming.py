@@ -7,6 +7,7 @@ stops the robot by itself.
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 
 import numpy as np
@@ -25,6 +26,8 @@ _SLOPE = 1e-6
 """Squared speed of a path, (rad/s)^2, below which it tells nothing about the path speed of a robot on it."""
 _OFF_GRID = 0.3
 """A chunk that cannot wait is sent when the driver is at most this share of a point from beginning the next one."""
+_ROUNDING = 1e-6
+"""Ticks this close (s) to a moment are at it."""
 
 
 class Streaming(DriverStrategy):
@@ -96,10 +99,11 @@ class Streaming(DriverStrategy):
                 follower = self._halted(follower)
         self._reference.note(now, follower)
         self._expected = self._reference.at(now - self._delay)
-        if self._due(now):
-            played = 0 if self._sent_at is None else round((now - self._sent_at) / self._dt)
-            rests = self._send(follower.ahead(self._dt, self._count), now, played)
-            self._sent_at, self._urgent = now, False
+        begin = self._begin(now)
+        if begin is not None:
+            played = 0 if self._sent_at is None else round((begin - self._sent_at) / self._dt)
+            rests = self._send(self._ahead(follower, begin - now), now, played)
+            self._sent_at, self._urgent = begin, False
             self._over = rests and follower.settled and self._caught_up() and self._may_end()
 
     def progress(self) -> Progress:
@@ -140,12 +144,26 @@ class Streaming(DriverStrategy):
         self._stands()
         return self._follower
 
-    def _due(self, now: float) -> bool:
+    def _begin(self, now: float) -> float | None:
+        """The moment at which the chunk that is to be sent now begins; None where none is due.
+
+        Chunks begin `chunk_period` after one another, which need not be a whole number of ticks: each is sent by the last
+        tick before it begins.
+        """
         if self._sent_at is None:
-            return True
-        elapsed = now - self._sent_at
-        points = elapsed / self._dt
-        return elapsed >= self._period - TICK / 2 or (self._urgent and abs(points - round(points)) < _OFF_GRID)
+            return now
+        due = self._sent_at + self._period
+        if due - now < self.link.execution.control_period - _ROUNDING:
+            return max(due, now)
+        points = (now - self._sent_at) / self._dt
+        urgent = self._urgent and round(points) > 0 and abs(points - round(points)) < _OFF_GRID
+        return now if urgent else None
+
+    def _ahead(self, follower: Follower, seconds: float) -> Stretch:
+        """The points of a chunk that begins in so many seconds."""
+        scout = copy.copy(follower)
+        scout.advance(seconds)
+        return scout.ahead(self._dt, self._count)
 
     def _caught_up(self) -> bool:
         """Whether the robot has had the time to come to rest as well."""

@@ -1,0 +1,66 @@
+"""The executor with a stop-watch, for benchmarks: `python timed_executor.py --notes FILE [--ordinary] ...` and its own options.
+
+When it ends it writes FILE (npz): `ticks` (N, 3) with each tick's deadline, the time at which it began, and the CPU time
+that it took; `commands` (M, 2) with the sequence number of each driver command and the time before it was published. Times
+in s on the monotonic clock, which all processes of one machine share. `--ordinary` leaves the priority of the control loop
+as it is.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from array import array
+from pathlib import Path
+
+import numpy as np
+
+import zarm_executor.loop
+import zarm_executor.service
+from zarm_contract.messages import DriverCommand
+from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_contract.service import run_service, service_parser
+from zarm_executor.strategies.driver_link import DriverLink
+
+ticks = array("d")
+commands = array("d")
+
+
+class TimedControl(zarm_executor.service.Control):
+    """Notes when each tick begins, and what it takes."""
+
+    def tick(self, now: float) -> None:
+        began, used = time.monotonic(), time.thread_time()
+        super().tick(now)
+        ticks.extend((now, began, time.thread_time() - used))
+
+
+def timed(put):  # type: ignore[no-untyped-def]
+    """Notes when each command leaves."""
+
+    def noted(link: DriverLink, command: DriverCommand) -> int:
+        commands.extend((command.sequence, time.monotonic()))
+        return int(put(link, command))
+
+    return noted
+
+
+def main() -> int:
+    parser = service_parser("executor")
+    parser.add_argument("--strategy")
+    parser.add_argument("--notes", type=Path, required=True)
+    parser.add_argument("--ordinary", action="store_true")
+    options = parser.parse_args()
+    zarm_executor.service.Control = TimedControl  # type: ignore[misc]
+    DriverLink._put = timed(DriverLink._put)  # type: ignore[method-assign]
+    if options.ordinary:
+        zarm_executor.loop.ask_for_realtime = lambda _: True
+    else:
+        ask_for_realtime(PROCESS_PRIORITY)
+    code = run_service("executor", parser, zarm_executor.service.start)
+    np.savez(options.notes, ticks=np.array(ticks).reshape(-1, 3), commands=np.array(commands).reshape(-1, 2))
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
