@@ -231,6 +231,10 @@ def test_no_more_fields_are_read_than_the_largest_scene_has() -> None:
     many = b"{%s}" % b",".join(b'"a%d": 0' % number for number in range(100_001))
     with pytest.raises(InvalidRequest, match="more than 100000 fields"):
         decode(m.ExecuteRequest, many)
+    with pytest.raises(InvalidRequest, match="more than 1000000 values"):
+        decode(m.ExecuteRequest, b"[%s]" % (b"0," * 1_000_001))
+    with pytest.raises(InvalidRequest, match="Field required .plan_id."):
+        decode(m.Plan, b'{"trajectory": [%s 0]}' % (b"[], " * 100_000))
     ball = m.Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 0.0), radius=1.0)
     scene = m.Scene(revision=1, objects=tuple(ball.model_copy(update={"name": f"b{n}"}) for n in range(m.MAX_OBJECTS)))
     assert decode(m.Scene, encode(scene)) == scene
@@ -248,3 +252,17 @@ def test_joint_states_of_the_most_joints_are_not_too_long() -> None:
         stamp=1.75e9, joint_names=tuple(f"{n:0>100}" for n in range(32)), position=awkward, velocity=awkward
     )
     assert decode(m.JointState, encode(state)) == state
+
+
+@pytest.mark.parametrize(
+    ("cls", "payload"),
+    [
+        (m.ExecuteRequest, b'{"%s": 1}' % (b"x" * 1_000_000)),
+        (m.SceneEdit, b'{"edit": {"op": "%s"}}' % (b"x" * 1_000_000)),
+        (m.DriverCommand, b'{"sequence": 1, "joint_names": ["%s", "%s"]}' % (b"x" * 1_000_000, b"x" * 1_000_000)),
+    ],
+)
+def test_a_refusal_quotes_little_of_what_it_refuses(cls: type[Message], payload: bytes) -> None:
+    with pytest.raises(InvalidRequest) as refusal:
+        decode(cls, payload)
+    assert len(encode(refusal.value.problem)) < 2000
