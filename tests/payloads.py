@@ -167,9 +167,8 @@ _MUTATIONS: tuple[Callable[[random.Random, bytearray, list[bytes]], None], ...] 
 ENORMOUS: tuple[bytes, ...] = (
     b" " * (MAX_BYTES + 1),
     b"[" * MAX_BYTES,
-    b'{"joint_names": ["a"], "time": [0], "position": [%s]}' % b",".join([b"[]"] * 2_500_000),
-    b'{"trajectory": {"joint_names": ["a"], "time": [%s]}}' % b",".join([b"-1"] * 2_500_000),
-    b"{%s}" % b",".join(b'"%d":0' % number for number in range(700_000)),
-    b"{%s}" % b",".join(b'"%d":0' % number for number in range(99_000)),
+    b'{"joint_names": ["a"], "time": [0], "position": [%s]}' % b",".join([b"[]"] * 900_000),
+    b'{"trajectory": {"joint_names": ["a"], "time": [%s]}}' % b",".join([b"-1"] * 900_000),
+    b"{%s}" % b",".join(b'"%d":0' % number for number in range(90_000)),
 )
 """As large as is read, or a little larger; each is for every key."""

@@ -39,6 +39,9 @@ is not at its start."""
 GROWTH = 64 * 2**20
 """How much larger, in bytes, a process may be after all than after the first tenth, which fills caches and pools."""
 
+POOLS = 20
+"""How many threads may have been started since then: each key has two, which are started when they are needed."""
+
 
 @dataclass(frozen=True)
 class Ear:
@@ -182,8 +185,8 @@ class Sizes:
         ):
             print(f"{service.service}: threads {threads} {threads_now}, descriptors {fds} {fds_now}, ", end="")  # noqa: T201
             print(f"MiB {rss / 2**20:.0f} {rss_now / 2**20:.0f}, log {len(service.output())} bytes")  # noqa: T201
-            assert threads_now <= threads
-            assert fds_now <= fds
+            assert threads_now <= threads + POOLS
+            assert fds_now <= fds + 4
             assert rss_now <= rss + GROWTH
 
     def hold_logs(self, sent: int) -> None:
@@ -214,7 +217,7 @@ def shout(ears: Sequence[Ear], endpoint: str, sizes: Sizes) -> int:
         return noise.sent
 
 
-@pytest.mark.timeout(60 + COUNT / 20)
+@pytest.mark.timeout(100 + COUNT / 20)
 def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
     bus: Bus, endpoint: str, tmp_path: Path
 ) -> None:
@@ -244,12 +247,13 @@ def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
 def test_the_planner_takes_any_payload_and_plans_afterwards(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as planner:
         planner.wait_ready(bus, KEYS)
+        settings = bus.call(KEYS.settings, m.SettingsChange(), m.PlannerSettings, timeout=PATIENCE)
         assert shout(PLANNER, endpoint, Sizes(planner)) > 0.8 * COUNT
         health = bus.call(KEYS.health("planner"), m.Nothing(), m.Health, timeout=PATIENCE)
         assert health.ready
         assert health.pid == planner.process.pid
-        (default,) = by_class()[m.SettingsChange]
-        bus.call(KEYS.settings, default.model_copy(update={"margin": 0.0}), m.PlannerSettings, timeout=PATIENCE)
+        back = m.SettingsChange(**settings.model_dump())
+        assert bus.call(KEYS.settings, back, m.PlannerSettings, timeout=PATIENCE) == settings
         empty = m.SceneEdit(edit=m.LoadScene(op="load", objects=()))
         assert bus.call(KEYS.scene_edit, empty, m.SceneEdited, timeout=PATIENCE).count == 0
         made = bus.call(KEYS.plan, FREE.model_copy(update={"timeout": 10.0}), m.Plan, timeout=PATIENCE)
