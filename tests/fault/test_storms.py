@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from burden import favour
 from driven import FAR, LIMIT, Driven, driven
 from harness import eventually
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
@@ -49,6 +50,7 @@ COMMANDS: tuple[tuple[str, Message], ...] = (
 @pytest.fixture
 def robot(bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[Driven]:
     with driven(bus, endpoint, tmp_path, "joint_speed") as robot:
+        favour(robot.driver, robot.executor)
         yield robot
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
