@@ -10,6 +10,10 @@ import psutil
 from harness import ServiceProcess
 
 
+PRIORITY = 10
+"""A real-time priority, above every ordinary thread."""
+
+
 @dataclass(frozen=True)
 class Burden:
     """Threads, open descriptors and resident memory (bytes) of one process."""
@@ -38,6 +42,6 @@ def favour(*services: ServiceProcess) -> None:
         tasks += [int(task.name) for task in Path(f"/proc/{service.process.pid}/task").glob("*")]
     for task in tasks:
         try:
-            os.setpriority(os.PRIO_PROCESS, task, -10)
+            os.sched_setscheduler(task, os.SCHED_RR, os.sched_param(PRIORITY))
         except (PermissionError, ProcessLookupError):
             continue
