@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from typing import Any
 
 import pytest
@@ -202,3 +203,66 @@ def test_a_quaternion_is_normalised_once_and_then_stays_as_it_is(parts: tuple[fl
     pose = m.Pose(position=(0.0, 0.0, 0.0), orientation=(x, y, z, w))
     assert math.hypot(*pose.orientation) == pytest.approx(1.0, abs=2e-12)
     assert decode(m.Pose, encode(pose)) == pose
+
+
+# -- what is made to hold up whoever reads it --
+
+
+@pytest.mark.parametrize(
+    ("cls", "payload"),
+    [
+        (m.DriverCommand, b'{"sequence": 1, "joint_names": ["a"], "time": [%s]}' % b",".join([b'""'] * 10_000)),
+        (
+            m.DriverCommand,
+            b'{"sequence": 1, "joint_names": ["a"], "time": [0], "position": [%s]}' % b",".join([b"[]"] * 9999),
+        ),
+        (m.Plan, b'{"waypoint_times": [%s]}' % b",".join([b"{}"] * 10_000)),
+        (m.IkRequest, b'{"poses": [%s]}' % b",".join([b"{}"] * 10_000)),
+        (m.SceneEdit, b'{"edit": {"op": "add", "objects": [%s]}}' % b",".join([b"{}"] * 10_000)),
+    ],
+)
+def test_of_a_row_of_faults_only_the_first_is_looked_at(cls: type[Message], payload: bytes) -> None:
+    with pytest.raises(InvalidRequest) as refusal:
+        decode(cls, payload)
+    assert not re.search(r"and \d{3,} more", str(refusal.value))
+
+
+def test_no_more_fields_are_read_than_the_largest_scene_has() -> None:
+    many = b"{%s}" % b",".join(b'"a%d": 0' % number for number in range(100_001))
+    with pytest.raises(InvalidRequest, match="more than 100000 fields"):
+        decode(m.ExecuteRequest, many)
+    with pytest.raises(InvalidRequest, match="more than 1000000 values"):
+        decode(m.ExecuteRequest, b"[%s]" % (b"0," * 1_000_001))
+    with pytest.raises(InvalidRequest, match=r"Field required \(plan_id\)"):
+        decode(m.Plan, b'{"trajectory": [%s 0]}' % (b"[], " * 100_000))
+    ball = m.Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 0.0), radius=1.0)
+    scene = m.Scene(revision=1, objects=tuple(ball.model_copy(update={"name": f"b{n}"}) for n in range(m.MAX_OBJECTS)))
+    assert decode(m.Scene, encode(scene)) == scene
+
+
+@pytest.mark.parametrize("cls", [m.JointState, m.DriverProgress, m.CancelRequest, m.Nothing, m.StrategyRequest])
+def test_what_stops_a_robot_or_is_read_in_its_control_loop_is_short(cls: type[Message]) -> None:
+    with pytest.raises(InvalidRequest, match="over the limit of 16384"):
+        decode(cls, b"{%s}" % (b" " * 20_000))
+
+
+def test_joint_states_of_the_most_joints_are_not_too_long() -> None:
+    awkward = (-1.2345678901234567e-300,) * 32
+    state = m.JointState(
+        stamp=1.75e9, joint_names=tuple(f"{n:0>100}" for n in range(32)), position=awkward, velocity=awkward
+    )
+    assert decode(m.JointState, encode(state)) == state
+
+
+@pytest.mark.parametrize(
+    ("cls", "payload"),
+    [
+        (m.ExecuteRequest, b'{"%s": 1}' % (b"x" * 1_000_000)),
+        (m.SceneEdit, b'{"edit": {"op": "%s"}}' % (b"x" * 1_000_000)),
+        (m.DriverCommand, b'{"sequence": 1, "joint_names": ["%s", "%s"]}' % (b"x" * 1_000_000, b"x" * 1_000_000)),
+    ],
+)
+def test_a_refusal_quotes_little_of_what_it_refuses(cls: type[Message], payload: bytes) -> None:
+    with pytest.raises(InvalidRequest) as refusal:
+        decode(cls, payload)
+    assert len(encode(refusal.value.problem)) < 2000

@@ -55,3 +55,20 @@ def test_colour_is_there_only_on_request() -> None:
     assert "\x1b" not in plain
     assert re.sub(r"\x1b\[\d+m", "", coloured)[:12] == plain[:12]
     assert coloured.startswith("\x1b[36m")
+
+
+def test_of_a_flood_of_warnings_the_first_are_logged_and_the_last_of_them_says_so() -> None:
+    lines = logged("for n in range(1000):\n  log.warning('dropped n=%d', n)\n  log.info('served')\nlog.error('other')")
+    dropped = [line for line in lines if "dropped" in line]
+    assert len(dropped) == 20
+    assert dropped[-1].endswith(" dropped n=19 further=left_out_for_10_s")
+    assert not any("further" in line for line in dropped[:-1])
+    assert sum("served" in line for line in lines) == 1000
+    assert "level=ERROR other" in lines[-1]
+
+
+def test_after_a_flood_the_next_warning_is_logged_again() -> None:
+    prelude = "import time\nfrom zarm_contract import logs\nlogs.BURST_PERIOD = 0.05\ndef drop(n): log.warning('dropped n=%d', n)\n"
+    lines = logged(prelude + "for n in range(100): drop(n)\ntime.sleep(0.1)\ndrop(100)")
+    assert len(lines) == 21
+    assert "dropped n=100" in lines[-1]

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-_TAGS = ("kind", "op")
+TAGS = ("kind", "op")
 """The fields that tell the members of a union apart, in every model of zarm."""
 
 
 def field_path(location: Sequence[int | str], data: object) -> tuple[int | str, ...]:
     """The path of a fault in `data`, from the `loc` of pydantic's error.
 
-    Pydantic puts the tag of a union's member into the path (`goal.pose.position`); it is no field and is left out.
+    Pydantic puts the tag of a union's member into the path (`goal.pose.position`); it is no field and is left out. Data
+    without a union needs not be given.
     """
     path: list[int | str] = []
     for part in location:
         if isinstance(data, dict):
-            if part not in data and part in (data.get(tag) for tag in _TAGS):
+            if part not in data and part in (data.get(tag) for tag in TAGS):
                 continue
             data = data.get(part)
         elif isinstance(data, list) and isinstance(part, int):

@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+
+
+def _fail_fast(schema: Any) -> None:
+    """Have every row of any length in a pydantic schema refused at its first fault (pydantic's `FailFast`)."""
+    if isinstance(schema, dict):
+        if schema.get("type") == "tuple" and "variadic_item_index" in schema:
+            schema["fail_fast"] = True
+        for part in schema.values():
+            _fail_fast(part)
+    elif isinstance(schema, list):
+        for part in schema:
+            _fail_fast(part)
 
 
 class Message(BaseModel):
-    """Strict, frozen, without unknown fields, without NaN and infinity."""
+    """Strict, frozen, without unknown fields, without NaN and infinity; at most `max_bytes` long.
+
+    Reading stops at the first fault of a row of values: to list a million of them would hold up the process for seconds.
+    """
+
+    max_bytes: ClassVar[int] = 8 * 1024 * 1024
+    """Some 20,000 samples of a trajectory of 7 joints, three minutes at 100 Hz."""
 
     model_config = ConfigDict(
         strict=True,
@@ -14,3 +34,16 @@ class Message(BaseModel):
         frozen=True,
         allow_inf_nan=False,
     )
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        schema = handler(source)
+        _fail_fast(schema)
+        return schema
+
+
+class ShortMessage(Message):
+    """What a control loop reads, or a robot must be stopped by: so short that to refuse it takes no time either."""
+
+    max_bytes: ClassVar[int] = 16 * 1024
+    """Four times a joint state of 32 joints with long names."""

@@ -7,14 +7,23 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from zarm_contract._faults import field_path, sentence
+from zarm_contract._faults import TAGS, field_path, sentence
 from zarm_contract._model import Message
 from zarm_contract.errors import InvalidRequest
 
 M = TypeVar("M", bound=Message)
 
-MAX_BYTES = 8 * 1024 * 1024
-"""Largest payload that is read: some 20,000 samples of a trajectory of 7 joints, three minutes at 100 Hz."""
+MAX_BYTES = Message.max_bytes
+"""Largest payload that is read, of any message."""
+QUOTED = 500
+"""Longest quotation, in characters, from a payload in the problem that refuses it."""
+MAX_FIELDS = 100_000
+"""Most fields in a payload; a scene of 10,000 objects has 60,000."""
+MAX_VALUES = 1_000_000
+"""Most values in a payload; the longest trajectory has some 500,000, 200,000 voxels have 800,000."""
+LONG = 64 * 1024
+"""A payload of more bytes is looked over before it is parsed: every fault that the parser finds costs a copy of the values
+around it, which can add up to seconds and gigabytes."""
 
 
 def schema(model: type[Message]) -> str:
@@ -29,17 +38,41 @@ def encode(message: Message) -> bytes:
 
 def decode(model: type[M], payload: bytes) -> M:
     """Read a message; no payload at all reads as `{}`. Raises InvalidRequest that names the first field at fault."""
-    if len(payload) > MAX_BYTES:
+    if len(payload) > model.max_bytes:
         raise InvalidRequest(
-            f"the payload of {len(payload)} bytes is over the limit of {MAX_BYTES}; send less at once", field="payload"
+            f"the payload of {len(payload)} bytes is over the limit of {model.max_bytes} for {model.__name__}; send less at "
+            "once",
+            field="payload",
         )
+    if len(payload) > LONG:
+        _look_over(model, payload)
     payload = payload or b"{}"
     try:
         return model.model_validate_json(payload)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        path = field_path(first["loc"], json.loads(payload)) if first["loc"] else ()
+        path = field_path(first["loc"], json.loads(payload) if first["loc"] and _tagged(payload) else None)
         more = f"; and {error.error_count() - 1} more" if error.error_count() > 1 else ""
         raise InvalidRequest(
-            f"{model.__name__}: {sentence(first['msg'])}{more}", field=".".join(map(str, path)) or None
+            f"{model.__name__}: {_cut(sentence(first['msg']))}{more}", field=_cut(".".join(map(str, path))) or None
         ) from error
+
+
+def _look_over(model: type[Message], payload: bytes) -> None:
+    """Refuse, at no cost, what is far from any message of this class."""
+    for sign, most, what in ((b":", MAX_FIELDS, "fields"), (b",", MAX_VALUES, "values")):
+        if payload.count(sign) > most:
+            raise InvalidRequest(f"{model.__name__}: more than {most} {what}; send less at once", field="payload")
+    for name, field in model.model_fields.items():
+        if field.is_required() and f'"{name}"'.encode() not in payload:
+            raise InvalidRequest(f"{model.__name__}: Field required", field=name)
+
+
+def _tagged(payload: bytes) -> bool:
+    """Whether the path of a fault may hold tags of a union; millions of values are not parsed again for nothing."""
+    return any(f'"{tag}"'.encode() in payload for tag in TAGS)
+
+
+def _cut(text: str) -> str:
+    """What quotes a payload is neither answered nor logged at any length."""
+    return text if len(text) <= QUOTED else f"{text[:QUOTED]}..."

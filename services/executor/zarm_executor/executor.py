@@ -49,6 +49,7 @@ class Executor:
         self._strategies = strategies
         self._publisher = publisher
         self._checking = threading.Lock()
+        self._describing = threading.Lock()
 
     def execute(self, request: ExecuteRequest) -> Accepted:
         """Check a motion and start it. One at a time: what waited here would start after a stop that came meanwhile."""
@@ -118,9 +119,10 @@ class Executor:
         return self.publish_strategies()
 
     def publish_strategies(self) -> Strategies:
-        """Publish which strategy is active."""
-        strategies = self._describe_strategies()
-        self._publisher.put(strategies)
+        """Publish which strategy is active; of several switches the last one's is published last."""
+        with self._describing:
+            strategies = self._describe_strategies()
+            self._publisher.put(strategies)
         return strategies
 
     def _describe_strategies(self) -> Strategies:

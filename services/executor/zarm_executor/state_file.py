@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -36,16 +37,18 @@ class StateFile(Generic[M]):
             return None
 
     def save(self, message: M) -> None:
-        """Replace the message. Raises Unavailable where the file cannot be written."""
+        """Replace the message. Raises Unavailable where the file cannot be written; then the old one is there as before."""
         draft = self._path.with_suffix(".new")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             draft.write_bytes(encode(message))
             draft.replace(self._path)
         except OSError as error:
+            with suppress(OSError):
+                draft.unlink(missing_ok=True)
             raise Unavailable(
-                f"cannot write {self._path}: {error.strerror or error}; make the folder writable, or name another with "
-                "--state or ZARM_STATE"
+                f"cannot write {self._path}: {error.strerror or error}; make room or make the folder writable, or name another "
+                "with --state or ZARM_STATE"
             ) from error
 
     def clear(self) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DriverCommand, DriverFault, DriverProgress, JointState, Nothing
 from zarm_leeloo_sim.player import STEP, Player
 
@@ -58,7 +59,11 @@ class Driver:
                 self._waiting.append((time.monotonic() + self._fault.delay, command))
 
     def suffer(self, fault: DriverFault) -> Nothing:
-        """Have this fault from now on, and no other."""
+        """Have this fault from now on, and no other. Raises InvalidRequest for a jump of other joints."""
+        if fault.jump is not None and len(fault.jump) != len(self._order):
+            raise InvalidRequest(
+                f"{len(fault.jump)} values for {len(self._order)} joints; give one for each", field="jump"
+            )
         with self._lock:
             log.info("fault %s", fault.model_dump_json(exclude_defaults=True))
             if fault.die:

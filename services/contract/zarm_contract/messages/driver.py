@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from zarm_contract._model import Message
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import JointNames, Joints, NonNegative, same_length, same_width
 
 
@@ -46,14 +46,14 @@ class DriverCommand(Message):
         return rows
 
 
-class DriverProgress(Message):
+class DriverProgress(ShortMessage):
     """How far the driver is with the command `sequence`: `fraction` of its points played, 1 at its end."""
 
     sequence: Annotated[int, Field(ge=1)]
     fraction: Annotated[float, Field(ge=0, le=1)]
 
 
-class DriverFault(Message):
+class DriverFault(ShortMessage):
     """What a simulated driver suffers from now on, instead of before; what is left out is in order.
 
     `stall`: it plays no further point, the robot stands and is reported. `drop`: the share of commands that get lost.

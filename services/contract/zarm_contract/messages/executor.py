@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from zarm_contract._model import Message
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Trajectory
 
@@ -68,13 +68,13 @@ class GoalState(Message):
         return self.status in ("succeeded", "cancelled", "aborted")
 
 
-class CancelRequest(Message):
+class CancelRequest(ShortMessage):
     """Cancel one goal, or (empty request) the one that runs. Unknown and finished goals are no error."""
 
     goal_id: Name | None = None
 
 
-class SpeedRequest(Message):
+class SpeedRequest(ShortMessage):
     """Move at `speed_scale` times the planned speed from now on, also while moving; an empty request reads."""
 
     speed_scale: SpeedScale | None = None
@@ -131,7 +131,7 @@ class Strategies(Message):
     strategies: tuple[StrategyInfo, ...]
 
 
-class StrategyRequest(Message):
+class StrategyRequest(ShortMessage):
     """Switch to a strategy; an empty request reads."""
 
     strategy: Name | None = None

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from zarm_contract._model import Message
+from zarm_contract._model import Message, ShortMessage
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 """Letters, digits, `_`, `.` and `-`: a name that is also one chunk of a key expression."""
@@ -67,7 +67,7 @@ class Pose(Message):
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
-class JointState(Message):
+class JointState(ShortMessage):
     """Measured (or previewed) joints at one moment; `velocity` in rad/s."""
 
     stamp: float

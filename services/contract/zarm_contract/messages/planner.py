@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from zarm_contract._model import Message
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import (
     Joints,
     Name,
@@ -128,7 +128,7 @@ class Plan(Message):
     timings: PlanTimings
 
 
-class CancelPlan(Message):
+class CancelPlan(ShortMessage):
     """End the planning of one request; unknown and finished ids are no error."""
 
     request_id: Name
@@ -217,7 +217,7 @@ class PlannerSettings(Message):
     margin: Margin = 0.005
 
 
-class SettingsChange(Message):
+class SettingsChange(ShortMessage):
     """Settings to change; what is left out stays. An empty request reads."""
 
     planner: PlannerKind | None = None

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from zarm_contract._model import Message
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import Joints, Name, Positive, Quaternion, Vector3
 
 MAX_OBJECTS = 10_000
@@ -190,7 +190,7 @@ class SceneEdit(Message):
     ]
 
 
-class SceneEdited(Message):
+class SceneEdited(ShortMessage):
     """The scene's revision after the edit, and how many objects it holds."""
 
     revision: Annotated[int, Field(ge=0)]

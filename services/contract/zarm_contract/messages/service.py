@@ -6,11 +6,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from zarm_contract._model import Message
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import Name, NonNegative
 
 
-class Nothing(Message):
+class Nothing(ShortMessage):
     """A request without content: `{}` or no payload at all."""
 
 

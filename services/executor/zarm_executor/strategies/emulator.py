@@ -71,6 +71,7 @@ class Emulator(Strategy):
         self._limit = acceleration_limit
         self._follower = Follower(Path.standing(robot.measured.position), acceleration_limit)
         self._saver = Loop("emulated robot", SAVE_PERIOD, self._save)
+        self._saving_fails = False
 
     def open(self) -> None:
         """Begin to save the position; fails where it cannot be written."""
@@ -118,5 +119,8 @@ class Emulator(Strategy):
         try:
             if self._robot.unsaved:
                 self._robot.save()
+                self._saving_fails = False
         except Unavailable as error:
-            log.warning("the emulated robot's position is not saved reason=%s", error)
+            if not self._saving_fails:
+                log.warning("the emulated robot's position is not saved from now on reason=%s", error)
+            self._saving_fails = True
