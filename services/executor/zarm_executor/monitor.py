@@ -34,7 +34,7 @@ class Monitor:
         age = np.inf if measured is None else now - measured.time
         if measured is None or age > self._execution.joint_state_timeout:
             raise ExecutionFailed(
-                f"the robot has not reported its joints for {age:.2f} s (joint_state_timeout "
+                f"the robot has reported no new joints for {age:.2f} s (joint_state_timeout "
                 f"{self._execution.joint_state_timeout:g} s); check its driver, then reset",
                 code="driver_stalled",
             )
