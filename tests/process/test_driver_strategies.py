@@ -41,9 +41,7 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
-def test_joint_pose_reaches_the_goal_on_a_driver_that_plays_positions(
-    bus: Bus, endpoint: str, tmp_path: Path
-) -> None:
+def test_joint_pose_reaches_the_goal_on_a_driver_that_plays_positions(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_pose", "--plays", "position") as robot:
         assert robot.client.ended(robot.client.execute(THERE)).status == "succeeded"
         np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)

@@ -21,8 +21,9 @@ code = (
     b"\x0f\x05"  # syscall
     b"\x85\xff"  # test edi, edi
     b"\x75\x10"  # jne to ret
-    b"\x48\xb9" + ctypes.addressof(offset).to_bytes(8, "little") +  # mov rcx, address of the offset
-    b"\x48\x8b\x09"  # mov rcx, [rcx]
+    b"\x48\xb9"
+    + ctypes.addressof(offset).to_bytes(8, "little")  # mov rcx, address of the offset
+    + b"\x48\x8b\x09"  # mov rcx, [rcx]
     b"\x48\x01\x0e"  # add [rsi], rcx
     b"\xc3"  # ret
 )
