@@ -173,17 +173,14 @@ class Arena(Driven):
         return eventually(state, "the executor is heard")
 
     def warm_up(self) -> None:
-        """Use a new executor until what it and Zenoh keep ready for use is there: shared memory comes with some delay."""
-        process = psutil.Process(self.executor.process.pid)
-        shares, before = False, self.burden()
-        while self._warm != process.pid:
+        """Use a new executor until the threads that wait for use are there."""
+        process, burdens = self.executor.process.pid, [self.burden()]
+        while self._warm != process and (len(burdens) < 3 or burdens[-1] != burdens[-2]):
             self.nudge()
             for key in (self.keys.stop, self.keys.reset):
                 self.client.command(key)
-            shares = shares or any(file.path.startswith("/dev/shm/") for file in process.open_files())
-            if shares and self.burden() == before:
-                self._warm = process.pid
-            before = self.burden()
+            burdens.append(self.burden())
+        self._warm = process
 
     def burden(self) -> tuple[int, int]:
         """How many threads and how many file descriptors the executor has."""

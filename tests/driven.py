@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from executor_client import Client
 from harness import ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+from motions import HOME, ROBOT, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
