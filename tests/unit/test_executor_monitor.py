@@ -172,6 +172,14 @@ def test_a_robot_that_keeps_moving_after_a_stop_is_in_fault(bench: Bench) -> Non
     fails(bench, "tolerance_violated", "still moves at 0.05 rad/s")
 
 
+def test_a_robot_that_was_stopped_and_rests_elsewhere_is_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.cancel(None, "enough")
+    bench.arm.disturb = lag(EXECUTION.path_tolerance * 1.5)
+    fails(bench, "tolerance_violated", "joint_3 left the commanded path by 0.3000 rad")
+
+
 def test_a_robot_that_goes_silent_while_it_stops_is_in_fault(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
