@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 from executor_client import Client
 from harness import ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+from motions import HOME, ROBOT, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState, Nothing
+from zarm_contract.robot import Robot
 
 FAR = moved(1.0, -0.5, 0.3)
 THERE = rest_to_rest(FAR, slower=1.5)
@@ -24,31 +26,33 @@ LIMIT = 1.2
 class Driven:
     """`client` talks to the executor; `told` is what the driver told of its joints, `commands` what it was sent."""
 
-    def __init__(self, bus: Bus, endpoint: str, folder: Path, strategy: str) -> None:
+    def __init__(self, bus: Bus, endpoint: str, folder: Path, strategy: str, robot: Robot = ROBOT) -> None:
         self.bus, self.endpoint, self.folder = bus, endpoint, folder
-        self.strategy = strategy
-        self.client = Client(bus)
+        self.strategy, self.joints = strategy, robot.descriptor.joints
+        self.keys = keys = Keys(robot.descriptor.name)
+        self.client = Client(bus, keys)
         self.told: list[JointState] = []
         self.commands: list[DriverCommand] = []
-        bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: self.told.append(state))
-        bus.subscribe(KEYS.driver_command, DriverCommand, lambda _, command: self.commands.append(command))
+        bus.subscribe(keys.driver_joint_states, JointState, lambda _, state: self.told.append(state))
+        bus.subscribe(keys.driver_command, DriverCommand, lambda _, command: self.commands.append(command))
         self.driver: ServiceProcess
         self.executor: ServiceProcess
 
     def new_driver(self, *arguments: str) -> ServiceProcess:
-        return ServiceProcess("leeloo_sim", self.endpoint, self.folder, arguments=arguments)
+        return ServiceProcess("leeloo_sim", self.endpoint, self.folder, self.keys.robot, arguments=arguments)
 
     def new_executor(self) -> ServiceProcess:
-        return ServiceProcess("executor", self.endpoint, self.folder, arguments=("--strategy", self.strategy))
+        arguments = ("--strategy", self.strategy)
+        return ServiceProcess("executor", self.endpoint, self.folder, self.keys.robot, arguments=arguments)
 
     def suffer(self, fault: DriverFault) -> None:
         """Give the driver a fault."""
-        self.bus.call(KEYS.simulated_fault, fault, Nothing, timeout=10)
+        self.bus.call(self.keys.simulated_fault, fault, Nothing, timeout=10)
 
     def arm(self) -> np.ndarray:
         """Where the arm was told to be last, in the executor's order."""
         state = self.told[-1]
-        return np.array([state.position[state.joint_names.index(name)] for name in ROBOT.descriptor.joints])
+        return np.array([state.position[state.joint_names.index(name)] for name in self.joints])
 
     def at_rest(self) -> np.ndarray:
         """Wait until the driver tells that the arm stands, and check that it goes on to stand; where."""
@@ -68,7 +72,7 @@ class Driven:
     def works_again(self) -> None:
         """After a reset, the next goal, from where the arm stands, is reached."""
         start = self.at_rest()
-        assert self.client.command(KEYS.reset).mode == "idle"
+        assert self.client.command(self.keys.reset).mode == "idle"
         assert self.client.ended(self.client.execute(rest_to_rest(HOME, start, slower=1.5))).status == "succeeded"
         np.testing.assert_allclose(self.at_rest(), HOME, atol=0.01)
 
@@ -82,12 +86,14 @@ class Driven:
 
 
 @contextmanager
-def driven(bus: Bus, endpoint: str, folder: Path, strategy: str, *driver: str) -> Iterator[Driven]:
+def driven(
+    bus: Bus, endpoint: str, folder: Path, strategy: str, *driver: str, robot: Robot = ROBOT
+) -> Iterator[Driven]:
     """The two processes, ready."""
     with ExitStack() as stack:
-        robot = Driven(bus, endpoint, folder, strategy)
-        robot.driver = stack.enter_context(robot.new_driver(*driver))
-        robot.driver.wait_ready(bus, KEYS)
-        robot.executor = stack.enter_context(robot.new_executor())
-        robot.executor.wait_ready(bus, KEYS)
-        yield robot
+        arm = Driven(bus, endpoint, folder, strategy, robot)
+        arm.driver = stack.enter_context(arm.new_driver(*driver))
+        arm.driver.wait_ready(bus, arm.keys)
+        arm.executor = stack.enter_context(arm.new_executor())
+        arm.executor.wait_ready(bus, arm.keys)
+        yield arm

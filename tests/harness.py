@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self, TypeVar
 
@@ -68,6 +68,7 @@ class ServiceProcess:
     name: str | None = None
     arguments: tuple[str, ...] = ()
     script: str | None = None
+    environment: dict[str, str] = field(default_factory=dict)
 
     def __enter__(self) -> Self:
         program = [self.script] if self.script else ["-m", f"zarm_{self.service}.service"]
@@ -76,7 +77,9 @@ class ServiceProcess:
         command += [*(["--name", self.name] if self.name else []), *self.arguments]
         self.log = self.state / f"{self.service}-{time.monotonic_ns()}.log"
         with self.log.open("wb") as log:
-            self.process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+            self.process = subprocess.Popen(
+                command, stdout=log, stderr=log, start_new_session=True, env=os.environ | self.environment
+            )
         return self
 
     def __exit__(self, *_: object) -> None:

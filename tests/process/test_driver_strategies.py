@@ -18,6 +18,7 @@ from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
+from zarm_contract.robot import find_robot, load_robot
 from zarm_contract.session import open_client
 
 EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "zenoh_driver.py"
@@ -38,6 +39,42 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         assert progress == sorted(progress)
         assert len(set(progress)) > 5
         assert robot.commanded_acceleration() <= LIMIT * 1.01
+
+
+def test_joint_pose_reaches_the_goal_on_a_driver_that_plays_positions(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    with driven(bus, endpoint, tmp_path, "joint_pose", "--plays", "position") as robot:
+        assert robot.client.ended(robot.client.execute(THERE)).status == "succeeded"
+        np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
+        chunks = [command for command in robot.commands if command.time]
+        assert len(chunks) > 5
+        assert not any(command.velocity for command in chunks)
+
+
+def test_joint_pose_under_a_driver_that_plays_velocities_moves_nothing_and_says_so(
+    bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    with driven(bus, endpoint, tmp_path, "joint_pose") as robot:
+        robot.client.execute(THERE)
+        assert "path_tolerance" in robot.fault("tolerance_violated").problem.message
+        np.testing.assert_allclose(robot.at_rest(), HOME, atol=1e-9)
+
+
+def test_the_ur5e_reaches_the_goal_by_whole_trajectories_without_being_told_progress(
+    bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    ur5e = load_robot("ur5e")
+    home = np.array(ur5e.descriptor.home)
+    goal = moved(1.0, 0.5, -0.3, start=home)
+    driver = ("--plays", "position", "--ceiling", "400", "--no-progress")
+    with driven(bus, endpoint, tmp_path, "joint_trajectory", *driver, robot=ur5e) as robot:
+        infos = {info.name: info for info in robot.client.strategy().strategies}
+        assert "strategy_params.strategies" in (infos["joint_speed"].reason or "")
+        goal_id = robot.client.execute(rest_to_rest(goal, home, robot=ur5e))
+        assert robot.client.ended(goal_id).status == "succeeded"
+        np.testing.assert_allclose(robot.at_rest(), goal, atol=0.005)
+        progress = [state.progress for state in robot.client.goals]
+        assert progress == sorted(progress)
+        assert len(set(progress)) > 5
 
 
 @pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
@@ -77,7 +114,12 @@ def test_switching_to_the_driver_and_back_while_it_moves(bus: Bus, endpoint: str
 def test_without_a_driver_the_strategies_that_need_one_say_so_and_a_switch_leaves_the_former(
     bus: Bus, endpoint: str, tmp_path: Path
 ) -> None:
-    with ServiceProcess("executor", endpoint, tmp_path) as process:
+    text = find_robot("doosan_m1013").read_text()
+    assert "joint_speed, joint_pose, joint_trajectory]" in text
+    text = text.replace("joint_speed, joint_pose, joint_trajectory]", "joint_speed, joint_trajectory]")
+    descriptor = tmp_path / "robot.yaml"
+    descriptor.write_text(text.replace("urdf: doosan_m1013.urdf", f"urdf: {ROBOT.urdf_path}"))
+    with ServiceProcess("executor", endpoint, tmp_path, robot=str(descriptor)) as process:
         process.wait_ready(bus, KEYS)
         client = Client(bus)
         infos = {info.name: info for info in client.strategy().strategies}

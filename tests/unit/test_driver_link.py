@@ -61,6 +61,19 @@ def test_joints_of_another_robot_and_what_cannot_be_read_are_ignored_loudly_once
     assert caplog.text.count("another robot") == 1
 
 
+def test_joints_that_are_told_again_and_again_with_one_stamp_grow_old(link: DriverLink, bus: Bus) -> None:
+    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    newest = link._states
+    frozen = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    driver.put(frozen)
+    first = eventually(link.measured, "the joints arrive")
+    driver.put(frozen)
+    eventually(lambda: (told := newest.received()) and told[1] > first.time, "the same is told again")
+    assert link.measured() is first
+    driver.put(frozen.model_copy(update={"stamp": -3600.0}))  # whatever the driver's clock does, this is news
+    eventually(lambda: link.measured() is not first, "the joints are measured again")
+
+
 def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: Bus) -> None:
     commands: list[DriverCommand] = []
     bus.subscribe(KEYS.driver_command, DriverCommand, lambda _, command: commands.append(command))

@@ -80,13 +80,13 @@ def test_a_robot_that_no_longer_reports_is_stopped_in_fault(bench: Bench) -> Non
     bench.execute()
     bench.run(0.5)
     bench.arm.disturb = freeze(bench.arm.exact)
-    fails(bench, "driver_stalled", "has not reported its joints")
+    fails(bench, "driver_stalled", "has reported no new joints")
 
 
 def test_a_robot_that_never_reported_is_stopped_in_fault(bench: Bench) -> None:
     bench.execute()
     bench.arm.disturb = lambda _: None
-    fails(bench, "driver_stalled", "has not reported its joints")
+    fails(bench, "driver_stalled", "has reported no new joints")
 
 
 def test_a_robot_that_stops_reporting_while_paused_is_in_fault(bench: Bench) -> None:
@@ -95,7 +95,7 @@ def test_a_robot_that_stops_reporting_while_paused_is_in_fault(bench: Bench) -> 
     bench.machine.pause()
     bench.until("paused")
     bench.arm.disturb = freeze(bench.arm.exact)
-    fails(bench, "driver_stalled", "has not reported its joints")
+    fails(bench, "driver_stalled", "has reported no new joints")
 
 
 def test_a_motion_that_takes_too_long_is_stopped_in_fault(bench: Bench) -> None:
@@ -170,6 +170,14 @@ def test_a_robot_that_keeps_moving_after_a_stop_is_in_fault(bench: Bench) -> Non
     bench.arm.disturb = lambda measured: dataclasses.replace(measured, velocity=measured.velocity + 0.05)
     bench.machine.cancel(None, "enough")
     fails(bench, "tolerance_violated", "still moves at 0.05 rad/s")
+
+
+def test_a_robot_that_was_stopped_and_rests_elsewhere_is_in_fault(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.cancel(None, "enough")
+    bench.arm.disturb = lag(EXECUTION.path_tolerance * 1.5)
+    fails(bench, "tolerance_violated", "joint_3 left the commanded path by 0.3000 rad")
 
 
 def test_a_robot_that_goes_silent_while_it_stops_is_in_fault(bench: Bench) -> None:

@@ -245,8 +245,8 @@ def test_drift_does_not_add_up_when_the_measured_joints_close_the_loop(tmp_path:
     assert ends["joint_trajectory"] > 0.03
 
 
-def test_a_robot_without_a_driver_says_why_it_has_no_driver_strategies(tmp_path: Folder) -> None:
-    bench = DriverBench(Case("emulator"), tmp_path)
+def test_a_driver_that_cannot_play_a_strategy_rules_it_out_with_the_reason(tmp_path: Folder) -> None:
+    bench = DriverBench(Case("emulator", params=(("strategies", ("joint_speed", "joint_trajectory")),)), tmp_path)
     infos = {info.name: info for info in bench.repertoire.describe()}
     assert infos["joint_speed"].available
     assert not infos["joint_pose"].available

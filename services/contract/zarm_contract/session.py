@@ -57,6 +57,8 @@ def _config(
         "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        # A killed process would leave its shared memory, 16 MB, behind, and a full /dev/shm ends those who live on.
+        "transport/shared_memory/enabled": False,
         "scouting/delay": 0,  # a router would wait half a second for whom it does not look for
         "listen/endpoints": [listen] if listen else [],
         "connect/endpoints": [connect] if connect else [],

@@ -5,7 +5,8 @@
 It needs `eclipse-zenoh` and nothing of zarm, so that it can be rewritten in any language that has Zenoh. Put the calls of
 your controller into `Arm`. What zarm expects of a driver:
 
-- it publishes its joints on `zarm/<robot>/driver/joint_states`, at 100 Hz better than at 20, moving or not;
+- it publishes its joints on `zarm/<robot>/driver/joint_states`, at 100 Hz better than at 20, moving or not, with another
+  `stamp` for each measurement: what is told again with an old one counts as silence;
 - it plays the newest `driver/command` from its arrival on, one point each `time`, instead of what was left of the last;
 - a command without points, and points that run out, bring the robot to rest: that is the watchdog for a dead executor;
 - it publishes on `driver/progress` how much of the command is played, or leaves `state_topic` out of the descriptor;

@@ -34,7 +34,7 @@ class Monitor:
         age = np.inf if measured is None else now - measured.time
         if measured is None or age > self._execution.joint_state_timeout:
             raise ExecutionFailed(
-                f"the robot has not reported its joints for {age:.2f} s (joint_state_timeout "
+                f"the robot has reported no new joints for {age:.2f} s (joint_state_timeout "
                 f"{self._execution.joint_state_timeout:g} s); check its driver, then reset",
                 code="driver_stalled",
             )
@@ -79,12 +79,15 @@ class Monitor:
     def at_rest(self, now: float, progress: Progress, measured: Measured | None) -> bool:
         """Whether the robot stands still after it was commanded to.
 
-        Raises ExecutionFailed when it does not, or does not report, within `settle_time`.
+        Raises ExecutionFailed when it does not, or does not report, within `settle_time`, and where it stands further than
+        `path_tolerance` from where it was commanded to stop: then it has not heard of the stop.
         """
         if not progress.at_rest:
             return False
         fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
         if measured is not None and fresh and self._stopped(measured):
+            error = np.abs(measured.position - progress.command)
+            self._within(error, self._execution.path_tolerance, "path_tolerance", "left")
             return True
         if self._overdue(now):
             if measured is None or not fresh:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import TextIO
 
 import numpy as np
 
@@ -25,7 +26,8 @@ LONGEST_PAUSE = 0.1
 class Driver:
     """Plays commands on `player` and tells joint states and progress.
 
-    `order` are the joints by index, as the points of a command have them; `told` the order in which they are told.
+    `order` are the joints by index, as the points of a command have them; `told` the order in which they are told. `trace`
+    gets a line for every step: positions (rad), then velocities (rad/s), in `order`, whatever faults keep from the bus.
     """
 
     def __init__(
@@ -35,6 +37,7 @@ class Driver:
         told: tuple[str, ...],
         tell_joints: Callable[[JointState], None],
         tell_progress: Callable[[DriverProgress], None],
+        trace: TextIO | None = None,
     ) -> None:
         self._player = player
         self._order = order
@@ -42,6 +45,7 @@ class Driver:
         self._columns = [order.index(name) for name in told]
         self._tell_joints = tell_joints
         self._tell_progress = tell_progress
+        self._trace = trace
         self._fault = DriverFault()
         self._random = random.Random(1)  # noqa: S311  which commands get lost is no secret
         self._waiting: deque[tuple[float, DriverCommand]] = deque()
@@ -97,6 +101,9 @@ class Driver:
             while self._waiting and self._waiting[0][0] <= now:
                 self._take(self._waiting.popleft()[1])
             self._player.step(stalled=self._fault.stall)
+            if self._trace is not None:
+                row = (*self._player.position.tolist(), *self._player.velocity.tolist())
+                self._trace.write(",".join(map(repr, row)) + "\n")
             if self._fault.silent:
                 return
             self._tell_joints(self.state())

@@ -21,7 +21,8 @@ STEP = 0.01
 LAG = 0.03
 """Time constant of a drive, s."""
 CEILING = math.radians(70.0)
-"""The real-time ceilings of the M1013's driver for each joint: 70 deg/s and 70 deg/s^2, in rad/s and rad/s^2."""
+"""The real-time ceilings of the M1013's driver for each joint: 70 deg/s and 70 deg/s^2, in rad/s and rad/s^2. An arm that
+stops by itself brakes no harder than the second."""
 STIFFNESS = 8.0
 """How fast a drive that plays positions closes a position error, 1/s."""
 
@@ -33,7 +34,8 @@ class Player:
 
     It plays velocities and ignores positions and times, as the Doosan bridge does, or, with `plays="position"`, positions
     as a position-controlled arm. Where the points run out it brakes to rest. No joint is ever faster than `ceiling` rad/s,
-    nor changes its velocity faster than `ceiling` rad/s^2; `feed` (J,) is the velocity that it is commanded now, rad/s.
+    nor changes its velocity faster than `ceiling` rad/s^2: with a high one it does whatever it is commanded. `feed` (J,) is
+    the velocity that it is commanded now, rad/s.
     """
 
     def __init__(self, position: Array, *, plays: Kind = "velocity", ceiling: float = CEILING) -> None:
@@ -48,6 +50,7 @@ class Player:
         self._target = position.copy()
         self.feed: Array = np.zeros_like(position)
         self._steps = 0
+        self._stopping = True
 
     @property
     def fraction(self) -> float:
@@ -62,7 +65,7 @@ class Player:
         self.total, self.played = len(positions), 0
         self._positions = positions
         if self.total == 0:
-            self._target = self.position + self.velocity * np.abs(self.velocity) / (2 * self._ceiling)
+            self._target = self.position + self.velocity * np.abs(self.velocity) / (2 * min(self._ceiling, CEILING))
         if self._plays == "velocity":
             self._velocities = velocities
         else:
@@ -78,15 +81,17 @@ class Player:
             wanted = wanted + STIFFNESS * (self._target - self.position)
         wanted = np.clip(wanted, -self._ceiling, self._ceiling)
         change = (wanted - self.velocity) * (1.0 - math.exp(-STEP / LAG))
+        most = STEP * (min(self._ceiling, CEILING) if self._stopping else self._ceiling)
         before = self.velocity
-        self.velocity = before + np.clip(change, -self._ceiling * STEP, self._ceiling * STEP)
+        self.velocity = before + np.clip(change, -most, most)
         self.velocity[np.abs(self.velocity) < 1e-6] = 0.0
         self.position = self.position + 0.5 * (before + self.velocity) * STEP
 
     def _next_point(self, stalled: bool) -> None:
         if stalled:
             self._target = self.position
-        if stalled or self.played >= self.total:
+        self._stopping = stalled or self.played >= self.total
+        if self._stopping:
             self.feed = np.zeros_like(self.position)
             return
         if len(self._velocities):

@@ -7,7 +7,8 @@ import math
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 import numpy as np
 
@@ -37,7 +38,9 @@ def start(service: Service) -> Iterator[None]:
         )
     told = tuple(order[index] for index in HUMBLE_ORDER) if len(order) == len(HUMBLE_ORDER) else order
     position = np.array([at[descriptor.joints.index(name)] for name in order])
-    with Bus(options.connect) as bus:
+    with ExitStack() as stack:
+        bus = stack.enter_context(Bus(options.connect))
+        trace = None if options.trace is None else stack.enter_context(options.trace.open("a", buffering=1))
         progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
         driver = Driver(
             Player(position, plays=options.plays, ceiling=math.radians(options.ceiling)),
@@ -45,6 +48,7 @@ def start(service: Service) -> Iterator[None]:
             told,
             bus.publisher(keys.driver_joint_states, JointState, realtime=True).put,
             (lambda _: None) if options.no_progress else progress.put,
+            trace,
         )
         bus.subscribe(keys.driver_command, DriverCommand, driver.command)
         bus.serve(keys.simulated_fault, DriverFault, driver.suffer)
@@ -73,6 +77,7 @@ def main() -> int:
         "--ceiling", type=float, default=70.0, metavar="DEG", help="deg/s and deg/s^2 of every joint (default: 70)"
     )
     parser.add_argument("--no-progress", action="store_true", help="tell no progress, as some drivers do not")
+    parser.add_argument("--trace", type=Path, metavar="FILE", help="append where the arm truly is, whatever it tells")
     return run_service("leeloo_sim", parser, start)
 
 

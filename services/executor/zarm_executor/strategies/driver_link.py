@@ -44,6 +44,7 @@ class DriverLink:
         self._progress = bus.latest(keys.driver_progress, DriverProgress)
         self._sequence = 0
         self._measured: Measured | None = None
+        self._stamp: float | None = None
         self._stood: Measured | None = None
         self._orders: dict[tuple[str, ...], list[int] | None] = {}
 
@@ -78,13 +79,18 @@ class DriverLink:
     # -- from the driver --
 
     def measured(self) -> Measured | None:
-        """The newest joints that could be read, in the executor's order; None before the first."""
+        """The newest joints that could be read, in the executor's order; None before the first.
+
+        What has the stamp of the message before it was told again, not measured again: a driver that repeats itself is as
+        silent as one that says nothing. Stamps are compared with one another alone, never with a clock.
+        """
         received = self._states.received()
         if received is None or (self._measured is not None and received[1] == self._measured.time):
             return self._measured
         state, at = received
         order = self._order(state.joint_names)
-        if order is not None:
+        if order is not None and state.stamp != self._stamp:
+            self._stamp = state.stamp
             self._measured = Measured(np.array(state.position)[order], np.array(state.velocity)[order], at)
             if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
                 self._stood = self._measured

@@ -84,7 +84,7 @@ class JointTrajectory(DriverStrategy):
             self._clock = (now - self._sent_at) / command.dt
             self._index = min(max(self._index, self._reached(command, dt)), command.last)
         if self._stopping:
-            self._brake(command)
+            self._brake(command, now)
         if self._unsent:
             self._transmit(now)
         elif self._braking and self._index == command.last:
@@ -101,13 +101,20 @@ class JointTrajectory(DriverStrategy):
         time, speed, position = command.at(self._index)
         return Progress(time, speed, position, finished=time >= path.duration)
 
-    def _brake(self, command: Stretch) -> None:
+    def _brake(self, command: Stretch, now: float) -> None:
         """Brake from where the robot will be when the driver learns of it, one point ahead."""
         self._stopping = False
         self._braking = True
-        time, speed, _ = command.at(self._index if self._unsent else self._index + 1.0)
+        ahead = 0.0 if self._unsent else 1.0 + self._unheard(now) / command.dt
+        time, speed, _ = command.at(min(self._index + ahead, command.last))
         if self._path is not None:
             self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
+
+    def _unheard(self, now: float) -> float:
+        """How long (s) a driver that has fallen silent has played on since it was heard last; 0 where it is heard."""
+        measured = self.link.measured()
+        silence = 0.0 if measured is None else now - measured.time
+        return silence if silence > self.link.execution.joint_state_timeout else 0.0
 
     def _transmit(self, now: float) -> None:
         if self._command is None:

@@ -1,0 +1,195 @@
+"""A robot behind a driver whose arm is watched from the outside, for tests that make things go wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import psutil
+from driven import FAR, Driven
+from harness import ServiceProcess, eventually, free_endpoint
+from link import Link, link
+from motions import HOME, rest_to_rest
+from wall_clock import WallClock
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import ExecutorState, Trajectory
+from zarm_contract.session import open_router
+
+STEP = 0.01
+"""Period of the simulated arm, s: what counts samples of it counts time as the arm has it."""
+_JOINTS = len(HOME)
+
+
+@contextmanager
+def ahead_of_others() -> Iterator[None]:
+    """Threads and processes begun in the block go before every ordinary one, where the system lets them.
+
+    So that what else this machine does is not among the faults.
+    """
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
+class Arena(Driven):
+    """`trace()` is what the arm truly did from the first moment on, whoever is silent, dead or cut off meanwhile.
+
+    The arm does whatever it is commanded, with no limit of its own, and brakes by itself as the M1013 does, so that what is
+    wrong with a command shows. The router can be restarted.
+
+    With `wired`, executor and driver are connected by links of their own and have clocks of their own.
+    """
+
+    def __init__(self, stack: ExitStack, folder: Path, strategy: str, *, wired: bool) -> None:
+        self.folder = folder
+        self._stack = stack
+        endpoint = free_endpoint()
+        self._router = stack.enter_context(ExitStack())
+        with ahead_of_others():
+            self._router.enter_context(open_router(endpoint))
+        super().__init__(stack.enter_context(Bus(endpoint)), endpoint, folder, strategy)
+        self._lines = (folder / "trace.csv").open("a+")
+        stack.callback(self._lines.close)
+        self._trace = np.empty((0, 2 * _JOINTS))
+        self._reading = threading.Lock()
+        self._warm: int | None = None
+        self._rest = ""
+        self.links: dict[str, Link] = {}
+        self.clocks: dict[str, WallClock] = {}
+        if wired:
+            for name in ("executor", "driver"):
+                with ahead_of_others():
+                    self.links[name] = stack.enter_context(link(endpoint))
+                self.clocks[name] = WallClock(folder / f"{name}.clock")
+        arguments = ("--ceiling", "1000", "--trace", str(folder / "trace.csv"))
+        with ahead_of_others():
+            self.driver = stack.enter_context(self._wired(self.new_driver(*arguments), "driver"))
+        self.driver.wait_ready(self.bus, self.keys)
+        self.restart_executor()
+
+    def _wired(self, process: ServiceProcess, name: str) -> ServiceProcess:
+        if name not in self.links:
+            return process
+        environment = self.clocks[name].environment
+        return dataclasses.replace(process, endpoint=self.links[name].endpoint, environment=environment)
+
+    def restart_executor(self) -> None:
+        """Start an executor, where there is none any more."""
+        with ahead_of_others():
+            self.executor = self._stack.enter_context(self._wired(self.new_executor(), "executor"))
+        self.executor.wait_ready(self.bus, self.keys)
+
+    def stop_router(self) -> None:
+        """There is no router."""
+        self._router.close()
+
+    def start_router(self) -> None:
+        """There is a router again, and driver and executor are on it."""
+        with ahead_of_others():
+            self._router.enter_context(open_router(self.endpoint))
+        self.all_heard()
+
+    def all_heard(self) -> None:
+        """Wait until the driver and the executor are heard."""
+        seen = len(self.told)
+        eventually(lambda: len(self.told) > seen, "the driver is heard")
+        self.heard()
+
+    # -- the arm --
+
+    def trace(self) -> np.ndarray:
+        """What the arm did so far (N, 2J): positions (rad), velocities (rad/s), a row every `STEP`."""
+        with self._reading:
+            *lines, self._rest = (self._rest + self._lines.read()).split("\n")
+            if lines:
+                rows = [[float(value) for value in line.split(",")] for line in lines]
+                self._trace = np.concatenate((self._trace, rows))
+            return self._trace
+
+    def samples(self) -> int:
+        """How many steps the arm has made."""
+        return len(self.trace())
+
+    def true_position(self) -> np.ndarray:
+        """Where the arm is (J,)."""
+        where: np.ndarray = self.trace()[-1, :_JOINTS]
+        return where
+
+    def speed(self) -> float:
+        """How fast the fastest joint is now, rad/s."""
+        return float(np.abs(self.trace()[-1, _JOINTS:]).max())
+
+    def stands_for(self, count: int) -> bool:
+        """Whether the arm has not moved in its last `count` steps."""
+        rows = self.trace()[-count:]
+        return len(rows) == count and not rows[:, _JOINTS:].any() and bool(np.all(rows == rows[0]))
+
+    def wait_to_stand(self, count: int = 20) -> None:
+        """Wait until the arm has not moved for this many steps."""
+        eventually(lambda: self.stands_for(count), "the arm stands")
+
+    # -- the executor --
+
+    def motion(self) -> Trajectory:
+        """From where the arm stands to the further one of two places."""
+        here = self.true_position()
+        there = max((HOME, FAR), key=lambda place: float(np.abs(place - here).max()))
+        return rest_to_rest(there, here)
+
+    def go(self) -> str:
+        """Start a motion that takes a while; the goal."""
+        return self.client.execute(self.motion())
+
+    def nudge(self) -> None:
+        """Move a little, and arrive."""
+        here = self.true_position()
+        middle = (HOME + FAR) / 2
+        there = here + 0.05 * np.sign(middle - here) * (np.abs(middle - here) > 0.05)
+        end = self.client.ended(self.client.execute(rest_to_rest(there, here)))
+        assert end.status == "succeeded", end
+        self.wait_to_stand()
+        np.testing.assert_allclose(self.true_position(), there, atol=0.01)
+
+    def heard(self) -> ExecutorState:
+        """The executor's state, as soon as there is an executor that tells it."""
+
+        def state() -> ExecutorState | None:
+            try:
+                return self.client.state()
+            except Unavailable:
+                return None
+
+        return eventually(state, "the executor is heard")
+
+    def warm_up(self) -> None:
+        """Use a new executor until the threads that wait for use are there."""
+        process, burdens = self.executor.process.pid, [self.burden()]
+        while self._warm != process and (len(burdens) < 3 or burdens[-1] != burdens[-2]):
+            self.nudge()
+            for key in (self.keys.stop, self.keys.reset):
+                self.client.command(key)
+            burdens.append(self.burden())
+        self._warm = process
+
+    def burden(self) -> tuple[int, int]:
+        """How many threads and how many file descriptors the executor has."""
+        process = psutil.Process(self.executor.process.pid)
+        return process.num_threads(), process.num_fds()
+
+
+@contextmanager
+def arena(folder: Path, strategy: str, *, wired: bool = False) -> Iterator[Arena]:
+    """Everything started."""
+    with ExitStack() as stack:
+        yield Arena(stack, folder, strategy, wired=wired)

@@ -1,0 +1,368 @@
+"""Every fault comes to what the table in README.md promises of it; `ordeal.py` holds what is checked, the same for all."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from arena import STEP, Arena, arena
+from driven import FAR
+from harness import PATIENCE, ServiceProcess, eventually
+from impostor import impostor
+from motions import HOME, ROBOT, rest_to_rest
+from ordeal import Fault, Promise, endure
+from wall_clock import STEPPABLE
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import DriverFault, ExecuteRequest, JointGoal, JointState, Plan, PlanRequest
+from zarm_executor.follower import CATCH_UP
+from zarm_executor.machine import STALL_LIMIT
+from zarm_leeloo_sim.player import CEILING
+
+STREAMED, WHOLE = "joint_speed", "joint_trajectory"
+
+EXECUTION, CSPACE, PARAMS = ROBOT.descriptor.execution, ROBOT.descriptor.cspace, ROBOT.descriptor.strategy_params
+assert PARAMS is not None
+LATE = CATCH_UP + PARAMS.point_dt
+"""What may come on top of every bound: late ticks that are caught up with, and the point that is being played."""
+LAG = 0.15
+"""The drives follow with a lag of 0.03 s: from 0.2 rad/s to rest in five times that."""
+BRAKE = LATE + LAG + max(CSPACE.velocity) / min(CSPACE.acceleration)
+OWN_BRAKE = LATE + LAG + max(CSPACE.velocity) / CEILING
+REST_OF_MOTION = LATE + LAG + rest_to_rest(FAR, HOME).duration + EXECUTION.settle_time
+
+STALE = EXECUTION.joint_state_timeout + BRAKE, "joint_state_timeout, then v/a of the executor"
+RUN_OUT = PARAMS.chunk_period + PARAMS.look_ahead + OWN_BRAKE, "the last chunk, then v/a of the driver"
+AT_ONCE = OWN_BRAKE, "v/a of the driver"
+LEFT_PATH = BRAKE, "v/a of the executor, from path_tolerance on"
+GOES_ON = REST_OF_MOTION, "the motion goes on to its end"
+PLAYS_ON = REST_OF_MOTION, "the driver plays what it has to the end"
+
+MUTE = DriverFault(silent=True)
+SOUND = DriverFault()
+
+
+# --- faults of the executor's process, and of those beside it ---
+
+
+def executor_killed(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    place.executor.kill()
+    yield None
+    place.restart_executor()
+
+
+def executor_frozen(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    os.kill(place.executor.process.pid, signal.SIGSTOP)
+    frozen = place.samples()
+    eventually(lambda: (place.samples() - frozen) * STEP > 1.2 * STALL_LIMIT, "the executor has been away for long")
+    yield None
+    os.kill(place.executor.process.pid, signal.SIGCONT)
+    place.client.mode("fault")
+
+
+def planner_killed(place: Arena) -> Iterator[str | None]:
+    with ServiceProcess("planner", place.endpoint, place.folder) as planner:
+        planner.wait_ready(place.bus, place.keys)
+        start, goal = (tuple(place.motion().position[row]) for row in (0, -1))
+        request = PlanRequest(goal=JointGoal(kind="joints", position=goal), start=start)
+        plan = place.bus.call(place.keys.plan, request, Plan, timeout=PATIENCE)
+        yield place.client.execute(plan_id=plan.plan_id)
+        planner.kill()
+        yield None
+
+
+CLIENT = """
+import sys
+from zarm_contract.bus import Bus
+from zarm_contract.messages import Accepted, ExecuteRequest
+
+with Bus(sys.argv[1]) as bus:
+    request = ExecuteRequest.model_validate_json(sys.stdin.readline())
+    print(bus.call(sys.argv[2], request, Accepted, timeout=10).goal_id, flush=True)
+    sys.stdin.readline()
+"""
+
+
+def client_killed(place: Arena) -> Iterator[str | None]:
+    command = [sys.executable, "-c", CLIENT, place.endpoint, place.keys.execute]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client:
+        assert client.stdin is not None
+        assert client.stdout is not None
+        client.stdin.write(ExecuteRequest(trajectory=place.motion()).model_dump_json(exclude_none=True) + "\n")
+        client.stdin.flush()
+        yield client.stdout.readline().strip()
+        client.kill()
+        yield None
+
+
+def second_executor(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    with place.new_executor() as second:
+        assert second.process.wait(PATIENCE) == 1
+        assert "already on this bus" in second.output()
+        yield None
+
+
+# --- faults of the driver ---
+
+
+def driver_silent(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    place.suffer(MUTE)
+    yield None
+    place.client.mode("fault")
+    place.suffer(SOUND)
+    place.all_heard()
+
+
+def driver_stalls(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    place.suffer(DriverFault(stall=True))
+    yield None
+    place.client.mode("fault")
+    place.suffer(SOUND)
+
+
+def commands_lost(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    place.suffer(DriverFault(drop=1.0))
+    if place.strategy == WHOLE:  # it has everything already; what is lost is the stop
+        place.client.command(place.keys.stop)
+    yield None
+    place.client.mode("fault")
+    place.suffer(SOUND)
+
+
+def joints_jump(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    place.suffer(DriverFault(jump=(0.0, 0.0, 0.0, 0.0, 0.0, 0.5)))
+    yield None
+    place.client.mode("fault")
+    place.suffer(DriverFault(jump=(0.0, 0.0, 0.0, 0.0, 0.0, -0.5)))
+
+
+# --- joint states that are not those of the robot now ---
+
+Telling = Callable[[np.ndarray, dict[str, object]], dict[str, object]]
+
+
+def told_instead(tell: Telling) -> Fault:
+    """The driver falls silent, and somebody else tells this."""
+
+    def fault(place: Arena) -> Iterator[str | None]:
+        yield place.go()
+        with impostor(place, tell):
+            place.suffer(MUTE)
+            yield None
+            place.client.mode("fault")
+        place.suffer(SOUND)
+        place.all_heard()
+
+    return fault
+
+
+def not_numbers(_: np.ndarray, true: dict[str, object]) -> dict[str, object]:
+    return true | {"position": [float("nan")] * 6}
+
+
+def foreign_names(_: np.ndarray, true: dict[str, object]) -> dict[str, object]:
+    return true | {"joint_names": [f"other_{number}" for number in range(6)]}
+
+
+def five_of_six(_: np.ndarray, true: dict[str, object]) -> dict[str, object]:
+    return true | {key: true[key][:5] for key in ("joint_names", "position", "velocity")}  # type: ignore[index]
+
+
+def one_stamp(_: np.ndarray, true: dict[str, object]) -> dict[str, object]:
+    return true | {"stamp": 1.0}
+
+
+def half_a_second_late(trace: np.ndarray, true: dict[str, object]) -> dict[str, object]:
+    row = trace[-round(0.5 / STEP)]
+    return true | {"position": row[:6].tolist(), "velocity": row[6:].tolist()}
+
+
+def other_order(place: Arena) -> Iterator[str | None]:
+    """Each of the driver's messages comes a second time, in ever another order."""
+    orders = itertools.cycle(itertools.permutations(range(6)))
+    usual = place.told[-1].joint_names
+
+    def turn(_: str, told: JointState) -> None:
+        if told.joint_names == usual:
+            order = next(orders)
+            names, position, velocity = (
+                tuple(row[index] for index in order) for row in (told.joint_names, told.position, told.velocity)
+            )
+            stamp = told.stamp + 1e-3
+            again.put(JointState(stamp=stamp, joint_names=names, position=position, velocity=velocity))  # type: ignore[arg-type]
+
+    yield place.go()
+    with Bus(place.endpoint) as bus:
+        again = bus.publisher(place.keys.driver_joint_states, JointState, realtime=True)
+        bus.subscribe(place.keys.driver_joint_states, JointState, turn)
+        yield None
+
+
+# --- faults of the network ---
+
+
+def router_restarted(place: Arena) -> Iterator[str | None]:
+    yield place.go()
+    place.stop_router()
+    yield None
+    place.start_router()
+
+
+def link_cut(name: str) -> Fault:
+    def fault(place: Arena) -> Iterator[str | None]:
+        yield place.go()
+        place.links[name].cut()
+        yield None
+        place.links[name].restore()
+        place.all_heard()
+
+    return fault
+
+
+def link_silent(name: str) -> Fault:
+    def fault(place: Arena) -> Iterator[str | None]:
+        yield place.go()
+        place.links[name].swallow()
+        yield None
+        place.links[name].restore()
+        place.all_heard()
+
+    return fault
+
+
+def clock_stepped(name: str) -> Fault:
+    def fault(place: Arena) -> Iterator[str | None]:
+        told = place.told if name == "driver" else place.client.measured
+        yield place.go()
+        for hour in (3600, -3600):
+            before = told[-1].stamp
+            place.clocks[name].step(hour)
+            eventually(lambda hour=hour, before=before: (told[-1].stamp - before) / hour > 0.9, "the clock has stepped")  # type: ignore[misc]
+        yield None
+        place.clocks[name].step(0)
+
+    return fault
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fault, what it comes to under each strategy, and whether it takes links and clocks that can be tampered with."""
+
+    name: str
+    fault: Fault
+    promises: dict[str, Promise]
+    wired: bool = False
+
+
+def both(
+    streamed: tuple[float, str], whole: tuple[float, str], code: str | None = None, says: str = ""
+) -> dict[str, Promise]:
+    return {STREAMED: Promise(*streamed, code, says), WHOLE: Promise(*whole, code, says)}
+
+
+NO_JOINTS = "driver_stalled", "no new joints"
+LEFT = "tolerance_violated", "path_tolerance"
+
+ROWS = (
+    Row("executor killed", executor_killed, both(RUN_OUT, PLAYS_ON, "unavailable", "the executor ended")),
+    Row("executor frozen", executor_frozen, both(RUN_OUT, PLAYS_ON, "driver_stalled", "control loop was away")),
+    Row("planner killed", planner_killed, {STREAMED: Promise(*GOES_ON)}),
+    Row("client killed", client_killed, both(GOES_ON, GOES_ON)),
+    Row("second executor", second_executor, {STREAMED: Promise(*GOES_ON)}),
+    Row("driver silent", driver_silent, both(STALE, STALE, *NO_JOINTS)),
+    Row(
+        "driver stalls",
+        driver_stalls,
+        {STREAMED: Promise(*AT_ONCE, *LEFT), WHOLE: Promise(*AT_ONCE, "driver_stalled", "progress_timeout")},
+    ),
+    Row(
+        "commands lost",
+        commands_lost,
+        {STREAMED: Promise(*RUN_OUT, *LEFT), WHOLE: Promise(*PLAYS_ON, *LEFT)},
+    ),
+    Row("joints jump by 0.5 rad", joints_jump, both(LEFT_PATH, LEFT_PATH, *LEFT)),
+    Row("joints are NaN", told_instead(not_numbers), both(STALE, STALE, *NO_JOINTS)),
+    Row("joints of other names", told_instead(foreign_names), both(STALE, STALE, *NO_JOINTS)),
+    Row("a joint is missing", told_instead(five_of_six), both(STALE, STALE, *NO_JOINTS)),
+    Row("joints with one old stamp", told_instead(one_stamp), both(STALE, STALE, *NO_JOINTS)),
+    Row("joints half a second late", told_instead(half_a_second_late), {STREAMED: Promise(*LEFT_PATH, *LEFT)}),
+    Row("joints in another order", other_order, both(GOES_ON, GOES_ON)),
+    Row("router restarted", router_restarted, both(RUN_OUT, PLAYS_ON, *NO_JOINTS)),
+    Row("executor's link cut", link_cut("executor"), both(RUN_OUT, PLAYS_ON, *NO_JOINTS), wired=True),
+    Row("executor's link silent", link_silent("executor"), both(RUN_OUT, PLAYS_ON, *NO_JOINTS), wired=True),
+    Row("driver's link cut", link_cut("driver"), both(RUN_OUT, PLAYS_ON, *NO_JOINTS), wired=True),
+    Row("driver's link silent", link_silent("driver"), both(RUN_OUT, PLAYS_ON, *NO_JOINTS), wired=True),
+    Row("executor's clock stepped", clock_stepped("executor"), both(GOES_ON, GOES_ON), wired=True),
+    Row("driver's clock stepped", clock_stepped("driver"), both(GOES_ON, GOES_ON), wired=True),
+)
+
+
+class Stage:
+    """One arena at a time, kept from one test to the next as long as it does."""
+
+    def __init__(self, folders: pytest.TempPathFactory) -> None:
+        self._folders = folders
+        self._stack = ExitStack()
+        self._kind: tuple[str, bool] | None = None
+        self._place: Arena | None = None
+
+    @contextmanager
+    def set_for(self, strategy: str, *, wired: bool) -> Iterator[Arena]:
+        """An arena of this kind; whoever fails in it has it to himself."""
+        if self._place is None or self._kind != (strategy, wired):
+            self.clear()
+            self._kind = strategy, wired
+            self._place = self._stack.enter_context(arena(self._folders.mktemp("arena"), strategy, wired=wired))
+        try:
+            yield self._place
+        except BaseException:
+            self.clear()
+            raise
+
+    def clear(self) -> None:
+        self._place = None
+        self._stack.close()
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    stage = Stage(tmp_path_factory)
+    yield stage
+    stage.clear()
+
+
+@pytest.mark.parametrize(
+    ("strategy", "row"),
+    [
+        pytest.param(strategy, row, id=f"{row.name}-{strategy}")
+        for wired in (False, True)
+        for strategy in (STREAMED, WHOLE)
+        for row in ROWS
+        if row.wired == wired and strategy in row.promises
+    ],
+)
+def test_after_a_fault_the_robot_rests_in_time_says_why_and_can_go_on(
+    stage: Stage, note: Callable[..., None], strategy: str, row: Row
+) -> None:
+    if row.wired and not STEPPABLE:
+        pytest.skip("the clock of a process can be stepped on Linux on x86-64 alone")
+    promise = row.promises[strategy]
+    with stage.set_for(strategy, wired=row.wired) as place:
+        figure = endure(place, row.fault, promise)
+    says = f"`{promise.code}`: {promise.says}" if promise.code else "succeeded"
+    note(row.name, f"`{strategy}`", f"{promise.bound:.2f}", f"{figure.rest:.2f}", f"{figure.acceleration:.2f}", says)

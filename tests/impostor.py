@@ -1,0 +1,44 @@
+"""Somebody who tells wrong joint states on a robot's key."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from arena import STEP, Arena
+from motions import HOME
+
+from zarm_contract.session import open_client
+
+Told = Callable[[np.ndarray, dict[str, object]], dict[str, object]]
+"""From the arm's trace so far and its true joint state, what is told instead."""
+
+
+@contextmanager
+def impostor(place: Arena, tell: Told) -> Iterator[None]:
+    """Somebody tells this, as often as the driver does."""
+    ended = threading.Event()
+
+    def run() -> None:
+        with open_client(place.endpoint) as session:
+            while not ended.wait(STEP):
+                trace = place.trace()
+                session.put(place.keys.driver_joint_states, json.dumps(tell(trace, state(place, trace[-1]))))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def state(place: Arena, row: np.ndarray) -> dict[str, object]:
+    """A row of the trace as a joint state that is measured now."""
+    position, velocity = row[: len(HOME)].tolist(), row[len(HOME) :].tolist()
+    return {"stamp": time.time(), "joint_names": place.joints, "position": position, "velocity": velocity}

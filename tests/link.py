@@ -1,0 +1,102 @@
+"""A wire between one process and the router that can be cut: hard, or so that nobody is told."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from harness import free_endpoint
+
+_RESET = struct.pack("ii", 1, 0)
+"""SO_LINGER with which a socket is closed by a reset instead of in good order."""
+
+
+def _address(endpoint: str) -> tuple[str, int]:
+    host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
+    return host, int(port)
+
+
+class Link:
+    """Passes on what comes in at `endpoint` to the router, and back."""
+
+    def __init__(self, router: str) -> None:
+        self.endpoint = free_endpoint()
+        self._router = _address(router)
+        self._listener = socket.create_server(_address(self.endpoint))
+        self._ends: list[socket.socket] = []
+        self._lock = threading.Lock()
+        self._whole = True
+        self._flows = threading.Event()
+        self._flows.set()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        """Reset every connection, and each new one at once."""
+        with self._lock:
+            self._whole = False
+            ends, self._ends = self._ends, []
+        for end in ends:
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+    def swallow(self) -> None:
+        """Let nothing through and tell nobody, as an unplugged cable does."""
+        self._flows.clear()
+
+    def restore(self) -> None:
+        """Let everything through again; of what was swallowed the rest arrives now, as TCP has it."""
+        self._whole = True
+        self._flows.set()
+
+    def close(self) -> None:
+        """End."""
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.restore()
+        self.cut()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                self._join(self._listener.accept()[0])
+
+    def _join(self, near: socket.socket) -> None:
+        try:
+            far = socket.create_connection(self._router)
+        except OSError:  # no router
+            near.close()
+            return
+        with self._lock:
+            if not self._whole:
+                near.close()
+                far.close()
+                return
+            self._ends += [near, far]
+        for source, sink in ((near, far), (far, near)):
+            source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threading.Thread(target=self._pump, args=(source, sink), daemon=True).start()
+
+    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(65536):
+                self._flows.wait()
+                sink.sendall(data)
+        for end in (source, sink):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+
+@contextmanager
+def link(router: str) -> Iterator[Link]:
+    """A link to the router, until the end of the block."""
+    wire = Link(router)
+    try:
+        yield wire
+    finally:
+        wire.close()

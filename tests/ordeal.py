@@ -1,0 +1,107 @@
+"""What every fault must come to, checked in one way: rest within a bound, a gentle way there, a reason, and a way on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from arena import STEP, Arena
+from harness import eventually
+from motions import HOME
+
+from zarm_contract.errors import Problem
+from zarm_leeloo_sim.player import CEILING
+
+IN_MOTION = 0.5
+"""Speed of the fastest joint, rad/s, at which the fault strikes."""
+STILL = 1e-3
+"""What is slower (rad/s) is at rest, but for the last of the drives' lag."""
+WATCHED = 50
+"""For how many steps of the arm nothing may move after the recovery, and again after the reset."""
+WINDOW = 2
+"""Steps of the arm over which its acceleration is taken: one point of a command."""
+
+Fault = Callable[[Arena], Iterator[str | None]]
+"""Starts a motion and yields its goal; when the arm moves, strikes, and yields; when the arm stands, recovers."""
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a fault comes to under one strategy: rest within `bound` s, for the reason `why`.
+
+    The goal then ends with the problem `code`, whose message holds `says`; with neither it succeeds.
+    """
+
+    bound: float
+    why: str
+    code: str | None = None
+    says: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What was measured: s from the fault to rest, and rad/s^2 on the way."""
+
+    rest: float
+    acceleration: float
+
+
+def endure(place: Arena, fault: Fault, promise: Promise) -> Figure:
+    """Run a fault and hold everything that is promised of it."""
+    place.warm_up()
+    burden = place.burden()
+    steps = fault(place)
+    goal_id = next(steps)
+    assert goal_id is not None
+    eventually(lambda: place.speed() > IN_MOTION, "the arm is in motion")
+    struck = place.samples()
+    next(steps)
+    place.wait_to_stand()
+    assert next(steps, None) is None
+
+    ended = reason(place, goal_id)
+    if promise.code is None:
+        assert ended is None, ended
+    else:
+        assert ended is not None
+        assert ended.code == promise.code, ended
+        assert promise.says in ended.message, ended
+    nothing_moves(place)
+    assert place.client.command(place.keys.reset).mode == "idle"
+    nothing_moves(place)
+    figure = measured(place, struck)
+    place.nudge()
+    eventually(lambda: np.all(np.array(place.burden()) <= burden), f"the executor is back at {burden} threads, files")
+    assert figure.rest <= promise.bound, figure
+    assert figure.acceleration <= CEILING * 1.01, figure
+    assert place.commanded_acceleration() <= CEILING
+    return figure
+
+
+def reason(place: Arena, goal_id: str) -> Problem | None:
+    """Why the goal ended, which the executor's state must say as well where it is in fault; None where it succeeded."""
+    place.heard()
+    goal = place.client.ended(goal_id)
+    state = place.heard()
+    assert (goal.status == "succeeded") == (goal.problem is None), goal
+    if state.mode == "fault":
+        assert state.problem == goal.problem
+    else:
+        assert state.mode == "idle"
+    return goal.problem
+
+
+def nothing_moves(place: Arena) -> None:
+    """Wait for some more steps of the arm."""
+    seen = place.samples()
+    eventually(lambda: place.samples() >= seen + WATCHED, "the arm goes on")
+    assert place.stands_for(WATCHED)
+
+
+def measured(place: Arena, struck: int) -> Figure:
+    """From the step at which a fault struck to the last at which the arm moved."""
+    velocity = place.trace()[struck - WINDOW :, len(HOME) :]
+    moving = np.flatnonzero(np.abs(velocity).max(axis=1) > STILL)
+    change = np.abs(velocity[WINDOW:] - velocity[:-WINDOW]) / (WINDOW * STEP)
+    return Figure((moving[-1] + 1 - WINDOW) * STEP, float(change.max()))
