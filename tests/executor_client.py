@@ -18,6 +18,8 @@ from zarm_contract.messages import (
     GoalState,
     JointState,
     Nothing,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
     Trajectory,
@@ -55,6 +57,10 @@ class Client:
 
     def strategy(self, name: str | None = None) -> Strategies:
         return self.bus.call(self.keys.strategy, StrategyRequest(strategy=name), Strategies, timeout=20)
+
+    def speed(self, scale: float | None = None) -> float:
+        request = SpeedRequest(speed_scale=scale)
+        return self.bus.call(self.keys.speed, request, Speed, timeout=10).speed_scale
 
     def state(self) -> ExecutorState:
         """The executor's state as whoever comes late reads it."""

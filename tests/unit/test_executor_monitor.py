@@ -99,9 +99,19 @@ def test_a_robot_that_stops_reporting_while_paused_is_in_fault(bench: Bench) -> 
 
 
 def test_a_motion_that_takes_too_long_is_stopped_in_fault(bench: Bench) -> None:
-    bench.arm.played = 0.3
+    bench.arm.played = 0.03
     bench.execute()
+    bench.until("stopping", patience=120.0)
+    bench.arm.played = 1.0
     fails(bench, "driver_stalled", "more than allowed")
+
+
+def test_a_driver_that_is_slow_by_itself_and_goes_on_is_waited_for(bench: Bench) -> None:
+    """A UR whose speed slider is down plays every trajectory slower; its users expect it to reach the goal."""
+    bench.arm.played = 0.06
+    bench.execute()
+    bench.until("idle", patience=120.0)
+    assert bench.last().status == "succeeded"
 
 
 def test_a_driver_that_makes_no_progress_is_stopped_in_fault_long_before_the_allowed_duration(bench: Bench) -> None:

@@ -64,6 +64,50 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
 
 
+@pytest.mark.parametrize("changes", [(0.3,), (0.5, 1.0), (0.6, 0.05, 1.0), (0.9, 0.8, 0.7, 0.6)], ids=str)
+def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
+    bench: DriverBench, changes: tuple[float, ...]
+) -> None:
+    path = bench.execute()
+    bench.run(0.6)
+    for scale in changes:
+        bench.machine.set_speed(scale)
+        bench.run(0.3)
+    bench.until("idle", patience=60.0)
+    assert bench.statuses() == ["accepted", "running", "succeeded"]
+    assert bench.last().elapsed > path.duration + 0.1
+    assert bench.rests()
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.008)
+    assert bench.commanded_acceleration() <= LIMIT * 1.001
+
+
+@pytest.mark.parametrize("scale", [0.05, 0.4])
+def test_at_a_lower_speed_a_goal_is_held_goes_on_and_is_not_overdue(bench: DriverBench, scale: float) -> None:
+    bench.machine.set_speed(scale)
+    path = bench.execute()
+    bench.run(0.48 / scale)
+    bench.machine.pause()
+    bench.until("paused", patience=2.0)
+    bench.run(1.0)
+    bench.machine.resume()
+    bench.until("idle", patience=100.0)
+    assert bench.statuses() == ["accepted", "running", "paused", "running", "succeeded"]
+    assert bench.last().elapsed > path.duration / scale
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.01)
+    if bench.case.params != (("stop", "empty"),):
+        assert bench.commanded_acceleration() <= LIMIT * 1.001
+
+
+def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) -> None:
+    bench.machine.set_speed(0.05)
+    bench.execute()
+    bench.run(8.0)
+    bench.machine.cancel(None, "enough")
+    bench.until("idle", patience=1.5)
+    assert bench.last().status == "cancelled"
+    assert bench.rests()
+
+
 def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> None:
     bench.execute()
     bench.run(1.0)
@@ -233,7 +277,7 @@ def test_drift_does_not_add_up_when_the_measured_joints_close_the_loop(tmp_path:
 
 
 def test_a_robot_without_a_driver_says_why_it_has_no_driver_strategies(tmp_path: Folder) -> None:
-    bench = DriverBench(Case("emulator"), tmp_path)
+    bench = DriverBench(Case("emulator", params=(("strategies", ("joint_speed", "joint_trajectory")),)), tmp_path)
     infos = {info.name: info for info in bench.repertoire.describe()}
     assert infos["joint_speed"].available
     assert not infos["joint_pose"].available

@@ -22,6 +22,8 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     GoalState,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
 )
@@ -173,6 +175,23 @@ def _print_state(state: ExecutorState, as_json: bool) -> None:
         return
     goal = f", goal {state.goal_id}" if state.goal_id else ""
     out.print(f"{state.mode} ({state.strategy}{goal})" + (f": {state.problem.message}" if state.problem else ""))
+
+
+def speed(
+    to: Annotated[
+        float | None, typer.Argument(metavar="[0.05..1]", help="The share of the planned speed; left out: show it.")
+    ] = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Show at which share of the planned speed the robot moves, or change it, also while it moves."""
+    with connected(connect, name) as client:
+        known = client.ask(client.keys.speed, Speed, message(SpeedRequest, speed_scale=to))
+    if as_json:
+        print_json(known)
+    else:
+        out.print(f"{known.speed_scale:g} of the planned speed")
 
 
 def strategy(

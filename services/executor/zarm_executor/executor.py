@@ -15,12 +15,15 @@ from zarm_contract.messages import (
     ExecutorState,
     GoalState,
     Nothing,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
 )
 from zarm_contract.robot import Robot
 from zarm_executor.checks import executable, startable
-from zarm_executor.machine import Goal, Machine
+from zarm_executor.goal import Goal
+from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
@@ -41,6 +44,7 @@ class Executor:
         plans: Plans,
         strategies: Repertoire,
         publisher: Publisher[Strategies],
+        speeds: Publisher[Speed],
     ) -> None:
         self._robot = robot
         self._machine = machine
@@ -48,6 +52,7 @@ class Executor:
         self._plans = plans
         self._strategies = strategies
         self._publisher = publisher
+        self._speeds = speeds
         self._checking = threading.Lock()
 
     def execute(self, request: ExecuteRequest) -> Accepted:
@@ -60,8 +65,7 @@ class Executor:
             plan_id, trajectory = self._plans.chosen(request)
             path = executable(trajectory, self._robot)
             path = startable(path, self._machine.joint_state(), time.monotonic(), self._robot)
-            monitor = Monitor(path, self._robot.descriptor.joints, self._robot.descriptor.execution)
-            goal = Goal(f"goal-{secrets.token_hex(4)}", plan_id, path, monitor)
+            goal = Goal(f"goal-{secrets.token_hex(4)}", plan_id, path, Monitor(path, self._robot.descriptor))
             self._reporter.remember(
                 GoalState(
                     goal_id=goal.goal_id,
@@ -107,6 +111,21 @@ class Executor:
         """Leave `fault`."""
         self._machine.reset()
         return self._reporter.publish()
+
+    def speed(self, request: SpeedRequest) -> Speed:
+        """Read the share of the planned speed at which the robot moves, or change it, also while it moves."""
+        if request.speed_scale is not None:
+            self._machine.set_speed(request.speed_scale)
+            self._reporter.publish()
+            self.publish_speed()
+        return self._speed()
+
+    def publish_speed(self) -> None:
+        """Publish the share of the planned speed at which the robot moves."""
+        self._speeds.put(self._speed())
+
+    def _speed(self) -> Speed:
+        return Speed(speed_scale=self._machine.state().speed_scale)
 
     def strategy(self, request: StrategyRequest) -> Strategies:
         """Read which strategy is active, or switch to another."""

@@ -13,41 +13,26 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass, field
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
 from zarm_executor.follower import TICK
-from zarm_executor.monitor import Monitor
-from zarm_executor.path import Path
+from zarm_executor.goal import Goal
 from zarm_executor.strategies.base import Measured, Strategy
 
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
 
 
-@dataclass
-class Goal:
-    """One motion on its way to an end. `outcome` is set once it is certain that it ends, and how."""
-
-    goal_id: str
-    plan_id: str | None
-    path: Path
-    monitor: Monitor
-    status: GoalStatus = "accepted"
-    elapsed: float = 0.0
-    pausing: bool = False
-    outcome: tuple[GoalStatus, Problem] | None = field(default=None)
-
-
 class Machine:
-    """See the module. `strategy` is opened; raises the ZarmError of that.
+    """See the module. `strategy` is opened; raises the ZarmError of that. `speed_scale` is that of the first motion.
 
     `stops` counts how often the robot was told to stop, whatever it did then.
     """
 
-    def __init__(self, strategy: Strategy) -> None:
+    def __init__(self, strategy: Strategy, *, speed_scale: float = 1.0) -> None:
         strategy.open()
+        self._speed_scale = speed_scale
         self._strategy = strategy
         self._goal: Goal | None = None
         self._problem: Problem | None = None
@@ -86,7 +71,7 @@ class Machine:
             self.admit()
             if self.stops != stops:
                 raise Cancelled("the robot was told to stop while this was being checked; nothing has moved")
-            self._strategy.start(goal.path)
+            self._strategy.start(goal.path, self._speed_scale)
             self._goal = goal
             self._note(goal)
 
@@ -112,8 +97,15 @@ class Machine:
             goal = self._goal
             if goal is not None and goal.outcome is None and goal.pausing:
                 goal.pausing = False
-                self._strategy.resume()
+                self._strategy.move(self._speed_scale)
                 self._become(goal, "running")
+
+    def set_speed(self, speed_scale: float) -> None:
+        """Move at this share of the planned speed from now on; a goal that is held does so when it goes on."""
+        with self._lock:
+            self._speed_scale = speed_scale
+            if self._goal is not None and self._goal.moving:
+                self._strategy.move(speed_scale)
 
     def reset(self) -> None:
         """Leave `fault`."""
@@ -168,14 +160,14 @@ class Machine:
                 strategy=self._strategy.name,
                 goal_id=self._goal.goal_id if self._goal else None,
                 problem=self._problem,
-                speed_scale=1.0,
+                speed_scale=self._speed_scale,
                 missed_ticks=self._missed_ticks,
             )
 
     def goal_state(self) -> GoalState | None:
         """The state of the goal that has not ended, if there is one."""
         with self._lock:
-            return self._describe(self._goal) if self._goal else None
+            return self._goal.state(self._strategy.progress()) if self._goal else None
 
     def joint_state(self) -> Measured | None:
         """The newest measured state of the robot."""
@@ -219,7 +211,7 @@ class Machine:
         try:
             if goal.outcome is None:
                 monitor.follow(now, dt, progress, measured)
-            if goal.outcome is None and not goal.pausing:
+            if goal.moving:
                 if monitor.at_goal(now, progress, measured):
                     self._finish(goal, "succeeded", None)
             elif goal.status != "paused" and monitor.at_rest(now, progress, measured):
@@ -258,20 +250,7 @@ class Machine:
             self._note(goal)
 
     def _note(self, goal: Goal) -> None:
-        self.changes.append(self._describe(goal))
-
-    def _describe(self, goal: Goal) -> GoalState:
-        progress = self._strategy.progress()
-        return GoalState(
-            goal_id=goal.goal_id,
-            plan_id=goal.plan_id,
-            status=goal.status,
-            progress=min(max(progress.time / goal.path.duration, 0.0), 1.0),
-            elapsed=goal.elapsed,
-            duration=goal.path.duration,
-            joint_command=tuple(progress.command.tolist()),
-            problem=goal.outcome[1] if goal.outcome else None,
-        )
+        self.changes.append(goal.state(self._strategy.progress()))
 
     @staticmethod
     def _stalled(dt: float) -> ExecutionFailed:

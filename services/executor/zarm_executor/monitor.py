@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_contract.errors import ExecutionFailed
-from zarm_contract.robot import Execution
+from zarm_contract.robot import RobotDescriptor
 from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured, Progress
+
+SLOWEST_PACE = 0.05
+"""A driver may be slower than it was told, as a UR is whose speed slider is down, as far as the slowest speed scale."""
 
 
 class Monitor:
     """Watches one motion. Times are on the monotonic clock; joints in the descriptor's order."""
 
-    def __init__(self, path: Path, joints: tuple[str, ...], execution: Execution) -> None:
+    def __init__(self, path: Path, robot: RobotDescriptor) -> None:
         self._path = path
-        self._joints = joints
-        self._execution = execution
-        self._allowed = execution.allowed_duration_factor * path.duration + execution.allowed_duration_margin
+        self._joints = robot.joints
+        self._execution = robot.execution
         self._commanded = 0.0
         self._rest_since: float | None = None
         self._reached = 0.0
@@ -27,7 +29,8 @@ class Monitor:
         """Raises ExecutionFailed where the robot does not follow: `tolerance_violated` or `driver_stalled`.
 
         The allowed duration counts time at path speed 1; what the executor itself slows down or holds is not held
-        against the robot.
+        against the robot. A driver that is slower than it was told is on the path all the same: the allowed duration is
+        that at `SLOWEST_PACE`, and `progress_timeout` says how long it may stand.
         """
         if not progress.at_rest:
             self._rest_since = None
@@ -42,8 +45,12 @@ class Monitor:
             np.abs(measured.position - progress.command), self._execution.path_tolerance, "path_tolerance", "left"
         )
         self._advancing(now, progress)
-        self._commanded += dt * progress.speed
-        if not progress.finished and self._commanded > self._allowed:
+        self._commanded += 0.0 if progress.at_rest else dt * progress.speed
+        execution = self._execution
+        allowed = (
+            execution.allowed_duration_factor * self._path.duration / SLOWEST_PACE + execution.allowed_duration_margin
+        )
+        if not progress.finished and self._commanded > allowed:
             raise ExecutionFailed(
                 f"the robot is at {progress.time:.2f} s of a motion of {self._path.duration:.2f} s after "
                 f"{self._commanded:.2f} s, more than allowed; check its driver, then reset",

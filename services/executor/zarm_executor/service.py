@@ -17,6 +17,8 @@ from zarm_contract.messages import (
     Nothing,
     Plan,
     SceneEdited,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
 )
@@ -84,7 +86,7 @@ def start(service: Service) -> Iterator[None]:
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
-        machine = Machine(first)
+        machine = Machine(first, speed_scale=robot.descriptor.execution.speed_scale)
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState))
@@ -96,7 +98,8 @@ def start(service: Service) -> Iterator[None]:
                 scene=lambda: bus.call(keys.scene_revision, Nothing(), SceneEdited, timeout=PLANNER_PATIENCE),
             )
             ghost = Ghost(bus, keys, robot)
-            executor = Executor(robot, machine, reporter, plans, strategies, bus.publisher(keys.strategy, Strategies))
+            told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
+            executor = Executor(robot, machine, reporter, plans, strategies, *told)
             with (
                 Loop("control", TICK, control.tick, realtime=True),
                 Loop("ghost", GHOST_PERIOD, ghost.play),
@@ -131,7 +134,9 @@ def _serve(bus: Bus, service: Service, executor: Executor) -> None:
     keys = service.keys
     bus.serve(keys.execute, ExecuteRequest, executor.execute)
     bus.serve(keys.strategy, StrategyRequest, executor.strategy, readable=True)
+    bus.serve(keys.speed, SpeedRequest, executor.speed, readable=True)
     executor.publish_strategies()
+    executor.publish_speed()
     bus.serve(keys.cancel, CancelRequest, executor.cancel, backlog=COMMAND_BACKLOG)
     for key, command in (
         (keys.stop, executor.stop),
