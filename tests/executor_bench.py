@@ -35,6 +35,7 @@ class Arm(Strategy):
         self.disturb: Disturbance = lambda measured: measured
         self.played = 1.0
         self.failure: Unavailable | None = None
+        self.deaf = False
 
     def open(self) -> None:
         self.calls.append("open")
@@ -51,7 +52,9 @@ class Arm(Strategy):
         self.follower = Follower(path, LIMIT, speed=speed, target=speed)
 
     def stop(self) -> None:
-        self.follower.target = 0.0
+        self.calls.append("stop")
+        if not self.deaf:
+            self.follower.target = 0.0
 
     def move(self, speed: float) -> None:
         self.follower.target = speed

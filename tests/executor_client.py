@@ -44,10 +44,15 @@ class Client:
         bus.subscribe(keys.joint_states, JointState, lambda _, joints: self.measured.append(joints))
 
     def execute(
-        self, trajectory: Trajectory | None = None, *, plan_id: str | None = None, scene_revision: int | None = None
+        self,
+        trajectory: Trajectory | None = None,
+        *,
+        plan_id: str | None = None,
+        scene_revision: int | None = None,
+        preempt: bool = False,
     ) -> str:
-        request = ExecuteRequest(trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision)
-        return self.bus.call(self.keys.execute, request, Accepted, timeout=10).goal_id
+        request = ExecuteRequest(trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision, preempt=preempt)
+        return self.bus.call(self.keys.execute, request, Accepted, timeout=20).goal_id
 
     def cancel(self, goal_id: str | None = None) -> ExecutorState:
         return self.bus.call(self.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=10)

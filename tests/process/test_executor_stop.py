@@ -15,6 +15,7 @@ from motions import KEYS, ROBOT, moved, plan, rest_to_rest
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
+from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
@@ -40,6 +41,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         ROBOT,
         bench.machine,
         reporter,
+        Admission(bench.machine, reporter),
         plans,
         {},
         bus.publisher(KEYS.strategy, Strategies),

@@ -195,6 +195,39 @@ def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path
     np.testing.assert_allclose(bench.arm.position, stood, atol=0.02)  # positions hold it on the path, not beside it
 
 
+@pytest.mark.parametrize("case", MOVING[1:], ids=str)
+def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_does(
+    case: Case, tmp_path: Folder
+) -> None:
+    bench = DriverBench(case, tmp_path)
+    bench.execute()
+    bench.run(1.0)
+    velocity = bench.arm.velocity.copy()
+    step = bench.arm.step
+
+    def runaway(*, stalled: bool) -> None:
+        step(stalled=stalled)
+        bench.arm.velocity = velocity
+        bench.arm.position = bench.positions[-1] + velocity * 0.01
+
+    bench.arm.step = runaway  # type: ignore[method-assign]
+    bench.machine.cancel(None, "enough")
+    bench.until("fault", patience=4.0)
+    assert bench.last().status == "aborted"
+    assert bench.last().problem is not None
+    assert "emergency stop" in bench.last().problem.message
+    sent = len(bench.commands)
+    bench.run(1.0)
+    told = [command for _, command in bench.commands[sent:]]
+    assert 8 <= len(told) <= 12
+    assert not any(command.time for command in told)
+    bench.arm.step = step  # type: ignore[method-assign]
+    bench.run(3.0)
+    sent = len(bench.commands)
+    assert bench.rests()
+    assert len(bench.commands) == sent
+
+
 # --- what is sent ---
 
 

@@ -40,6 +40,9 @@ def execute(
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
     plan_id: Annotated[str | None, typer.Option(help="A plan that was published on this bus.")] = None,
     velocity_scale: VelocityScale = None,
+    preempt: Annotated[
+        bool, typer.Option("--preempt", help="Cancel a goal that runs, and start when the robot rests.")
+    ] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -54,7 +57,7 @@ def execute(
     with connected(connect, name) as client:
         if goal is not None:
             request = ExecuteRequest(plan_id=request_plan(client, goal, velocity_scale=velocity_scale).plan_id)
-        last = run_goal(client, request)
+        last = run_goal(client, request.model_copy(update={"preempt": preempt}))
     if as_json:
         print_json(last)
     demand_success(last)
@@ -78,7 +81,7 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
     instances = _executors(client)
     with uninterrupted():
-        goal_id = client.ask(client.keys.execute, Accepted, request).goal_id
+        goal_id = client.bus.call(client.keys.execute, request, Accepted, timeout=_STOP_SECONDS).goal_id
         goal = _Goal(client, goal_id, instances)
     columns = (
         TextColumn("{task.description}"),

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from zarm_contract.errors import Problem
 from zarm_contract.messages import GoalState, GoalStatus
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Path
 from zarm_executor.strategies.base import Progress
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a goal ends; in a `fault` of the robot nothing moves until somebody has looked at it."""
+
+    status: GoalStatus
+    problem: Problem | None = None
+    fault: bool = False
 
 
 @dataclass
@@ -22,7 +31,7 @@ class Goal:
     status: GoalStatus = "accepted"
     elapsed: float = 0.0
     pausing: bool = False
-    outcome: tuple[GoalStatus, Problem] | None = field(default=None)
+    outcome: Outcome | None = None
 
     @property
     def moving(self) -> bool:
@@ -39,5 +48,9 @@ class Goal:
             elapsed=self.elapsed,
             duration=self.path.duration,
             joint_command=tuple(progress.command.tolist()),
-            problem=self.outcome[1] if self.outcome else None,
+            problem=self.outcome.problem if self.outcome else None,
         )
+
+    def before_motion(self) -> GoalState:
+        """What is said about it while the robot stands at its start."""
+        return self.state(Progress(time=0.0, speed=0.0, command=self.path.start, finished=False))

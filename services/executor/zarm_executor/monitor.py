@@ -12,6 +12,10 @@ from zarm_executor.strategies.base import Measured, Progress
 SLOWEST_PACE = 0.05
 """A driver may be slower than it was told, as a UR is whose speed slider is down, as far as the slowest speed scale."""
 
+BRAKING = 1.5
+"""Braking along a path takes at most so many times what the worst joint alone needs from its velocity limit to rest.
+Measured over random paths at every limit: 1.13."""
+
 
 class Monitor:
     """Watches one motion. Times are on the monotonic clock; joints in the descriptor's order."""
@@ -20,6 +24,10 @@ class Monitor:
         self._path = path
         self._joints = robot.joints
         self._execution = robot.execution
+        delay = 0.0 if robot.strategy_params is None else robot.strategy_params.delay
+        alone = max(v / a for v, a in zip(robot.cspace.velocity, robot.cspace.acceleration, strict=True))
+        self._stopping = BRAKING * alone + delay + robot.execution.settle_time
+        self._stopping_since: float | None = None
         self._commanded = 0.0
         self._rest_since: float | None = None
         self._reached = 0.0
@@ -73,6 +81,7 @@ class Monitor:
 
         Raises ExecutionFailed (`tolerance_violated`) when it does not within `settle_time`.
         """
+        self._stopping_since = None
         if measured is None or not progress.finished:
             return False
         error = np.abs(measured.position - self._path.end)
@@ -84,22 +93,31 @@ class Monitor:
         return False
 
     def at_rest(self, now: float, progress: Progress, measured: Measured | None) -> bool:
-        """Whether the robot stands still after it was commanded to.
+        """Whether the robot stands still after it was told to stop; asked at every tick from then on.
 
-        Raises ExecutionFailed when it does not, or does not report, within `settle_time`.
+        Raises ExecutionFailed when it does not, or does not report, `settle_time` after what is commanded has come to
+        rest, and at the latest that long after the longest braking.
         """
-        if not progress.at_rest:
-            return False
-        fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
-        if measured is not None and fresh and self._stopped(measured):
-            return True
-        if self._overdue(now):
-            if measured is None or not fresh:
-                raise ExecutionFailed(
-                    "the robot was told to stop and no longer reports its joints; look at it and its driver, then reset",
-                    code="driver_stalled",
-                )
-            self._refuse_to_move(measured)
+        if self._stopping_since is None:
+            self._stopping_since = now
+        if progress.at_rest:
+            fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
+            if measured is not None and fresh and self._stopped(measured):
+                return True
+            if self._overdue(now):
+                if measured is None or not fresh:
+                    raise ExecutionFailed(
+                        "the robot was told to stop and no longer reports its joints; look at it, use the emergency stop if "
+                        "it moves, see why its driver is silent, then reset",
+                        code="driver_stalled",
+                    )
+                self._refuse_to_move(measured)
+        if now - self._stopping_since > self._stopping:
+            raise ExecutionFailed(
+                f"the robot could not be stopped: it was told to {now - self._stopping_since:.1f} s ago and is still being "
+                "moved; use the emergency stop, then start the executor again",
+                code="driver_stalled",
+            )
         return False
 
     def _stopped(self, measured: Measured) -> bool:
@@ -125,7 +143,8 @@ class Monitor:
         worst = int(np.abs(measured.velocity).argmax())
         raise ExecutionFailed(
             f"{self._joints[worst]} still moves at {abs(measured.velocity[worst]):.3g} rad/s "
-            f"{self._execution.settle_time:g} s after the robot was commanded to rest; see what moves it, then reset",
+            f"{self._execution.settle_time:g} s after the robot was commanded to rest; use the emergency stop "
+            "if it goes on, see what moves it, then reset",
             code="tolerance_violated",
             joint=self._joints[worst],
         )

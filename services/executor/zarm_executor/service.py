@@ -23,7 +23,8 @@ from zarm_contract.messages import (
     StrategyRequest,
 )
 from zarm_contract.service import Service, run_service, service_parser
-from zarm_executor.executor import REST_PATIENCE, Executor
+from zarm_executor.admission import REST_PATIENCE, Admission
+from zarm_executor.executor import Executor
 from zarm_executor.follower import TICK
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
@@ -99,7 +100,8 @@ def start(service: Service) -> Iterator[None]:
             )
             ghost = Ghost(bus, keys, robot)
             told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
-            executor = Executor(robot, machine, reporter, plans, strategies, *told)
+            admission = Admission(machine, reporter)
+            executor = Executor(robot, machine, reporter, admission, plans, strategies, *told)
             with (
                 Loop("control", TICK, control.tick, realtime=True),
                 Loop("ghost", GHOST_PERIOD, ghost.play),

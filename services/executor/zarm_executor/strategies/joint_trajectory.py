@@ -21,8 +21,6 @@ _ON_TIME = 0.1
 """A robot that is this long (s) more than `delay` behind its driver's clock has a driver that is not on time."""
 _ENCODING = 12e-6
 """Time (s) that it takes to send one point: measured, 36 ms for 3000 points of six joints."""
-_HOLD_PERIOD = 0.1
-"""A robot that was stopped is told so again this often (s) until it stands."""
 
 
 class JointTrajectory(DriverStrategy):
@@ -40,7 +38,6 @@ class JointTrajectory(DriverStrategy):
         self._command: Stretch | None = None
         self._sequence: int | None = None
         self._sent_at = 0.0
-        self._held_at = 0.0
         self._index = 0.0
         self._clock = 0.0
         self._braking = False
@@ -49,7 +46,6 @@ class JointTrajectory(DriverStrategy):
         self._repacing = False
         self._stopping = False
         self._resuming = False
-        self._emptied = False
 
     def start(self, path: Path, speed: float) -> None:
         """Have the whole of `path` played from the next tick on."""
@@ -106,7 +102,7 @@ class JointTrajectory(DriverStrategy):
             if self._resuming:
                 self.move(self._speed)
             else:
-                self._hold(now)
+                self.hold(now)
 
     def progress(self) -> Progress:
         """How far the robot is."""
@@ -159,7 +155,8 @@ class JointTrajectory(DriverStrategy):
         # A robot that stands already must not begin to move in order to brake.
         empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
         self._sequence = self.link.stop() if empty else self.link.send(self._command)
-        self._sent_at = self._held_at = now
+        self._sent_at = now
+        self.sent(now)
         self._unsent = False
 
     def _play(self, follower: Follower) -> None:
@@ -167,7 +164,6 @@ class JointTrajectory(DriverStrategy):
         self._index = self._clock = 0.0
         self._unsent = True
         self._repacing = self._repacing and follower.target != self._speed
-        self._emptied = False
 
     def _reached(self, command: Stretch, dt: float) -> float:
         """The index of the point that the robot has reached."""
@@ -210,15 +206,3 @@ class JointTrajectory(DriverStrategy):
             np.vstack((velocity, command.velocity)),
             np.vstack((acceleration, command.acceleration)),
         )
-
-    def _hold(self, now: float) -> None:
-        """After braking: empty the driver, and again while the robot moves.
-
-        It may not have heard of the stop, as while a link was cut, or still have points that it has not come to.
-        """
-        if self.link.standing() and self._emptied:
-            return
-        if now - self._held_at >= _HOLD_PERIOD:
-            self._held_at = now
-            self._emptied = self.link.standing()
-            self.link.stop()

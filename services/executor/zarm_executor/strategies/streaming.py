@@ -85,7 +85,11 @@ class Streaming(DriverStrategy):
     def tick(self, now: float, dt: float) -> None:
         """Move on, and send a chunk where one is due."""
         follower = self._follower
-        if follower is None or self._over:
+        if follower is None:
+            return
+        if self._over:
+            if follower.target == 0.0:
+                self.hold(now)
             return
         if self._sent_at is not None:
             if dt > CATCH_UP:
@@ -100,6 +104,7 @@ class Streaming(DriverStrategy):
             played = 0 if self._sent_at is None else round((now - self._sent_at) / self._dt)
             rests = self._send(follower.ahead(self._dt, self._count), now, played)
             self._sent_at, self._urgent = now, False
+            self.sent(now)
             self._over = rests and follower.settled and self._caught_up() and self._may_end()
 
     def progress(self) -> Progress:
