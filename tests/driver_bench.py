@@ -14,7 +14,8 @@ from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState
 from zarm_contract.robot import Robot, StrategyParams
-from zarm_executor.machine import Goal, Machine
+from zarm_executor.goal import Goal
+from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Array, Path
 from zarm_executor.strategies import build_strategies
@@ -169,7 +170,7 @@ class DriverBench:
         """Start a motion along a path to `goal`."""
         trajectory = rest_to_rest(moved(1.0, -0.5, 0.3) if goal is None else goal, start)
         path = Path.of(trajectory, JOINTS).approached_from(self.positions[-1], np.full(6, 1.2), np.full(6, 1.0))
-        monitor = Monitor(path, JOINTS, self.robot.descriptor.execution)
+        monitor = Monitor(path, self.robot.descriptor)
         self.machine.start(Goal("goal", None, path, monitor), self.machine.stops)
         return path
 

@@ -11,7 +11,8 @@ from motions import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
 from zarm_executor.follower import TICK, Follower
-from zarm_executor.machine import Goal, Machine
+from zarm_executor.goal import Goal
+from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured, Progress, Strategy
@@ -34,6 +35,7 @@ class Arm(Strategy):
         self.disturb: Disturbance = lambda measured: measured
         self.played = 1.0
         self.failure: Unavailable | None = None
+        self.deaf = False
 
     def open(self) -> None:
         self.calls.append("open")
@@ -46,14 +48,16 @@ class Arm(Strategy):
     def admit(self) -> None:
         pass
 
-    def start(self, path: Path) -> None:
-        self.follower = Follower(path, LIMIT)
+    def start(self, path: Path, speed: float) -> None:
+        self.follower = Follower(path, LIMIT, speed=speed, target=speed)
 
     def stop(self) -> None:
-        self.follower.target = 0.0
+        self.calls.append("stop")
+        if not self.deaf:
+            self.follower.target = 0.0
 
-    def resume(self) -> None:
-        self.follower.target = 1.0
+    def move(self, speed: float) -> None:
+        self.follower.target = speed
 
     def tick(self, now: float, dt: float) -> None:
         if self.follower.settled:
@@ -100,7 +104,7 @@ class Bench:
     def execute(self, goal_id: str = "goal-1", stops: int | None = None) -> Path:
         """Start a motion that was asked for when the robot had been told to stop `stops` times (left out: just now)."""
         path = Path.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
-        goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor.joints, EXECUTION))
+        goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor))
         self.machine.start(goal, self.machine.stops if stops is None else stops)
         return path
 

@@ -18,6 +18,8 @@ from zarm_contract.messages import (
     GoalState,
     JointState,
     Nothing,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
     Trajectory,
@@ -42,10 +44,15 @@ class Client:
         bus.subscribe(keys.joint_states, JointState, lambda _, joints: self.measured.append(joints))
 
     def execute(
-        self, trajectory: Trajectory | None = None, *, plan_id: str | None = None, scene_revision: int | None = None
+        self,
+        trajectory: Trajectory | None = None,
+        *,
+        plan_id: str | None = None,
+        scene_revision: int | None = None,
+        preempt: bool = False,
     ) -> str:
-        request = ExecuteRequest(trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision)
-        return self.bus.call(self.keys.execute, request, Accepted, timeout=10).goal_id
+        request = ExecuteRequest(trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision, preempt=preempt)
+        return self.bus.call(self.keys.execute, request, Accepted, timeout=20).goal_id
 
     def cancel(self, goal_id: str | None = None) -> ExecutorState:
         return self.bus.call(self.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=10)
@@ -55,6 +62,10 @@ class Client:
 
     def strategy(self, name: str | None = None) -> Strategies:
         return self.bus.call(self.keys.strategy, StrategyRequest(strategy=name), Strategies, timeout=20)
+
+    def speed(self, scale: float | None = None) -> float:
+        request = SpeedRequest(speed_scale=scale)
+        return self.bus.call(self.keys.speed, request, Speed, timeout=10).speed_scale
 
     def state(self) -> ExecutorState:
         """The executor's state as whoever comes late reads it."""

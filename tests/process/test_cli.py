@@ -215,6 +215,16 @@ def test_cancel_from_elsewhere_fails_the_command_that_executes(
         assert the_one_line(execute.errors()).startswith("zarm: cancelled: ")
 
 
+def test_speed_shows_and_changes_at_which_share_of_the_planned_speed_the_robot_moves(up: Up, observer: Bus) -> None:
+    assert data(up, "speed") == {"speed_scale": 1.0}
+    assert done(up, "speed", "0.4").startswith("0.4 of the planned speed")
+    assert data(up, "speed") == {"speed_scale": 0.4}
+    assert "0.4 of the planned speed" in done(up, "status")
+    assert "speed_scale" in refused(up, "speed", "0.01")
+    assert data(up, "speed", "1") == {"speed_scale": 1.0}
+    assert "planned speed" not in done(up, "status")
+
+
 def test_strategy_shows_and_switches(up: Up) -> None:
     known = data(up, "strategy")
     assert known["active"] == "emulator"

@@ -96,6 +96,22 @@ def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
+def test_the_speed_of_a_robot_behind_a_driver_changes_in_motion(
+    bus: Bus, endpoint: str, tmp_path: Path, strategy: str
+) -> None:
+    plays = ("--plays", "position") if strategy == "joint_pose" else ()
+    with driven(bus, endpoint, tmp_path, strategy, *plays) as robot:
+        goal_id = robot.client.execute(THERE)
+        for progress, scale in ((0.2, 0.2), (0.3, 1.0), (0.5, 0.5)):
+            robot.client.under_way(goal_id, progress)
+            assert robot.client.speed(scale) == scale
+        end = robot.client.ended(goal_id)
+        assert end.status == "succeeded", end
+        assert end.elapsed > 1.3 * end.duration
+        np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.01)
+
+
 def test_switching_to_the_driver_and_back_while_it_moves(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_speed") as robot:
         goal_id = robot.client.execute(THERE)
@@ -126,12 +142,21 @@ def test_without_a_driver_the_strategies_that_need_one_say_so_and_a_switch_leave
         assert infos["emulator"].available
         assert not infos["joint_speed"].available
         assert "start the robot's driver" in (infos["joint_speed"].reason or "")
-        assert "strategy_params.strategies" in (infos["joint_pose"].reason or "")
-        for name, why in (("joint_speed", "emulator is active again"), ("joint_pose", "its driver cannot play it")):
-            with pytest.raises(Unavailable, match=why):
-                client.strategy(name)
+        with pytest.raises(Unavailable, match="emulator is active again"):
+            client.strategy("joint_speed")
         assert client.strategy().active == "emulator"
         assert client.ended(client.execute(rest_to_rest(moved(0.05)))).status == "succeeded"
+
+
+def test_a_strategy_that_the_driver_cannot_play_says_so(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path, robot="ur5e") as process:
+        keys = type(KEYS)("ur5e")
+        process.wait_ready(bus, keys)
+        client = Client(bus, keys)
+        infos = {info.name: info for info in client.strategy().strategies}
+        assert "strategy_params.strategies" in (infos["joint_pose"].reason or "")
+        with pytest.raises(Unavailable, match="its driver cannot play it"):
+            client.strategy("joint_pose")
 
 
 def test_a_robot_without_strategy_params_says_that(bus: Bus, endpoint: str, tmp_path: Path) -> None:

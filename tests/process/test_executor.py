@@ -20,7 +20,17 @@ from zarm_contract.errors import (
     ZarmError,
 )
 from zarm_contract.keys import Keys
-from zarm_contract.messages import GoalState, JointState, Nothing, Plan, SceneEdited, Strategies, Trajectory
+from zarm_contract.messages import (
+    GoalState,
+    JointState,
+    Nothing,
+    Plan,
+    SceneEdited,
+    Speed,
+    SpeedRequest,
+    Strategies,
+    Trajectory,
+)
 from zarm_executor.path import Path as Motion
 from zarm_executor.reporter import FINISHED_GOALS
 from zarm_executor.service import JOINT_STATES_PERIOD
@@ -132,6 +142,26 @@ def test_a_paused_goal_is_held_until_it_is_resumed(client: Client) -> None:
     assert client.statuses(goal_id) == ["accepted", "running", "paused", "running", "succeeded"]
     np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
     assert client.greatest_acceleration() <= 1.02
+
+
+def test_the_speed_is_read_changed_in_motion_published_and_stays(client: Client) -> None:
+    published: list[float] = []
+    client.bus.subscribe(KEYS.speed, Speed, lambda _, speed: published.append(speed.speed_scale))
+    assert client.speed() == 1.0
+    goal_id = client.execute(FAR)
+    client.under_way(goal_id)
+    assert client.speed(0.4) == 0.4
+    assert client.state().speed_scale == 0.4
+    end = client.ended(goal_id)
+    assert end.status == "succeeded"
+    assert end.duration < 0.8 * end.elapsed  # the duration is the planned one
+    assert client.greatest_acceleration() <= 1.02
+    assert client.speed() == 0.4
+    eventually(lambda: published == [0.4], "the change was published")
+    for wrong in (0.0, 0.01, 1.5):
+        with pytest.raises(InvalidRequest) as refusal:
+            client.bus.call(KEYS.speed, SpeedRequest.model_construct(speed_scale=wrong), Speed, timeout=10)
+        assert refusal.value.problem.field == "speed_scale"
 
 
 def test_a_robot_beside_the_start_is_led_to_it_without_a_jump(client: Client) -> None:

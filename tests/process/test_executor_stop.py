@@ -14,7 +14,8 @@ from motions import KEYS, ROBOT, moved, plan, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, Unavailable
-from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Strategies
+from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
+from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
@@ -36,7 +37,16 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
     bench.arm.exact = replace(bench.arm.exact, time=float("inf"))  # fresh, though nobody ticks
     reporter = Reporter(bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState), lambda _: None)
     plans = Plans(ROBOT.hash, newest, unanswered)
-    executor = Executor(ROBOT, bench.machine, reporter, plans, {}, bus.publisher(KEYS.strategy, Strategies))
+    executor = Executor(
+        ROBOT,
+        bench.machine,
+        reporter,
+        Admission(bench.machine, reporter),
+        plans,
+        {},
+        bus.publisher(KEYS.strategy, Strategies),
+        bus.publisher(KEYS.speed, Speed),
+    )
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(executor.execute, ExecuteRequest())
         try:

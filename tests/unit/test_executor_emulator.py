@@ -49,7 +49,7 @@ def test_a_new_robot_is_at_home_and_at_rest(tmp_path: Folder) -> None:
 
 def test_it_is_measured_anew_with_every_tick_also_when_nothing_moves(tmp_path: Folder) -> None:
     emulator = emulator_in(tmp_path)
-    emulator.start(Path.of(rest_to_rest(moved(0.1)), JOINTS))
+    emulator.start(Path.of(rest_to_rest(moved(0.1)), JOINTS), 1.0)
     play(emulator, 2.0)
     for now in (5.0, 6.0, 7.0):
         emulator.tick(now, TICK)
@@ -61,7 +61,7 @@ def test_it_is_measured_anew_with_every_tick_also_when_nothing_moves(tmp_path: F
 def test_it_stops_where_it_is_told_and_stays_there_from_one_process_to_the_next(tmp_path: Folder) -> None:
     first = emulator_in(tmp_path)
     first.open()
-    first.start(Path.of(rest_to_rest(moved(1.0)), JOINTS))
+    first.start(Path.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
     play(first, 0.7)
     first.stop()
     play(first, 3.0)
@@ -74,7 +74,7 @@ def test_the_position_is_saved_while_it_moves(tmp_path: Folder) -> None:
     emulator = emulator_in(tmp_path)
     emulator.open()
     try:
-        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS))
+        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
         play(emulator, 0.7)
         eventually(lambda: np.array_equal(position(emulator_in(tmp_path)), position(emulator)), "the position is saved")
     finally:
@@ -113,7 +113,7 @@ def test_losing_the_folder_in_motion_costs_a_warning_and_not_the_motion(
         (tmp_path / "state" / "emulated_robot.json").unlink()
         (tmp_path / "state").rmdir()
         (tmp_path / "state").write_text("a file where the folder should be")
-        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS))
+        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
         play(emulator, 4.0)
         eventually(lambda: "not saved" in caplog.text, "a warning is logged")
         np.testing.assert_allclose(position(emulator), moved(1.0), atol=1e-9)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import HOME, ROBOT, moved, rest_to_rest
@@ -101,6 +102,52 @@ def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
         follower.advance(TICK)
         positions.append(follower.position)
     assert np.all(np.abs(accelerations(np.array(positions))) <= LIMIT * ROUNDING)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    targets=st.lists(
+        st.tuples(st.sampled_from([0.0, 0.05, 0.3, 0.7, 1.0]), st.integers(1, 40)), min_size=1, max_size=20
+    ),
+)
+def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and_the_robot_stays_on_the_path(
+    seed: int, targets: list[tuple[float, int]]
+) -> None:
+    path = curved_path(seed)
+    follower = Follower(path, LIMIT)
+    positions = [follower.position, follower.position]
+    for target, ticks in targets:
+        follower.target = target
+        for _ in range(ticks):
+            follower.advance(TICK)
+            positions.append(follower.position)
+            assert 0.0 <= follower.speed <= 1.0
+    follower.target = 0.6
+    positions.extend(followed(follower)[2:])
+    assert follower.finished
+    assert np.all(np.abs(accelerations(np.array(positions))) <= LIMIT * ROUNDING)
+    assert distance_from(path, np.array(positions[::40])) < 2e-3
+    np.testing.assert_allclose(positions[-1], path.end, atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.5])
+def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) -> None:
+    path = curved_path(6)
+    follower = Follower(path, LIMIT, speed=speed, target=speed)
+    ticks = len(followed(follower)) - 3
+    assert ticks * TICK == pytest.approx(path.duration / speed, rel=0.01)
+
+
+@pytest.mark.parametrize("target", [0.05, 0.4])
+def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float) -> None:
+    path = curved_path(7)
+    follower = Follower(path, LIMIT, time=path.duration / 3, target=target)
+    ahead = follower.ahead(TICK)
+    for position in ahead.position[:200]:
+        np.testing.assert_allclose(follower.position, position, atol=1e-9)
+        follower.advance(TICK)
+    np.testing.assert_allclose(ahead.position[-1], path.end, atol=1e-9)
 
 
 def test_a_short_pause_between_ticks_is_caught_up_with() -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from executor_bench import Arm, Bench
+from harness import PATIENCE
 from motions import HOME
 
 from zarm_contract.errors import Busy, Cancelled, Unavailable
@@ -149,6 +152,113 @@ def test_a_goal_cancelled_before_its_first_tick_does_not_move(bench: Bench) -> N
     np.testing.assert_allclose(bench.arm.exact.position, HOME, atol=1e-6)
 
 
+# --- speed ---
+
+
+@pytest.mark.parametrize("scale", [0.05, 0.5])
+def test_a_motion_at_a_lower_speed_takes_longer_and_is_not_overdue(bench: Bench, scale: float) -> None:
+    bench.machine.set_speed(scale)
+    assert bench.machine.state().speed_scale == scale
+    path = bench.execute()
+    bench.until("idle", patience=100.0)
+    assert bench.last().status == "succeeded"
+    assert bench.last().duration == path.duration  # as planned
+    assert bench.last().elapsed == pytest.approx(path.duration / scale, rel=0.02)
+
+
+def test_the_speed_changes_in_motion_inside_the_acceleration_limits_and_stays_for_later_goals(bench: Bench) -> None:
+    path = bench.execute()
+    for scale in (0.3, 1.0, 0.05, 0.5):
+        bench.run(0.4)
+        bench.machine.set_speed(scale)
+    bench.until("idle")
+    assert bench.statuses() == ["accepted", "running", "succeeded"]
+    assert bench.last().elapsed > 1.2 * path.duration
+    assert bench.greatest_acceleration() <= 1.005
+    np.testing.assert_allclose(bench.arm.exact.position, path.end, atol=1e-9)
+    assert bench.machine.state().speed_scale == 0.5
+
+
+@pytest.mark.parametrize("scale", [0.05, 0.4, 1.0])
+def test_at_every_speed_a_goal_can_be_held_go_on_and_be_cancelled(bench: Bench, scale: float) -> None:
+    bench.machine.set_speed(scale)
+    bench.execute()
+    bench.run(0.6 / scale)
+    bench.machine.pause()
+    bench.until("paused", patience=2.0)
+    bench.machine.resume()
+    bench.run(0.3 / scale)
+    bench.machine.cancel(None, "enough")
+    bench.until("idle", patience=2.0)
+    assert bench.statuses() == ["accepted", "running", "paused", "running", "stopping", "cancelled"]
+    assert bench.greatest_acceleration() <= 1.005
+
+
+def test_a_new_speed_does_not_move_what_is_held_or_ending(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.pause()
+    bench.machine.set_speed(0.5)
+    bench.until("paused")
+    held = bench.arm.exact.position
+    bench.machine.set_speed(0.7)
+    bench.run(1.0)
+    np.testing.assert_array_equal(bench.arm.exact.position, held)
+    bench.machine.resume()
+    bench.run(1.0)
+    assert bench.arm.follower.speed == 0.7
+    bench.machine.cancel(None, "enough")
+    bench.machine.set_speed(1.0)
+    bench.until("idle", patience=2.0)
+    assert bench.last().status == "cancelled"
+
+
+# --- preemption ---
+
+
+def test_a_goal_that_is_preempted_is_cancelled_and_names_the_one_that_replaces_it(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.admit(preempt=True)
+    with ThreadPoolExecutor(1) as pool:
+        preempted = pool.submit(bench.machine.preempt, "goal-2", bench.machine.stops, PATIENCE)
+        while not preempted.done():
+            bench.tick()
+        preempted.result()
+    assert bench.machine.state().mode == "idle"
+    assert bench.statuses() == ["accepted", "running", "stopping", "cancelled"]
+    assert bench.last().problem is not None
+    assert bench.last().problem.code == "cancelled"
+    assert "goal-2" in bench.last().problem.message
+    assert bench.greatest_acceleration() <= 1.005
+
+
+def test_nothing_is_preempted_where_nothing_could_start(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = lambda _: None
+    bench.until("fault")
+    with pytest.raises(Unavailable, match="fault"):
+        bench.machine.admit(preempt=True)
+    bench.arm.disturb = lambda measured: measured
+    bench.machine.reset()
+    assert bench.machine.end(PATIENCE)
+    with pytest.raises(Unavailable, match="ending"):
+        bench.machine.admit(preempt=True)
+
+
+def test_a_goal_that_waits_for_the_one_it_preempts_is_withdrawn_by_a_cancel_of_either_kind(bench: Bench) -> None:
+    for goal_id in (None, "goal-2"):
+        before = bench.machine.stops
+        bench.machine.preempt("goal-2", before, PATIENCE)
+        bench.machine.cancel(goal_id, "never mind")
+        with pytest.raises(Cancelled):
+            bench.execute("goal-2", stops=before)
+    bench.execute("goal-3")
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
 # --- strategies, and the end ---
 
 
@@ -179,7 +289,7 @@ def test_a_switch_of_a_robot_that_does_not_come_to_rest_is_refused(bench: Bench)
     bench.run(0.5)
     with pytest.raises(Unavailable, match="does not come to rest; arm is still active"):
         bench.machine.switch(Arm(), patience=0.01)  # nobody ticks meanwhile
-    assert bench.arm.calls == ["open"]
+    assert bench.arm.calls == ["open", "stop"]
     bench.until("idle")
     assert bench.last().status == "cancelled"
     bench.machine.admit()

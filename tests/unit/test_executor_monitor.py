@@ -12,6 +12,7 @@ from motions import HOME, moved
 from zarm_contract.errors import Unavailable
 from zarm_executor.follower import TICK
 from zarm_executor.machine import STALL_LIMIT
+from zarm_executor.monitor import BRAKING
 from zarm_executor.strategies.base import Measured
 
 
@@ -99,9 +100,19 @@ def test_a_robot_that_stops_reporting_while_paused_is_in_fault(bench: Bench) -> 
 
 
 def test_a_motion_that_takes_too_long_is_stopped_in_fault(bench: Bench) -> None:
-    bench.arm.played = 0.3
+    bench.arm.played = 0.03
     bench.execute()
+    bench.until("stopping", patience=120.0)
+    bench.arm.played = 1.0
     fails(bench, "driver_stalled", "more than allowed")
+
+
+def test_a_driver_that_is_slow_by_itself_and_goes_on_is_waited_for(bench: Bench) -> None:
+    """A UR whose speed slider is down plays every trajectory slower; its users expect it to reach the goal."""
+    bench.arm.played = 0.06
+    bench.execute()
+    bench.until("idle", patience=120.0)
+    assert bench.last().status == "succeeded"
 
 
 def test_a_driver_that_makes_no_progress_is_stopped_in_fault_long_before_the_allowed_duration(bench: Bench) -> None:
@@ -186,6 +197,34 @@ def test_a_robot_that_goes_silent_while_it_stops_is_in_fault(bench: Bench) -> No
     bench.machine.cancel(None, "enough")
     bench.arm.disturb = freeze(bench.arm.exact)
     fails(bench, "driver_stalled", "no longer reports its joints")
+
+
+STOPPED_BY = BRAKING * 1.2 / 1.0 + 0.06 + EXECUTION.settle_time
+"""The longest time, s, from a stop to the end of the goal: braking from 1.2 rad/s at 1 rad/s^2, delay, settle time."""
+
+
+@pytest.mark.parametrize("how", ["cancel", "pause", "violation"])
+def test_a_goal_that_was_told_to_stop_ends_in_a_stated_time_whatever_the_strategy_does(bench: Bench, how: str) -> None:
+    bench.machine.set_speed(0.05)
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.deaf = True
+    if how == "violation":
+        bench.arm.disturb = lambda measured: dataclasses.replace(measured, position=measured.position + 1.0)
+        bench.tick()
+    else:
+        bench.machine.pause() if how == "pause" else bench.machine.cancel(None, "enough")
+    bench.run(STOPPED_BY - 2 * TICK)
+    assert bench.machine.state().mode == "stopping"
+    bench.until("fault", patience=4 * TICK)
+    assert bench.statuses()[-2:] == ["stopping", "aborted"]
+    problem = bench.machine.state().problem
+    assert problem is not None
+    assert problem.code == ("tolerance_violated" if how == "violation" else "driver_stalled")
+    assert "could not be stopped" in problem.message
+    assert "emergency stop" in problem.message
+    assert ("left the commanded path" in problem.message) == (how == "violation")
+    assert bench.last().problem == problem
 
 
 def test_a_control_loop_that_was_away_in_motion_ends_in_fault_without_a_jump(bench: Bench) -> None:

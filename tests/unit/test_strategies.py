@@ -75,6 +75,50 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
 
 
+@pytest.mark.parametrize("changes", [(0.3,), (0.5, 1.0), (0.6, 0.05, 1.0), (0.9, 0.8, 0.7, 0.6)], ids=str)
+def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
+    bench: DriverBench, changes: tuple[float, ...]
+) -> None:
+    path = bench.execute()
+    bench.run(0.6)
+    for scale in changes:
+        bench.machine.set_speed(scale)
+        bench.run(0.3)
+    bench.until("idle", patience=60.0)
+    assert bench.statuses() == ["accepted", "running", "succeeded"]
+    assert bench.last().elapsed > path.duration + 0.1
+    assert bench.rests()
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.008)
+    assert bench.commanded_acceleration() <= LIMIT * 1.001
+
+
+@pytest.mark.parametrize("scale", [0.05, 0.4])
+def test_at_a_lower_speed_a_goal_is_held_goes_on_and_is_not_overdue(bench: DriverBench, scale: float) -> None:
+    bench.machine.set_speed(scale)
+    path = bench.execute()
+    bench.run(0.48 / scale)
+    bench.machine.pause()
+    bench.until("paused", patience=2.0)
+    bench.run(1.0)
+    bench.machine.resume()
+    bench.until("idle", patience=100.0)
+    assert bench.statuses() == ["accepted", "running", "paused", "running", "succeeded"]
+    assert bench.last().elapsed > path.duration / scale
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.01)
+    if bench.case.params != (("stop", "empty"),):
+        assert bench.commanded_acceleration() <= LIMIT * 1.001
+
+
+def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) -> None:
+    bench.machine.set_speed(0.05)
+    bench.execute()
+    bench.run(8.0)
+    bench.machine.cancel(None, "enough")
+    bench.until("idle", patience=1.5)
+    assert bench.last().status == "cancelled"
+    assert bench.rests()
+
+
 @at_every_rate
 def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> None:
     bench.execute()
@@ -162,6 +206,39 @@ def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path
     bench.stalled = False
     bench.run(3.0)
     np.testing.assert_allclose(bench.arm.position, stood, atol=0.02)  # positions hold it on the path, not beside it
+
+
+@pytest.mark.parametrize("case", MOVING[1:], ids=str)
+def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_does(
+    case: Case, tmp_path: Folder
+) -> None:
+    bench = DriverBench(case, tmp_path)
+    bench.execute()
+    bench.run(1.0)
+    velocity = bench.arm.velocity.copy()
+    step = bench.arm.step
+
+    def runaway(*, stalled: bool) -> None:
+        step(stalled=stalled)
+        bench.arm.velocity = velocity
+        bench.arm.position = bench.positions[-1] + velocity * 0.01
+
+    bench.arm.step = runaway  # type: ignore[method-assign]
+    bench.machine.cancel(None, "enough")
+    bench.until("fault", patience=4.0)
+    assert bench.last().status == "aborted"
+    assert bench.last().problem is not None
+    assert "emergency stop" in bench.last().problem.message
+    sent = len(bench.commands)
+    bench.run(1.0)
+    told = [command for _, command in bench.commands[sent:]]
+    assert 8 <= len(told) <= 12
+    assert not any(command.time for command in told)
+    bench.arm.step = step  # type: ignore[method-assign]
+    bench.run(3.0)
+    sent = len(bench.commands)
+    assert bench.rests()
+    assert len(bench.commands) == sent
 
 
 # --- what is sent ---

@@ -25,6 +25,7 @@ for command in (
     planning.plan,
     execution.execute,
     execution.cancel,
+    execution.speed,
     execution.strategy,
     kinematics.fk,
     kinematics.ik,

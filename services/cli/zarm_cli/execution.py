@@ -22,6 +22,8 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     GoalState,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
 )
@@ -38,6 +40,9 @@ def execute(
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
     plan_id: Annotated[str | None, typer.Option(help="A plan that was published on this bus.")] = None,
     velocity_scale: VelocityScale = None,
+    preempt: Annotated[
+        bool, typer.Option("--preempt", help="Cancel a goal that runs, and start when the robot rests.")
+    ] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -52,7 +57,7 @@ def execute(
     with connected(connect, name) as client:
         if goal is not None:
             request = ExecuteRequest(plan_id=request_plan(client, goal, velocity_scale=velocity_scale).plan_id)
-        last = run_goal(client, request)
+        last = run_goal(client, request.model_copy(update={"preempt": preempt}))
     if as_json:
         print_json(last)
     demand_success(last)
@@ -76,7 +81,7 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
     instances = _executors(client)
     with uninterrupted():
-        goal_id = client.ask(client.keys.execute, Accepted, request).goal_id
+        goal_id = client.bus.call(client.keys.execute, request, Accepted, timeout=_STOP_SECONDS).goal_id
         goal = _Goal(client, goal_id, instances)
     columns = (
         TextColumn("{task.description}"),
@@ -173,6 +178,23 @@ def _print_state(state: ExecutorState, as_json: bool) -> None:
         return
     goal = f", goal {state.goal_id}" if state.goal_id else ""
     out.print(f"{state.mode} ({state.strategy}{goal})" + (f": {state.problem.message}" if state.problem else ""))
+
+
+def speed(
+    to: Annotated[
+        float | None, typer.Argument(metavar="[0.05..1]", help="The share of the planned speed; left out: show it.")
+    ] = None,
+    as_json: AsJson = False,
+    connect: Connect = DEFAULT_ENDPOINT,
+    name: Name = None,
+) -> None:
+    """Show at which share of the planned speed the robot moves, or change it, also while it moves."""
+    with connected(connect, name) as client:
+        known = client.ask(client.keys.speed, Speed, message(SpeedRequest, speed_scale=to))
+    if as_json:
+        print_json(known)
+    else:
+        out.print(f"{known.speed_scale:g} of the planned speed")
 
 
 def strategy(

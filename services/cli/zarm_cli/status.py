@@ -76,6 +76,8 @@ def _print_status(
 
 def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
     rows = [("mode", state.mode + (f", goal {state.goal_id}" if state.goal_id else "")), ("strategy", state.strategy)]
+    if state.speed_scale != 1.0:
+        rows.append(("speed", f"{state.speed_scale:g} of the planned speed"))
     if state.problem is not None:
         rows.append(("problem", f"{state.problem.code}: {state.problem.message}"))
     return rows

@@ -79,8 +79,9 @@ class Execution(_Section):
     """What the executor demands before and during motion. Angles in rad, times in s.
 
     Defaults: start 0.05 (MoveIt 0.01), path 0.2 and goal 0.01 (ros2_control), settle 1.0 (ros2_control),
-    allowed duration 1.1 x + 0.5 s (MoveIt), stopped below 0.01 rad/s (ros2_control). `progress_timeout` is how long a
-    moving robot's driver may stay at one point of the path. `control_rate` is that of the control loop in Hz, `speed_scale`
+    allowed duration 1.1 x + 0.5 s (MoveIt), stopped below 0.01 rad/s (ros2_control). The allowed duration is that of a
+    driver at 0.05 of the speed it was told, so that one with a speed slider of its own (UR) is waited for while it makes
+    progress. `progress_timeout` is how long a moving robot's driver may stay at one point of the path. `control_rate` is that of the control loop in Hz, `speed_scale`
     the share of the planned speed at which the robot moves until a client changes it.
     """
 

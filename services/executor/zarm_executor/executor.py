@@ -7,27 +7,26 @@ import threading
 import time
 
 from zarm_contract.bus import Publisher
-from zarm_contract.errors import Busy, ZarmError
 from zarm_contract.messages import (
     Accepted,
     CancelRequest,
     ExecuteRequest,
     ExecutorState,
-    GoalState,
     Nothing,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
 )
 from zarm_contract.robot import Robot
+from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import executable, startable
-from zarm_executor.machine import Goal, Machine
+from zarm_executor.goal import Goal
+from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.strategies.repertoire import Repertoire
-
-REST_PATIENCE = 10.0
-"""Longest wait, s, for a moving robot to come to rest; a robot needs about its velocity over its acceleration limit."""
 
 
 class Executor:
@@ -38,9 +37,11 @@ class Executor:
         robot: Robot,
         machine: Machine,
         reporter: Reporter,
+        admission: Admission,
         plans: Plans,
         strategies: Repertoire,
         publisher: Publisher[Strategies],
+        speeds: Publisher[Speed],
     ) -> None:
         self._robot = robot
         self._machine = machine
@@ -48,41 +49,21 @@ class Executor:
         self._plans = plans
         self._strategies = strategies
         self._publisher = publisher
-        self._checking = threading.Lock()
+        self._speeds = speeds
+        self._admission = admission
         self._describing = threading.Lock()
 
     def execute(self, request: ExecuteRequest) -> Accepted:
-        """Check a motion and start it. One at a time: what waited here would start after a stop that came meanwhile."""
-        if not self._checking.acquire(blocking=False):
-            raise Busy("another motion is being checked; execute again when it has ended or been refused")
-        try:
-            stops = self._machine.stops
-            self._machine.admit()
+        """Check a motion and start it; one that preempts is checked for all but its start before the other one ends."""
+        with self._admission.turn(preempt=request.preempt) as turn:
             plan_id, trajectory = self._plans.chosen(request)
             path = executable(trajectory, self._robot)
+            goal_id = f"goal-{secrets.token_hex(4)}"
+            if request.preempt:
+                turn.preempt(goal_id)
             path = startable(path, self._machine.joint_state(), time.monotonic(), self._robot)
-            monitor = Monitor(path, self._robot.descriptor.joints, self._robot.descriptor.execution)
-            goal = Goal(f"goal-{secrets.token_hex(4)}", plan_id, path, monitor)
-            self._reporter.remember(
-                GoalState(
-                    goal_id=goal.goal_id,
-                    plan_id=plan_id,
-                    status="accepted",
-                    progress=0.0,
-                    elapsed=0.0,
-                    duration=path.duration,
-                    joint_command=tuple(path.start.tolist()),
-                )
-            )
-            try:
-                self._machine.start(goal, stops)
-            except ZarmError:
-                self._reporter.forget()
-                raise
-            self._reporter.publish()
-            return Accepted(goal_id=goal.goal_id)
-        finally:
-            self._checking.release()
+            turn.start(Goal(goal_id, plan_id, path, Monitor(path, self._robot.descriptor)))
+        return Accepted(goal_id=goal_id)
 
     def cancel(self, request: CancelRequest) -> ExecutorState:
         """Cancel one goal, or the one that runs."""
@@ -108,6 +89,21 @@ class Executor:
         """Leave `fault`."""
         self._machine.reset()
         return self._reporter.publish()
+
+    def speed(self, request: SpeedRequest) -> Speed:
+        """Read the share of the planned speed at which the robot moves, or change it, also while it moves."""
+        if request.speed_scale is not None:
+            self._machine.set_speed(request.speed_scale)
+            self._reporter.publish()
+            self.publish_speed()
+        return self._speed()
+
+    def publish_speed(self) -> None:
+        """Publish the share of the planned speed at which the robot moves."""
+        self._speeds.put(self._speed())
+
+    def _speed(self) -> Speed:
+        return Speed(speed_scale=self._machine.state().speed_scale)
 
     def strategy(self, request: StrategyRequest) -> Strategies:
         """Read which strategy is active, or switch to another."""

@@ -1,7 +1,7 @@
 """Moving along a path at a path speed that falls and rises as fast as the joints' acceleration limits allow.
 
 The commanded motion is q(s(t)) with path time s and path speed sigma = ds/dt in [0, 1], so the robot stays on the
-verified path while it brakes. Its acceleration is q''(s) sigma^2 + q'(s) dsigma/dt (chain rule; Bobrow, Dubowsky and
+verified path while it brakes or its speed is scaled. Its acceleration is q''(s) sigma^2 + q'(s) dsigma/dt (chain rule; Bobrow, Dubowsky and
 Gibson 1985). A path inside the limits at sigma = 1 is inside them at every constant sigma below, so holding the speed is
 always allowed, and braking as hard as possible now never leads into a state without a way on.
 """
@@ -25,8 +25,8 @@ stood, because nobody commanded the robot meanwhile."""
 class Follower:
     """Where a robot with these acceleration limits (J,) rad/s^2 is on a path, and how fast it goes along it.
 
-    It begins at the path time `time` with the path speed `speed` and wants the path speed `target`. `time` is the path time s, `speed` is sigma, `target` the path speed wanted (1 to move, 0 to rest); `position` (rad)
-    and `velocity` (rad/s) are the commanded joints (J,).
+    It begins at the path time `time` (s) with the path speed `speed` (sigma), and `target` is the path speed wanted: 1 to
+    move as planned, less to move slower, 0 to rest. `position` (rad) and `velocity` (rad/s) are the commanded joints (J,).
     """
 
     def __init__(

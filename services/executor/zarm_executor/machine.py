@@ -2,8 +2,10 @@
 
 mode      idle -> running -> idle                      a goal that succeeds
           running -> stopping -> paused -> running     pause and resume
-          running | paused -> stopping -> idle         cancel, stop, a switch of strategy, the end of the process
-          running | paused -> stopping -> fault        a check during motion failed; only `reset` leads back to idle
+          running | paused -> stopping -> idle         cancel, stop, another goal that preempts this one, a switch of
+                                                       strategy, the end of the process
+          running | paused -> stopping -> fault        a check during motion failed, or the robot could not be stopped;
+                                                       only `reset` leads back to idle
 
 A machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and what
 changed waits in `changes` for whoever publishes it.
@@ -13,43 +15,30 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass, field
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
-from zarm_executor.monitor import Monitor
-from zarm_executor.path import Path
-from zarm_executor.strategies.base import Measured, Strategy
+from zarm_executor.goal import Goal, Outcome
+from zarm_executor.strategies.base import Measured, Progress, Strategy
 
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
 
 
-@dataclass
-class Goal:
-    """One motion on its way to an end. `outcome` is set once it is certain that it ends, and how."""
-
-    goal_id: str
-    plan_id: str | None
-    path: Path
-    monitor: Monitor
-    status: GoalStatus = "accepted"
-    elapsed: float = 0.0
-    pausing: bool = False
-    outcome: tuple[GoalStatus, Problem] | None = field(default=None)
-
-
 class Machine:
-    """See the module. `strategy` is opened; raises the ZarmError of that. `period` (s) is that of the control loop.
+    """See the module. `strategy` is opened; raises the ZarmError of that. `period` (s) is that of the control loop,
+    `speed_scale` the speed of the first motion.
 
     `stops` counts how often the robot was told to stop, whatever it did then.
     """
 
-    def __init__(self, strategy: Strategy, period: float) -> None:
+    def __init__(self, strategy: Strategy, period: float, *, speed_scale: float = 1.0) -> None:
         strategy.open()
         self._period = period
+        self._speed_scale = speed_scale
         self._strategy = strategy
         self._goal: Goal | None = None
+        self._successor: str | None = None
         self._problem: Problem | None = None
         self._switching = False
         self._ending = False
@@ -62,8 +51,8 @@ class Machine:
 
     # -- commands --
 
-    def admit(self) -> None:
-        """Raise Busy or Unavailable where no motion can start now."""
+    def admit(self, *, preempt: bool = False) -> None:
+        """Raise Busy or Unavailable where no motion can start now, or with `preempt` as soon as the robot rests."""
         with self._lock:
             if self._ending:
                 raise Unavailable("the executor is ending; execute again when it has been started again")
@@ -71,7 +60,7 @@ class Machine:
                 raise Unavailable(
                     f"the executor is in fault: {self._problem.message}; when that is put right, reset it (executor/reset)"
                 )
-            if self._goal is not None:
+            if self._goal is not None and not preempt:
                 raise Busy(f"{self._goal.goal_id} is not at its end; cancel it or wait, then execute again")
             if self._switching:
                 raise Busy("the strategy is being switched; execute again in a moment")
@@ -83,20 +72,37 @@ class Machine:
         Raises what `admit` raises, and Cancelled where the robot was told to stop since it had been told so `stops` times.
         """
         with self._lock:
+            self._successor = None
+            self._demand_no_stop(stops)
             self.admit()
-            if self.stops != stops:
-                raise Cancelled("the robot was told to stop while this was being checked; nothing has moved")
-            self._strategy.start(goal.path)
+            self._strategy.start(goal.path, self._speed_scale)
             self._goal = goal
             self._note(goal)
+
+    def preempt(self, goal_id: str, stops: int, patience: float) -> None:
+        """End the goal that there is, if any, as cancelled, so that `goal_id` can start where the robot rests then.
+
+        Raises Unavailable where it does not within `patience` s, and Cancelled as `start` does, or for a cancel of
+        `goal_id`.
+        """
+        with self._lock:
+            self._successor = goal_id
+            if self._goal is not None:
+                self._cancel(self._goal, f"{goal_id} was executed instead, which was to preempt this goal")
+        if not self.wait_for_rest(patience):
+            raise Unavailable("the robot does not come to rest; see why (executor/state), then execute again")
+        self._demand_no_stop(stops)
+
+    def _demand_no_stop(self, stops: int) -> None:
+        if self.stops != stops:
+            raise Cancelled("the robot was told to stop while this was being checked; this motion has not begun")
 
     def cancel(self, goal_id: str | None, why: str) -> None:
         """End this goal, or whichever there is, as cancelled; nothing where it is unknown or at its end."""
         with self._lock:
-            self.stops += goal_id is None
-            goal = self._goal
-            if goal is not None and goal.outcome is None and goal_id in (None, goal.goal_id):
-                self._end(goal, "cancelled", Problem(code="cancelled", message=why))
+            self.stops += goal_id in (None, self._successor)
+            if self._goal is not None and goal_id in (None, self._goal.goal_id):
+                self._cancel(self._goal, why)
 
     def pause(self) -> None:
         """Bring the running goal to rest and hold it."""
@@ -112,8 +118,15 @@ class Machine:
             goal = self._goal
             if goal is not None and goal.outcome is None and goal.pausing:
                 goal.pausing = False
-                self._strategy.resume()
+                self._strategy.move(self._speed_scale)
                 self._become(goal, "running")
+
+    def set_speed(self, speed_scale: float) -> None:
+        """Move at this share of the planned speed from now on; a goal that is held does so when it goes on."""
+        with self._lock:
+            self._speed_scale = speed_scale
+            if self._goal is not None and self._goal.moving:
+                self._strategy.move(speed_scale)
 
     def reset(self) -> None:
         """Leave `fault`."""
@@ -168,14 +181,14 @@ class Machine:
                 strategy=self._strategy.name,
                 goal_id=self._goal.goal_id if self._goal else None,
                 problem=self._problem,
-                speed_scale=1.0,
+                speed_scale=self._speed_scale,
                 missed_ticks=self._missed_ticks,
             )
 
     def goal_state(self) -> GoalState | None:
         """The state of the goal that has not ended, if there is one."""
         with self._lock:
-            return self._describe(self._goal) if self._goal else None
+            return self._goal.state(self._strategy.progress()) if self._goal else None
 
     def joint_state(self) -> Measured | None:
         """The newest measured state of the robot."""
@@ -219,37 +232,51 @@ class Machine:
         try:
             if goal.outcome is None:
                 monitor.follow(now, dt, progress, measured)
-            if goal.outcome is None and not goal.pausing:
-                if monitor.at_goal(now, progress, measured):
-                    self._finish(goal, "succeeded", None)
-            elif goal.status != "paused" and monitor.at_rest(now, progress, measured):
-                self._rest(goal)
+            if goal.moving and monitor.at_goal(now, progress, measured):
+                self._finish(goal, Outcome("succeeded"))
         except ExecutionFailed as failure:
-            if goal.outcome is not None and goal.outcome[0] == "aborted":
-                self._rest(goal)  # it had its time to stop; what is wrong is said by the first failure
-            else:
-                self._abort(goal, failure)
+            self._abort(goal, failure)
+        if not goal.moving and goal.status != "paused":
+            self._come_to_rest(goal, now, progress, measured)
 
-    def _rest(self, goal: Goal) -> None:
+    def _come_to_rest(self, goal: Goal, now: float, progress: Progress, measured: Measured | None) -> None:
+        try:
+            if not goal.monitor.at_rest(now, progress, measured):
+                return
+        except ExecutionFailed as failure:
+            self._give_up(goal, failure)
+            return
         if goal.outcome is None:
             self._become(goal, "paused")
         else:
-            self._finish(goal, *goal.outcome)
+            self._finish(goal, goal.outcome)
+
+    def _give_up(self, goal: Goal, failure: ExecutionFailed) -> None:
+        """The robot had its time to stop. The strategy goes on telling it to."""
+        first, problem = goal.outcome, failure.problem
+        if first is not None and first.problem is not None and first.fault:
+            problem = first.problem.model_copy(update={"message": f"{first.problem.message}; and {problem.message}"})
+        self._abort(goal, failure)
+        self._finish(goal, Outcome("aborted", problem, fault=True))
+
+    def _cancel(self, goal: Goal, why: str) -> None:
+        if goal.outcome is None:
+            self._end(goal, Outcome("cancelled", Problem(code="cancelled", message=why)))
 
     def _abort(self, goal: Goal, failure: ExecutionFailed) -> None:
-        self._end(goal, "aborted", failure.problem)
+        self._end(goal, Outcome("aborted", failure.problem, fault=True))
 
-    def _end(self, goal: Goal, status: GoalStatus, problem: Problem) -> None:
-        goal.outcome = status, problem
+    def _end(self, goal: Goal, outcome: Outcome) -> None:
+        goal.outcome = outcome
         self._strategy.stop()
         self._become(goal, "stopping")
 
-    def _finish(self, goal: Goal, status: GoalStatus, problem: Problem | None) -> None:
-        goal.outcome = None if problem is None else (status, problem)
-        self._become(goal, status)
+    def _finish(self, goal: Goal, outcome: Outcome) -> None:
+        goal.outcome = outcome
+        self._become(goal, outcome.status)
         self._goal = None
-        if status == "aborted":
-            self._problem = problem
+        if outcome.fault:
+            self._problem = outcome.problem
         self._rested.notify_all()
 
     def _become(self, goal: Goal, status: GoalStatus) -> None:
@@ -258,20 +285,7 @@ class Machine:
             self._note(goal)
 
     def _note(self, goal: Goal) -> None:
-        self.changes.append(self._describe(goal))
-
-    def _describe(self, goal: Goal) -> GoalState:
-        progress = self._strategy.progress()
-        return GoalState(
-            goal_id=goal.goal_id,
-            plan_id=goal.plan_id,
-            status=goal.status,
-            progress=min(max(progress.time / goal.path.duration, 0.0), 1.0),
-            elapsed=goal.elapsed,
-            duration=goal.path.duration,
-            joint_command=tuple(progress.command.tolist()),
-            problem=goal.outcome[1] if goal.outcome else None,
-        )
+        self.changes.append(goal.state(self._strategy.progress()))
 
     @staticmethod
     def _stalled(dt: float) -> ExecutionFailed:

@@ -5,19 +5,29 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_contract.errors import ExecutionFailed
-from zarm_contract.robot import Execution
+from zarm_contract.robot import RobotDescriptor
 from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured, Progress
+
+SLOWEST_PACE = 0.05
+"""A driver may be slower than it was told, as a UR is whose speed slider is down, as far as the slowest speed scale."""
+
+BRAKING = 1.5
+"""Braking along a path takes at most so many times what the worst joint alone needs from its velocity limit to rest.
+Measured over random paths at every limit: 1.13."""
 
 
 class Monitor:
     """Watches one motion. Times are on the monotonic clock; joints in the descriptor's order."""
 
-    def __init__(self, path: Path, joints: tuple[str, ...], execution: Execution) -> None:
+    def __init__(self, path: Path, robot: RobotDescriptor) -> None:
         self._path = path
-        self._joints = joints
-        self._execution = execution
-        self._allowed = execution.allowed_duration_factor * path.duration + execution.allowed_duration_margin
+        self._joints = robot.joints
+        self._execution = robot.execution
+        delay = 0.0 if robot.strategy_params is None else robot.strategy_params.delay
+        alone = max(v / a for v, a in zip(robot.cspace.velocity, robot.cspace.acceleration, strict=True))
+        self._stopping = BRAKING * alone + delay + robot.execution.settle_time
+        self._stopping_since: float | None = None
         self._commanded = 0.0
         self._rest_since: float | None = None
         self._reached = 0.0
@@ -27,7 +37,8 @@ class Monitor:
         """Raises ExecutionFailed where the robot does not follow: `tolerance_violated` or `driver_stalled`.
 
         The allowed duration counts time at path speed 1; what the executor itself slows down or holds is not held
-        against the robot.
+        against the robot. A driver that is slower than it was told is on the path all the same: the allowed duration is
+        that at `SLOWEST_PACE`, and `progress_timeout` says how long it may stand.
         """
         if not progress.at_rest:
             self._rest_since = None
@@ -42,8 +53,12 @@ class Monitor:
             np.abs(measured.position - progress.command), self._execution.path_tolerance, "path_tolerance", "left"
         )
         self._advancing(now, progress)
-        self._commanded += dt * progress.speed
-        if not progress.finished and self._commanded > self._allowed:
+        self._commanded += 0.0 if progress.at_rest else dt * progress.speed
+        execution = self._execution
+        allowed = (
+            execution.allowed_duration_factor * self._path.duration / SLOWEST_PACE + execution.allowed_duration_margin
+        )
+        if not progress.finished and self._commanded > allowed:
             raise ExecutionFailed(
                 f"the robot is at {progress.time:.2f} s of a motion of {self._path.duration:.2f} s after "
                 f"{self._commanded:.2f} s, more than allowed; check its driver, then reset",
@@ -66,6 +81,7 @@ class Monitor:
 
         Raises ExecutionFailed (`tolerance_violated`) when it does not within `settle_time`.
         """
+        self._stopping_since = None
         if measured is None or not progress.finished:
             return False
         error = np.abs(measured.position - self._path.end)
@@ -77,25 +93,34 @@ class Monitor:
         return False
 
     def at_rest(self, now: float, progress: Progress, measured: Measured | None) -> bool:
-        """Whether the robot stands still after it was commanded to.
+        """Whether the robot stands still after it was told to stop; asked at every tick from then on.
 
-        Raises ExecutionFailed when it does not, or does not report, within `settle_time`, and where it stands further than
-        `path_tolerance` from where it was commanded to stop: then it has not heard of the stop.
+        Raises ExecutionFailed when it does not, or does not report, `settle_time` after what is commanded has come to
+        rest, and at the latest that long after the longest braking; and where it stands further than `path_tolerance` from
+        where it was commanded to stop: then it has not heard of the stop.
         """
-        if not progress.at_rest:
-            return False
-        fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
-        if measured is not None and fresh and self._stopped(measured):
-            error = np.abs(measured.position - progress.command)
-            self._within(error, self._execution.path_tolerance, "path_tolerance", "left")
-            return True
-        if self._overdue(now):
-            if measured is None or not fresh:
-                raise ExecutionFailed(
-                    "the robot was told to stop and no longer reports its joints; look at it and its driver, then reset",
-                    code="driver_stalled",
-                )
-            self._refuse_to_move(measured)
+        if self._stopping_since is None:
+            self._stopping_since = now
+        if progress.at_rest:
+            fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
+            if measured is not None and fresh and self._stopped(measured):
+                error = np.abs(measured.position - progress.command)
+                self._within(error, self._execution.path_tolerance, "path_tolerance", "left")
+                return True
+            if self._overdue(now):
+                if measured is None or not fresh:
+                    raise ExecutionFailed(
+                        "the robot was told to stop and no longer reports its joints; look at it, use the emergency stop if "
+                        "it moves, see why its driver is silent, then reset",
+                        code="driver_stalled",
+                    )
+                self._refuse_to_move(measured)
+        if now - self._stopping_since > self._stopping:
+            raise ExecutionFailed(
+                f"the robot could not be stopped: it was told to {now - self._stopping_since:.1f} s ago and is still being "
+                "moved; use the emergency stop, then start the executor again",
+                code="driver_stalled",
+            )
         return False
 
     def _stopped(self, measured: Measured) -> bool:
@@ -121,7 +146,8 @@ class Monitor:
         worst = int(np.abs(measured.velocity).argmax())
         raise ExecutionFailed(
             f"{self._joints[worst]} still moves at {abs(measured.velocity[worst]):.3g} rad/s "
-            f"{self._execution.settle_time:g} s after the robot was commanded to rest; see what moves it, then reset",
+            f"{self._execution.settle_time:g} s after the robot was commanded to rest; use the emergency stop "
+            "if it goes on, see what moves it, then reset",
             code="tolerance_violated",
             joint=self._joints[worst],
         )

@@ -18,12 +18,15 @@ from zarm_contract.messages import (
     Nothing,
     Plan,
     SceneEdited,
+    Speed,
+    SpeedRequest,
     Strategies,
     StrategyRequest,
 )
 from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import Service, run_service, service_parser
-from zarm_executor.executor import REST_PATIENCE, Executor
+from zarm_executor.admission import REST_PATIENCE, Admission
+from zarm_executor.executor import Executor
 from zarm_executor.fault_records import FaultRecords
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
@@ -99,7 +102,7 @@ def start(service: Service) -> Iterator[None]:
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
-        machine = Machine(first, period)
+        machine = Machine(first, period, speed_scale=robot.descriptor.execution.speed_scale)
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault)
@@ -111,7 +114,9 @@ def start(service: Service) -> Iterator[None]:
                 scene=lambda: bus.call(keys.scene_revision, Nothing(), SceneEdited, timeout=PLANNER_PATIENCE),
             )
             ghost = Ghost(bus, keys, robot)
-            executor = Executor(robot, machine, reporter, plans, strategies, bus.publisher(keys.strategy, Strategies))
+            told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
+            admission = Admission(machine, reporter)
+            executor = Executor(robot, machine, reporter, admission, plans, strategies, *told)
             with (
                 Loop("control", period, control.tick, realtime=True),
                 Loop("ghost", GHOST_PERIOD, ghost.play),
@@ -161,7 +166,9 @@ def _serve(bus: Bus, service: Service, executor: Executor) -> None:
     keys = service.keys
     bus.serve(keys.execute, ExecuteRequest, executor.execute)
     bus.serve(keys.strategy, StrategyRequest, executor.strategy, readable=True)
+    bus.serve(keys.speed, SpeedRequest, executor.speed, readable=True)
     executor.publish_strategies()
+    executor.publish_speed()
     bus.serve(keys.cancel, CancelRequest, executor.cancel, backlog=COMMAND_BACKLOG)
     for key, command in (
         (keys.stop, executor.stop),

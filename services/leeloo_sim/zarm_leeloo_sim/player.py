@@ -64,8 +64,6 @@ class Player:
         """
         self.total, self.played = len(positions), 0
         self._positions = positions
-        if self.total == 0:
-            self._target = self.position + self.velocity * np.abs(self.velocity) / (2 * min(self._ceiling, CEILING))
         if self._plays == "velocity":
             self._velocities = velocities
         else:
@@ -78,6 +76,8 @@ class Player:
         self._steps += 1
         wanted = self.feed
         if self._plays == "position":
+            if self.total == 0 and self.velocity.any():
+                self._target = self.position  # told to stop: it holds where it has come to rest
             wanted = wanted + STIFFNESS * (self._target - self.position)
         wanted = np.clip(wanted, -self._ceiling, self._ceiling)
         change = (wanted - self.velocity) * (1.0 - math.exp(-STEP / LAG))

@@ -51,7 +51,11 @@ class Accepted(Message):
 
 
 class GoalState(Message):
-    """How one goal is doing. `progress` 0..1 in time; `joint_command` the last command sent (rad); `elapsed` s in motion."""
+    """How one goal is doing. `joint_command` is the last command sent (rad), `elapsed` the time in motion (s).
+
+    `duration` (s) is planned, whatever the speed scale: at 0.5 the motion takes twice as long. `progress` 0..1 is the share of
+    it that has been reached. Of a stream it is the end of the newest chunk, so that `progress * duration` is its time.
+    """
 
     goal_id: Name
     plan_id: Name | None = None

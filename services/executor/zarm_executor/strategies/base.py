@@ -59,16 +59,19 @@ class Strategy(ABC):
         """Raise Unavailable, with the remedy, where this strategy could not move the robot now."""
 
     @abstractmethod
-    def start(self, path: Path) -> None:
-        """Begin to move along `path`, which starts where the robot stands."""
+    def start(self, path: Path, speed: float) -> None:
+        """Begin to move along `path`, which starts where the robot stands, at this path speed in (0, 1]."""
 
     @abstractmethod
     def stop(self) -> None:
         """Decelerate to rest along the path, inside the acceleration limits. Idempotent."""
 
     @abstractmethod
-    def resume(self) -> None:
-        """After `stop`: go on along the same path."""
+    def move(self, speed: float) -> None:
+        """Go on along the same path at this path speed in (0, 1]: after `stop`, or in motion to become slower or faster.
+
+        The path speed rises or falls to it inside the acceleration limits.
+        """
 
     @abstractmethod
     def tick(self, now: float, dt: float) -> None:

@@ -6,12 +6,33 @@ from zarm_contract.errors import Unavailable
 from zarm_executor.strategies.base import Measured, Strategy
 from zarm_executor.strategies.driver_link import DriverLink
 
+HOLD_PERIOD = 0.1
+"""A robot that was stopped is told so again this often (s) until it stands."""
+
 
 class DriverStrategy(Strategy):
     """Reads the robot through a link. It opens only where the driver tells the robot's joints, and stops it first."""
 
     def __init__(self, link: DriverLink) -> None:
         self.link = link
+        self._held_at = 0.0
+        self._emptied = False
+
+    def hold(self, now: float) -> None:
+        """After braking, at each tick: empty the driver, and again while the robot moves.
+
+        It may not have heard of the stop, as while a link was cut, or still have points that it has not come to.
+        """
+        if self.link.standing() and self._emptied:
+            return
+        if now - self._held_at >= HOLD_PERIOD:
+            self._held_at = now
+            self._emptied = self.link.standing()
+            self.link.stop()
+
+    def sent(self, now: float) -> None:
+        """Something to play was sent: the driver is not empty."""
+        self._held_at, self._emptied = now, False
 
     def obstacle(self) -> str | None:
         """No driver, or one that is silent."""

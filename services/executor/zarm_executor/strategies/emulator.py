@@ -86,17 +86,17 @@ class Emulator(Strategy):
     def admit(self) -> None:
         """An emulated robot can always move."""
 
-    def start(self, path: Path) -> None:
+    def start(self, path: Path, speed: float) -> None:
         """Begin at the start of `path`."""
-        self._follower = Follower(path, self._limit)
+        self._follower = Follower(path, self._limit, speed=speed, target=speed)
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""
         self._follower.target = 0.0
 
-    def resume(self) -> None:
-        """Let the path speed rise to 1."""
-        self._follower.target = 1.0
+    def move(self, speed: float) -> None:
+        """Let the path speed become `speed`."""
+        self._follower.target = speed
 
     def tick(self, now: float, dt: float) -> None:
         """Put the robot where the clock says that it is."""

@@ -29,14 +29,14 @@ class GhostOnly(Strategy):
             '(executor/strategy with {"strategy": "emulator"})'
         )
 
-    def start(self, path: Path) -> None:
+    def start(self, path: Path, speed: float) -> None:
         """Refuse: nothing moves."""
         self.admit()
 
     def stop(self) -> None:
         """Nothing moves."""
 
-    def resume(self) -> None:
+    def move(self, speed: float) -> None:
         """Nothing moves."""
 
     def tick(self, now: float, dt: float) -> None:

@@ -30,9 +30,9 @@ class JointSpeed(Streaming):
         self._leading_since: float | None = None
         self._led = False
 
-    def start(self, path: Path) -> None:
+    def start(self, path: Path, speed: float) -> None:
         """Begin at the start of `path`, from rest."""
-        super().start(path)
+        super().start(path, speed)
         self._stands()
         self._leading_since, self._led = None, False
 

@@ -64,31 +64,35 @@ class Streaming(DriverStrategy):
 
     # -- what the state machine asks --
 
-    def start(self, path: Path) -> None:
+    def start(self, path: Path, speed: float) -> None:
         """Begin at the start of `path`."""
-        self._follower = Follower(path, self.link.acceleration_limit)
+        self._follower = Follower(path, self.link.acceleration_limit, speed=speed, target=speed)
         self._reference = Reference(self._memory)
         self._expected = Commanded(0.0, 0.0, 0.0, path.start)
         self._sent_at, self._over = None, False
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""
-        follower = self._follower
-        if follower is None or follower.target == 0.0:
-            return
-        follower.target = 0.0
-        self._urgent = True
+        self._aim(0.0)
 
-    def resume(self) -> None:
-        """Let the path speed rise to 1."""
-        if self._follower is not None:
-            self._follower.target = 1.0
-            self._urgent, self._over = True, False
+    def move(self, speed: float) -> None:
+        """Let the path speed become `speed`."""
+        self._aim(speed)
+        self._over = self._follower is None
+
+    def _aim(self, speed: float) -> None:
+        if self._follower is not None and self._follower.target != speed:
+            self._follower.target = speed
+            self._urgent = True
 
     def tick(self, now: float, dt: float) -> None:
         """Move on, and send a chunk where one is due."""
         follower = self._follower
-        if follower is None or self._over:
+        if follower is None:
+            return
+        if self._over:
+            if follower.target == 0.0:
+                self.hold(now)
             return
         if self._sent_at is not None:
             if dt > CATCH_UP:
@@ -104,6 +108,7 @@ class Streaming(DriverStrategy):
             played = 0 if self._sent_at is None else round((begin - self._sent_at) / self._dt)
             rests = self._send(self._ahead(follower, begin - now), now, played)
             self._sent_at, self._urgent = begin, False
+            self.sent(now)
             self._over = rests and follower.settled and self._caught_up() and self._may_end()
 
     def progress(self) -> Progress:

@@ -1,0 +1,66 @@
+"""How a goal comes to the robot: one at a time is checked, and what was told to stop meanwhile does not start."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from zarm_contract.errors import Busy, ZarmError
+from zarm_executor.goal import Goal
+from zarm_executor.machine import Machine
+from zarm_executor.reporter import Reporter
+
+REST_PATIENCE = 10.0
+"""Longest wait, s, for a moving robot to come to rest; a robot needs about its velocity over its acceleration limit."""
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What may be done while one's goal is the one that is checked. `stops`: how often the robot had been told to before."""
+
+    machine: Machine
+    reporter: Reporter
+    stops: int
+
+    def preempt(self, goal_id: str) -> None:
+        """End the goal that there is in favour of `goal_id`, and wait for rest. Raises what `Machine.preempt` raises."""
+        try:
+            self.machine.preempt(goal_id, self.stops, REST_PATIENCE)
+        finally:
+            self.reporter.publish()
+
+    def start(self, goal: Goal) -> None:
+        """Start a goal. Raises what `Machine.start` raises, and Unavailable where the goal cannot be put on record."""
+        self.reporter.remember(goal.before_motion())
+        try:
+            self.machine.start(goal, self.stops)
+        except ZarmError:
+            self.reporter.forget()
+            raise
+        self.reporter.publish()
+
+
+class Admission:
+    """The one way to start a goal. Safe from any thread."""
+
+    def __init__(self, machine: Machine, reporter: Reporter) -> None:
+        self._machine = machine
+        self._reporter = reporter
+        self._checking = threading.Lock()
+
+    @contextmanager
+    def turn(self, *, preempt: bool = False) -> Iterator[Turn]:
+        """In it a goal is checked and started. One at a time: what waited here would start after a stop that came meanwhile.
+
+        Raises Busy, and what `Machine.admit` raises.
+        """
+        if not self._checking.acquire(blocking=False):
+            raise Busy("another motion is being checked; execute again when it has ended or been refused")
+        try:
+            stops = self._machine.stops
+            self._machine.admit(preempt=preempt)
+            yield Turn(self._machine, self._reporter, stops)
+        finally:
+            self._checking.release()

@@ -1,0 +1,87 @@
+"""A goal that takes the place of the one that runs, when it is asked to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from executor_client import Client
+from harness import ServiceProcess, eventually
+from motions import HOME, KEYS, moved, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Busy, Cancelled, ExecutionRefused
+
+FAR = rest_to_rest(moved(1.5, -0.5))
+
+
+@pytest.fixture
+def client(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[Client]:
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        yield Client(bus)
+
+
+def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(client: Client) -> None:
+    first = client.execute(FAR)
+    client.under_way(first)
+    client.command(KEYS.pause)
+    client.mode("paused")
+    second = client.execute(rest_to_rest(HOME, client.position()), preempt=True)
+    assert client.ended(second).status == "succeeded"
+    end = client.goal(first)
+    assert end.status == "cancelled"
+    assert second in end.problem.message
+    np.testing.assert_allclose(client.position(), HOME, atol=1e-9)
+
+
+def test_a_motion_that_does_not_start_where_the_robot_comes_to_rest_is_refused_after_it_has_been_cleared(
+    client: Client,
+) -> None:
+    first = client.execute(FAR)
+    client.under_way(first)
+    with pytest.raises(ExecutionRefused) as refusal:
+        client.execute(FAR, preempt=True)
+    assert refusal.value.code == "start_state_mismatch"
+    assert client.goal(first).status == "cancelled"
+    assert client.stands()
+    assert client.greatest_acceleration() <= 1.02
+    assert client.state().mode == "idle"
+
+
+def test_a_motion_outside_the_limits_leaves_the_running_goal_alone(client: Client) -> None:
+    first = client.execute(FAR)
+    client.under_way(first)
+    with pytest.raises(ExecutionRefused) as refusal:
+        client.execute(rest_to_rest(moved(1.0), slower=0.5), preempt=True)
+    assert refusal.value.code == "limit_violated"
+    assert client.ended(first).status == "succeeded"
+    assert client.statuses(first) == ["accepted", "running", "succeeded"]
+
+
+def test_where_nothing_runs_it_is_an_ordinary_execution(client: Client) -> None:
+    assert client.ended(client.execute(FAR, preempt=True)).status == "succeeded"
+
+
+@pytest.mark.parametrize("then", ["a second one", "a stop", "a switch"])
+def test_what_comes_while_the_robot_brakes_for_another_goal(client: Client, then: str) -> None:
+    first = client.execute(FAR)
+    client.under_way(first)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(client.execute, FAR, preempt=True)
+        eventually(lambda: client.goal(first).status == "stopping", "the first goal is stopping")
+        if then == "a second one":
+            with pytest.raises(Busy):
+                client.execute(FAR, preempt=True)
+            with pytest.raises(ExecutionRefused):  # as it does not start where the robot rests
+                waiting.result()
+        else:
+            client.strategy("ghost") if then == "a switch" else client.command(KEYS.stop)
+            with pytest.raises(Cancelled):
+                waiting.result()
+    assert client.ended(first).status == "cancelled"
+    assert client.state().mode == "idle"
+    assert client.stands()
