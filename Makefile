@@ -47,7 +47,7 @@ $(VENV)/.dev: $(PINNED) | $(BIN)/python
 
 $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	@echo "installing ROS 2 into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e ".[ros]" || { echo "The ROS bridge is left out: pip finds no packages of ROS 2 \
+	@$(PIP) install -c constraints.txt -e ".[ros,ros-messages]" || { echo "The ROS bridge is left out: pip finds no packages of ROS 2 \
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
 	@touch $@
 

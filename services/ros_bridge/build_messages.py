@@ -26,7 +26,7 @@ def missing_tools() -> list[str]:
         "a C++ compiler (c++)": shutil.which("c++"),
         "make": shutil.which("make"),
         f"the headers of Python ({PYTHON_HEADER})": PYTHON_HEADER.exists(),
-        f"{CMAKE} and the ROS packages (pip install 'zarm[ros]')": CMAKE.exists(),
+        f"{CMAKE} and the ROS packages (pip install 'zarm[ros,ros-messages]')": CMAKE.exists(),
     }
     return [tool for tool, there in found.items() if not there]
 

@@ -21,7 +21,8 @@ STEP = 0.01
 LAG = 0.03
 """Time constant of a drive, s."""
 CEILING = math.radians(70.0)
-"""The real-time ceilings of the M1013's driver for each joint: 70 deg/s and 70 deg/s^2, in rad/s and rad/s^2."""
+"""The real-time ceilings of the M1013's driver for each joint: 70 deg/s and 70 deg/s^2, in rad/s and rad/s^2. An arm that
+stops by itself brakes no harder than the second."""
 STIFFNESS = 8.0
 """How fast a drive that plays positions closes a position error, 1/s."""
 
@@ -33,7 +34,8 @@ class Player:
 
     It plays velocities and ignores positions and times, as the Doosan bridge does, or, with `plays="position"`, positions
     as a position-controlled arm. Where the points run out it brakes to rest. No joint is ever faster than `ceiling` rad/s,
-    nor changes its velocity faster than `ceiling` rad/s^2; `feed` (J,) is the velocity that it is commanded now, rad/s.
+    nor changes its velocity faster than `ceiling` rad/s^2: with a high one it does whatever it is commanded. `feed` (J,) is
+    the velocity that it is commanded now, rad/s.
     """
 
     def __init__(self, position: Array, *, plays: Kind = "velocity", ceiling: float = CEILING) -> None:
@@ -48,25 +50,30 @@ class Player:
         self._target = position.copy()
         self.feed: Array = np.zeros_like(position)
         self._steps = 0
+        self._stopping = True
 
     @property
     def fraction(self) -> float:
         """How much of the last command is played; 1 where it was empty."""
         return self.played / self.total if self.total else 1.0
 
-    def play(self, positions: Array, velocities: Array) -> None:
+    def play(self, positions: Array, velocities: Array) -> int:
         """Play these points (N, J) from the next tick on instead of what is left; none: stop.
 
-        Without velocities, (0, J), they are those between the positions.
+        A row of NaN, for a point that lacks what the arm plays, repeats the one before; returned is how many there are.
+        Without velocities, (0, J), every point lacks them.
         """
         self.total, self.played = len(positions), 0
-        self._positions = positions
         if self.total == 0:
-            self._target = self.position + self.velocity * np.abs(self.velocity) / (2 * self._ceiling)
+            self._target = self.position + self.velocity * np.abs(self.velocity) / (2 * min(self._ceiling, CEILING))
+        self._positions = _filled(positions, self._target)
         if self._plays == "velocity":
-            self._velocities = velocities
+            played = velocities if len(velocities) else np.full_like(positions, np.nan)
+            self._velocities = _filled(played, self.feed)
         else:
-            self._velocities = np.diff(positions, axis=0, append=positions[-1:]) / TICK
+            played = positions
+            self._velocities = np.diff(self._positions, axis=0, append=self._positions[-1:]) / TICK
+        return int(np.isnan(played).any(axis=1).sum())
 
     def step(self, *, stalled: bool = False) -> None:
         """Let `STEP` seconds pass. A stalled player plays no further point and brakes to rest."""
@@ -78,18 +85,29 @@ class Player:
             wanted = wanted + STIFFNESS * (self._target - self.position)
         wanted = np.clip(wanted, -self._ceiling, self._ceiling)
         change = (wanted - self.velocity) * (1.0 - math.exp(-STEP / LAG))
+        most = STEP * (min(self._ceiling, CEILING) if self._stopping else self._ceiling)
         before = self.velocity
-        self.velocity = before + np.clip(change, -self._ceiling * STEP, self._ceiling * STEP)
+        self.velocity = before + np.clip(change, -most, most)
         self.velocity[np.abs(self.velocity) < 1e-6] = 0.0
         self.position = self.position + 0.5 * (before + self.velocity) * STEP
 
     def _next_point(self, stalled: bool) -> None:
         if stalled:
             self._target = self.position
-        if stalled or self.played >= self.total:
+        self._stopping = stalled or self.played >= self.total
+        if self._stopping:
             self.feed = np.zeros_like(self.position)
             return
-        if len(self._velocities):
-            self.feed = self._velocities[self.played]
+        self.feed = self._velocities[self.played]
         self._target = self._positions[self.played]
         self.played += 1
+
+
+def _filled(rows: Array, before: Array) -> Array:
+    """`rows` (N, J), each that is not all numbers replaced by the one above it, the first by `before` (J,)."""
+    filled = rows.copy()
+    for row in filled:
+        if not np.isfinite(row).all():
+            row[:] = before
+        before = row
+    return filled
