@@ -55,7 +55,7 @@ def main() -> None:
     """Build, or end with one sentence that says why not."""
     if missing := missing_tools():
         sys.exit(
-            f"The ROS bridge is left out: building its messages needs {' and '.join(missing)}. All else works without; "
+            f"The ROS bridge is left out: building its messages needs {', '.join(missing)}. All else works without; "
             "for the bridge install it (on Debian: apt-get install build-essential python3-dev) and run `make ros`."
         )
     with tempfile.TemporaryDirectory(prefix="curobo_msgs-") as directory:

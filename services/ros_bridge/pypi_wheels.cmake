@@ -1,7 +1,7 @@
 # Read at the start of the build of curobo_msgs against the ROS packages of PyPI; see build_messages.py.
 #
-# Those wheels were built elsewhere, and their Python generators' libraries name directories of that machine, which CMake
-# would refuse. They are taken out as soon as the libraries are known, which is before the package asks for them itself.
+# Those wheels were built elsewhere, and libraries of their Python generators name directories of that machine, which
+# CMake would refuse. They are taken out as soon as the libraries are known, which is before the package asks for them itself.
 find_package(ament_cmake REQUIRED)
 find_package(action_msgs REQUIRED)
 find_package(geometry_msgs REQUIRED)
