@@ -5,14 +5,20 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 PINNED := pyproject.toml constraints.txt
+BRIDGE := services/ros_bridge
+MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/curobo_msgs/,*.* srv/*.srv action/*.action))
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test ros lint bench clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
 
+# Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
+	@$(MAKE) --no-print-directory ros || true
 	@$(BIN)/pytest
+
+ros: $(VENV)/.ros
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check
@@ -38,6 +44,18 @@ $(VENV)/.dev: $(PINNED) | $(BIN)/python
 	@echo "installing zarm and its tools into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e ".[planner,dev]"
 	@touch $@ $(VENV)/.planner
+
+$(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
+	@echo "installing ROS 2 into $(VENV) ..."
+	@$(PIP) install -c constraints.txt -e ".[ros,ros-messages]" || { echo "The ROS bridge is left out: pip finds no packages of ROS 2 \
+	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
+	@touch $@
+
+# The messages take minutes to build, so pyproject.toml, which often changes, is no reason to.
+$(VENV)/.ros: constraints.txt $(MESSAGES) | $(VENV)/.ros_packages
+	@echo "building the messages of the ROS bridge, once; takes minutes ..."
+	@$(BIN)/python $(BRIDGE)/build_messages.py
+	@touch $@
 
 # The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard services/planner/zarm_planner/kernels/*.py)

@@ -82,3 +82,31 @@ def test_played_by_position_it_ends_at_the_last_point() -> None:
     stepped(player, 4.0)
     np.testing.assert_allclose(player.position, [0.5, -0.3], atol=1e-3)
     assert not player.velocity.any()
+
+
+def test_a_point_that_lacks_what_is_played_repeats_the_one_before_and_is_counted() -> None:
+    lacking = np.array([[0.1, 0.1], [np.nan, np.nan], [0.3, np.nan], [0.4, 0.4]])
+    player = Player(np.zeros(2))
+    assert player.play(np.full((4, 2), np.nan), lacking) == 2
+    fed = []
+    for _ in range(4):
+        stepped(player, TICK)
+        fed.append(player.feed.tolist())
+    assert fed == [[0.1, 0.1], [0.1, 0.1], [0.1, 0.1], [0.4, 0.4]]
+
+    player = Player(np.zeros(2), plays="position")
+    assert player.play(lacking, NONE) == 2
+    fed = []
+    for _ in range(4):
+        stepped(player, TICK)
+        fed.append(player.feed.tolist())
+    np.testing.assert_allclose(fed, [[0.0, 0.0], [0.0, 0.0], [15.0, 15.0], [0.0, 0.0]], atol=1e-9)
+
+
+def test_without_velocities_an_arm_that_plays_them_goes_on_as_before() -> None:
+    player = Player(np.zeros(2))
+    player.play(constant(500, 0.0, 0.0), constant(500, 0.2, -0.2))
+    stepped(player, 1.0)
+    assert player.play(constant(500, 0.0, 0.0), NONE) == 500
+    stepped(player, 1.0)
+    assert player.feed.tolist() == [0.2, -0.2]

@@ -1,4 +1,4 @@
-"""The simulated driver: an arm behind a bus, and the faults that it can be given."""
+"""The simulated driver: an arm in step with the clock, and the faults that it can be given. It knows no bus and no ROS."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TextIO
 
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import DriverCommand, DriverFault, DriverProgress, JointState, Nothing
-from zarm_leeloo_sim.player import STEP, Player
+from zarm_contract.messages import DriverFault, Nothing
+from zarm_leeloo_sim.player import STEP, Array, Player
 
 log = logging.getLogger(__name__)
 
@@ -23,50 +24,64 @@ LONGEST_PAUSE = 0.1
 """An arm that was not simulated for longer (s), as while its process is stopped, has not moved meanwhile."""
 
 
-class Driver:
-    """Plays commands on `player` and tells joint states and progress.
+@dataclass(frozen=True)
+class Command:
+    """Points to play instead of what is left, as `Player.play` has them; `sequence` is its number."""
 
-    `order` are the joints by index, as the points of a command have them; `told` the order in which they are told. `trace`
-    gets a line for every step: positions (rad), then velocities (rad/s), in `order`, whatever faults keep from the bus.
+    sequence: int
+    position: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How many of the points of command `sequence` are played."""
+
+    sequence: int
+    played: int
+    total: int
+
+    @property
+    def fraction(self) -> float:
+        """Points played / points received; 1 where it had none."""
+        return self.played / self.total if self.total else 1.0
+
+
+class Driver:
+    """Plays commands on `player`; tells its positions (J,) rad and velocities (J,) rad/s, and progress.
+
+    `trace` gets a line for every step: positions, then velocities, whatever faults keep from the others.
     """
 
     def __init__(
         self,
         player: Player,
-        order: tuple[str, ...],
-        told: tuple[str, ...],
-        tell_joints: Callable[[JointState], None],
-        tell_progress: Callable[[DriverProgress], None],
+        tell_joints: Callable[[Array, Array], None],
+        tell_progress: Callable[[Progress], None],
         trace: TextIO | None = None,
     ) -> None:
         self._player = player
-        self._order = order
-        self._told = told
-        self._columns = [order.index(name) for name in told]
         self._tell_joints = tell_joints
         self._tell_progress = tell_progress
         self._trace = trace
         self._fault = DriverFault()
         self._random = random.Random(1)  # noqa: S311  which commands get lost is no secret
-        self._waiting: deque[tuple[float, DriverCommand]] = deque()
+        self._waiting: deque[tuple[float, Command]] = deque()
         self._sequence = 0
         self._fraction_told = 1.0
         self._lock = threading.Lock()
 
-    def command(self, _key: str, command: DriverCommand) -> None:
+    def play(self, command: Command) -> None:
         """Play this from the next tick on, or later where a fault delays it."""
-        if len(command.joint_names) != len(self._order):
-            log.warning("ignored a command joints=%d needed=%d", len(command.joint_names), len(self._order))
-            return
         with self._lock:
             if self._random.random() >= self._fault.drop:
                 self._waiting.append((time.monotonic() + self._fault.delay, command))
 
     def suffer(self, fault: DriverFault) -> Nothing:
         """Have this fault from now on, and no other. Raises InvalidRequest for a jump of other joints."""
-        if fault.jump is not None and len(fault.jump) != len(self._order):
+        if fault.jump is not None and len(fault.jump) != len(self._player.position):
             raise InvalidRequest(
-                f"{len(fault.jump)} values for {len(self._order)} joints; give one for each", field="jump"
+                f"{len(fault.jump)} values for {len(self._player.position)} joints; give one for each", field="jump"
             )
         with self._lock:
             log.info("fault %s", fault.model_dump_json(exclude_defaults=True))
@@ -76,15 +91,6 @@ class Driver:
             if fault.jump is not None:
                 self._player.position = self._player.position + np.array(fault.jump)
         return Nothing()
-
-    def state(self) -> JointState:
-        """The joints now, in the order in which they are told."""
-        return JointState(
-            stamp=time.time(),
-            joint_names=self._told,
-            position=tuple(self._player.position[self._columns].tolist()),
-            velocity=tuple(self._player.velocity[self._columns].tolist()),
-        )
 
     def run(self, ended: threading.Event) -> None:
         """Simulate in step with the monotonic clock until `ended`."""
@@ -106,15 +112,13 @@ class Driver:
                 self._trace.write(",".join(map(repr, row)) + "\n")
             if self._fault.silent:
                 return
-            self._tell_joints(self.state())
-            fraction = self._player.fraction
-            if self._sequence and fraction != self._fraction_told and not self._fault.stall:
-                self._fraction_told = fraction
-                self._tell_progress(DriverProgress(sequence=self._sequence, fraction=fraction))
+            self._tell_joints(self._player.position, self._player.velocity)
+            progress = Progress(self._sequence, self._player.played, self._player.total)
+            if self._sequence and progress.fraction != self._fraction_told and not self._fault.stall:
+                self._fraction_told = progress.fraction
+                self._tell_progress(progress)
 
-    def _take(self, command: DriverCommand) -> None:
-        joints = len(self._order)
-        self._player.play(
-            np.array(command.position).reshape(-1, joints), np.array(command.velocity).reshape(-1, joints)
-        )
+    def _take(self, command: Command) -> None:
+        if lacking := self._player.play(command.position, command.velocity):
+            log.warning("points that lack what is played repeat the one before points=%d", lacking)
         self._sequence, self._fraction_told = command.sequence, 0.0

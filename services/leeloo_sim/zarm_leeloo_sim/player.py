@@ -57,17 +57,21 @@ class Player:
         """How much of the last command is played; 1 where it was empty."""
         return self.played / self.total if self.total else 1.0
 
-    def play(self, positions: Array, velocities: Array) -> None:
+    def play(self, positions: Array, velocities: Array) -> int:
         """Play these points (N, J) from the next tick on instead of what is left; none: stop.
 
-        Without velocities, (0, J), they are those between the positions.
+        A row of NaN, for a point that lacks what the arm plays, repeats the one before; returned is how many there are.
+        Without velocities, (0, J), every point lacks them.
         """
         self.total, self.played = len(positions), 0
-        self._positions = positions
+        self._positions = _filled(positions, self._target)
         if self._plays == "velocity":
-            self._velocities = velocities
+            played = velocities if len(velocities) else np.full_like(positions, np.nan)
+            self._velocities = _filled(played, self.feed)
         else:
-            self._velocities = np.diff(positions, axis=0, append=positions[-1:]) / TICK
+            played = positions
+            self._velocities = np.diff(self._positions, axis=0, append=self._positions[-1:]) / TICK
+        return int(np.isnan(played).any(axis=1).sum())
 
     def step(self, *, stalled: bool = False) -> None:
         """Let `STEP` seconds pass. A stalled player plays no further point and brakes to rest."""
@@ -94,7 +98,16 @@ class Player:
         if self._stopping:
             self.feed = np.zeros_like(self.position)
             return
-        if len(self._velocities):
-            self.feed = self._velocities[self.played]
+        self.feed = self._velocities[self.played]
         self._target = self._positions[self.played]
         self.played += 1
+
+
+def _filled(rows: Array, before: Array) -> Array:
+    """`rows` (N, J), each that is not all numbers replaced by the one above it, the first by `before` (J,)."""
+    filled = rows.copy()
+    for row in filled:
+        if not np.isfinite(row).all():
+            row[:] = before
+        before = row
+    return filled

@@ -1,4 +1,4 @@
-"""The process of the simulated driver: wires the arm to the bus."""
+"""The process of the simulated driver: wires the arm to the bus, or to ROS."""
 
 from __future__ import annotations
 
@@ -7,50 +7,49 @@ import math
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import DriverCommand, DriverFault, DriverProgress, JointState
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import DriverFault
 from zarm_contract.service import Service, run_service, service_parser
+from zarm_leeloo_sim.axes import Axes
+from zarm_leeloo_sim.bus_side import BusSide
 from zarm_leeloo_sim.driver import Driver
 from zarm_leeloo_sim.player import Player
 
-log = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from zarm_leeloo_sim.ros_side import RosSide
 
-HUMBLE_ORDER = (0, 1, 3, 4, 2, 5)
-"""The order in which the M1013's joints are told on ROS 2 Humble: 1, 2, 4, 5, 3, 6."""
+log = logging.getLogger(__name__)
 
 
 @contextmanager
 def start(service: Service) -> Iterator[None]:
     """The simulated arm, at `--at` or at the descriptor's `home`, from its first step to its last."""
     descriptor, keys, options = service.robot.descriptor, service.keys, service.options
-    params = descriptor.strategy_params
-    order = (None if params is None else params.joint_order) or descriptor.joints
+    axes = Axes.of(descriptor)
     at = descriptor.home if options.at is None else tuple(options.at)
     if len(at) != len(descriptor.joints):
         raise InvalidRequest(
             f"{len(at)} positions for {len(descriptor.joints)} joints; give one for each", field="--at"
         )
-    told = tuple(order[index] for index in HUMBLE_ORDER) if len(order) == len(HUMBLE_ORDER) else order
-    position = np.array([at[descriptor.joints.index(name)] for name in order])
+    position = np.array([at[descriptor.joints.index(name)] for name in axes.names])
     with ExitStack() as stack:
         bus = stack.enter_context(Bus(options.connect))
         trace = None if options.trace is None else stack.enter_context(options.trace.open("a", buffering=1))
-        progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
+        side = stack.enter_context(_on_ros(service, axes)) if options.ros else BusSide(bus, keys, axes)
         driver = Driver(
             Player(position, plays=options.plays, ceiling=math.radians(options.ceiling)),
-            order,
-            told,
-            bus.publisher(keys.driver_joint_states, JointState, realtime=True).put,
-            (lambda _: None) if options.no_progress else progress.put,
+            side.tell_joints,
+            (lambda _: None) if options.no_progress else side.tell_progress,
             trace,
         )
-        bus.subscribe(keys.driver_command, DriverCommand, driver.command)
+        side.listen(driver.play)
         bus.serve(keys.simulated_fault, DriverFault, driver.suffer)
         ended = threading.Event()
         thread = threading.Thread(target=driver.run, args=(ended,), name="arm")
@@ -61,6 +60,22 @@ def start(service: Service) -> Iterator[None]:
         finally:
             ended.set()
             thread.join()
+
+
+def _on_ros(service: Service, axes: Axes) -> AbstractContextManager[RosSide]:
+    """The driver's side on ROS; raises InvalidRequest and Unavailable."""
+    descriptor = service.robot.descriptor
+    if descriptor.strategy_params is None:
+        raise InvalidRequest(
+            f"{descriptor.name} names no topics; write strategy_params into its descriptor", field="--ros"
+        )
+    try:
+        from zarm_leeloo_sim.ros_side import ros_side
+    except ImportError as error:
+        raise Unavailable(
+            f"ROS 2 cannot be loaded ({error}); `make ros` installs it, or source an installation of ROS 2 Jazzy"
+        ) from error
+    return ros_side(f"{service.keys.robot}_driver", descriptor.strategy_params, axes)
 
 
 def main() -> int:
@@ -77,6 +92,7 @@ def main() -> int:
         "--ceiling", type=float, default=70.0, metavar="DEG", help="deg/s and deg/s^2 of every joint (default: 70)"
     )
     parser.add_argument("--no-progress", action="store_true", help="tell no progress, as some drivers do not")
+    parser.add_argument("--ros", action="store_true", help="speak on the descriptor's ROS topics instead of the bus")
     parser.add_argument("--trace", type=Path, metavar="FILE", help="append where the arm truly is, whatever it tells")
     return run_service("leeloo_sim", parser, start)
 

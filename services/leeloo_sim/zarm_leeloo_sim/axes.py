@@ -1,0 +1,38 @@
+"""The joints of a robot as its driver has them: by index in commands, in an order of its own where it tells them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from zarm_contract.robot import RobotDescriptor
+
+HUMBLE_ORDER = (0, 1, 3, 4, 2, 5)
+"""The order in which the M1013's joints are told on ROS 2 Humble: 1, 2, 4, 5, 3, 6."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """J joints: their `names` by index, and which index is told first, second and so on."""
+
+    names: tuple[str, ...]
+    order: tuple[int, ...]
+
+    @classmethod
+    def of(cls, descriptor: RobotDescriptor) -> Self:
+        """Those of the driver that `descriptor` describes."""
+        params = descriptor.strategy_params
+        names = (None if params is None else params.joint_order) or descriptor.joints
+        return cls(names, HUMBLE_ORDER if len(names) == len(HUMBLE_ORDER) else tuple(range(len(names))))
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """The names in the order in which they are told."""
+        return tuple(self.names[index] for index in self.order)
+
+    def as_told(self, values: npt.NDArray[np.float64]) -> tuple[float, ...]:
+        """Values (J,) by index, in the order of `told`."""
+        return tuple(values[list(self.order)].tolist())

@@ -1,0 +1,61 @@
+"""The driver on the bus: `driver/*` as the executor speaks it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
+from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_leeloo_sim.axes import Axes
+from zarm_leeloo_sim.driver import Command, Progress
+from zarm_leeloo_sim.player import Array
+
+log = logging.getLogger(__name__)
+
+
+class BusSide:
+    """Commands in, joint states and progress out."""
+
+    def __init__(self, bus: Bus, keys: Keys, axes: Axes) -> None:
+        self._bus, self._keys, self._axes = bus, keys, axes
+        self._joints = bus.publisher(keys.driver_joint_states, JointState, realtime=True)
+        self._progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
+
+    def listen(self, play: Callable[[Command], None]) -> None:
+        """From now on have the commands that come played."""
+        count = len(self._axes.names)
+
+        def received(_key: str, command: DriverCommand) -> None:
+            if len(command.joint_names) != count:
+                log.warning("ignored a command joints=%d needed=%d", len(command.joint_names), count)
+                return
+            play(
+                Command(
+                    command.sequence,
+                    np.array(command.position).reshape(-1, count),
+                    np.array(command.velocity).reshape(-1, count),
+                )
+            )
+
+        self._bus.subscribe(self._keys.driver_command, DriverCommand, received)
+
+    def tell_joints(self, position: Array, velocity: Array) -> None:
+        """Tell where the joints are, (J,) rad, and how fast, (J,) rad/s."""
+        axes = self._axes
+        self._joints.put(
+            JointState(
+                stamp=time.time(),
+                joint_names=axes.told,
+                position=axes.as_told(position),
+                velocity=axes.as_told(velocity),
+            )
+        )
+
+    def tell_progress(self, progress: Progress) -> None:
+        """Tell how far the driver is."""
+        self._progress.put(DriverProgress(sequence=progress.sequence, fraction=progress.fraction))

@@ -1,0 +1,107 @@
+"""The driver on ROS 2: the topics of the real one. It alone imports rclpy, and is imported where ROS is asked for alone."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float32
+from trajectory_msgs.msg import JointTrajectory
+
+from zarm_contract.robot import StrategyParams
+from zarm_leeloo_sim.axes import Axes
+from zarm_leeloo_sim.driver import Command, Progress
+from zarm_leeloo_sim.player import Array
+
+DEPTH = 10
+"""Messages that each topic keeps, as those of the real driver do."""
+JOINT_STATES = QoSProfile(
+    depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""As was seen of the real driver on Humble."""
+
+
+class RosSide:
+    """Commands in, joint states and progress out, on the topics of `params`.
+
+    A trajectory is read by index; its names and times are ignored.
+    """
+
+    def __init__(self, node: Node, params: StrategyParams, axes: Axes) -> None:
+        self._node, self._axes = node, axes
+        self._command_topic = params.command_topic
+        self._joints = node.create_publisher(JointState, params.joint_states_topic, JOINT_STATES)
+        told = params.state_topic
+        self._progress = None if told is None else node.create_publisher(Float32, told, DEPTH)
+
+    def listen(self, play: Callable[[Command], None]) -> None:
+        """From now on have the trajectories that come played; numbered by arrival, as ROS does not number them."""
+        numbers = itertools.count(1)
+
+        def received(trajectory: JointTrajectory) -> None:
+            points = trajectory.points
+            play(
+                Command(
+                    next(numbers),
+                    self._rows([point.positions for point in points]),
+                    self._rows([point.velocities for point in points]),
+                )
+            )
+
+        self._node.create_subscription(JointTrajectory, self._command_topic, received, DEPTH)
+
+    def tell_joints(self, position: Array, velocity: Array) -> None:
+        """Tell where the joints are, (J,) rad, and how fast, (J,) rad/s; the effort is not known."""
+        axes = self._axes
+        message = JointState(
+            name=axes.told,
+            position=axes.as_told(position),
+            velocity=axes.as_told(velocity),
+            effort=[float("nan")] * len(axes.told),
+        )
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._joints.publish(message)
+
+    def tell_progress(self, progress: Progress) -> None:
+        """Tell points played / points received; nothing of a stop, which has none."""
+        if self._progress is not None and progress.total:
+            self._progress.publish(Float32(data=progress.fraction))
+
+    def _rows(self, points: Sequence[Sequence[float]]) -> Array:
+        """(N, J): a row for each point; NaN where the point has fewer values than there are joints."""
+        count = len(self._axes.names)
+        rows = np.full((len(points), count), np.nan)
+        for row, values in zip(rows, points, strict=True):
+            if len(values) >= count:
+                row[:] = values[:count]
+        return rows
+
+
+@contextmanager
+def ros_side(name: str, params: StrategyParams, axes: Axes) -> Iterator[RosSide]:
+    """A node `name`, whose commands are taken by a thread of its own until the end."""
+    with ExitStack() as stack:
+        context = Context()
+        rclpy.init(context=context)
+        stack.callback(context.shutdown)
+        node = Node(name, context=context, enable_rosout=False, start_parameter_services=False)
+        stack.callback(node.destroy_node)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        stack.callback(executor.shutdown)
+        ended = Future()
+        thread = threading.Thread(target=executor.spin_until_future_complete, args=(ended,), name="ros")
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(ended.set_result, None)
+        yield RosSide(node, params, axes)
