@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from zarm_contract.service import Service, run_service, service_parser
+from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.topics import Topics
 
 NODE = "unified_planner"
 """The name of the node, as clients of the reference know it."""
@@ -26,7 +28,11 @@ def start(service: Service) -> Iterator[None]:
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"{NODE}_v1", namespace, workers=1) as first,
     ):
-        parameters = Parameters(ros.node, engine)
+        Parameters(ros.node, engine)
+        Topics(ros, engine, {})
+        params = service.robot.descriptor.strategy_params
+        if params is not None:
+            Drivers(ros, engine, params)
         ros.spin()
         first.spin()
         service.ready()
