@@ -33,7 +33,7 @@ def obstacle_markers(scene: Scene, base_link: str, tip_link: str, colours: Mappi
 
 def sphere_markers(robot: RobotDescriptor) -> MarkerArray:
     """The spheres that cover the robot, each in the frame of its link, so that they move with it."""
-    markers = []
+    markers: list[Marker] = []
     for link, spheres in robot.spheres.items():
         for sphere in spheres:
             marker = _marker(link, "collision_spheres", len(markers), SPHERE, Marker.SPHERE)
