@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from zarm_contract import messages as m
 from zarm_contract.bus import Bus
+from zarm_ros_bridge.description import shown_description
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -142,5 +144,38 @@ def test_the_spheres_of_the_robot_are_in_the_frames_of_its_links(stack: Stack) -
 
 
 @pytest.mark.parametrize("topic", ["/robot_description", "/preview/robot_description"])
-def test_the_description_of_the_robot_is_there_for_whoever_comes_late(stack: Stack, topic: str) -> None:
-    assert one(stack.ros.heard(String, topic, LATCHED), "the description").data == ROBOT.urdf_path.read_text()
+def test_the_description_of_the_robot_is_there_for_whoever_comes_late_with_a_shape_for_each_link(
+    stack: Stack, topic: str
+) -> None:
+    description = ElementTree.fromstring(one(stack.ros.heard(String, topic, LATCHED), "the description").data)
+    own = ElementTree.parse(ROBOT.urdf_path).getroot()
+    assert [ElementTree.tostring(joint).split() for joint in description.iter("joint")] == [
+        ElementTree.tostring(joint).split() for joint in own.iter("joint")
+    ]
+    assert {link.get("name") for link in description.iter("link") if link.find("visual") is not None} == set(
+        ROBOT.descriptor.collision
+    )
+
+
+def test_a_capsule_is_shown_where_it_is() -> None:
+    link, capsule = next(
+        (link, part)
+        for link, parts in ROBOT.descriptor.collision.items()
+        for part in parts
+        if part.kind == "capsule" and part.a[:2] != part.b[:2]
+    )
+    description = ElementTree.fromstring(shown_description(ROBOT))
+    cylinders = [
+        visual
+        for visual in description.iterfind(f"link[@name='{link}']/visual")
+        if visual.find("geometry/cylinder") is not None
+    ]
+    ends = set()
+    for visual in cylinders:
+        origin, cylinder = visual.find("origin"), visual.find("geometry/cylinder")
+        middle = np.array([float(value) for value in origin.get("xyz").split()])
+        _, pitch, yaw = (float(value) for value in origin.get("rpy").split())
+        axis = np.array([np.sin(pitch) * np.cos(yaw), np.sin(pitch) * np.sin(yaw), np.cos(pitch)])
+        half = float(cylinder.get("length")) / 2 * axis
+        ends |= {tuple(np.round(end, 6)) for end in (middle - half, middle + half)}
+    assert {tuple(np.round(capsule.a, 6)), tuple(np.round(capsule.b, 6))} <= ends

@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zarm_contract.messages import DriverProgress
 from zarm_ros_bridge.driver_progress import ProgressReader
 
 

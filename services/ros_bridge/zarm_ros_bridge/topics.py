@@ -12,6 +12,7 @@ from zarm_contract.messages import ExecutorState, JointState, Plan, Scene
 from zarm_ros_bridge.convert import ros_joint_state
 from zarm_ros_bridge.convert_drivers import ros_joint_trajectory
 from zarm_ros_bridge.convert_markers import Colour, obstacle_markers, sphere_markers
+from zarm_ros_bridge.description import shown_description
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
 
@@ -41,7 +42,7 @@ class Topics:
         self._trajectory = node.create_publisher(JointTrajectory, "trajectory", DEPTH)
         self._obstacles = node.create_publisher(MarkerArray, "~/obstacles", LATCHED)
         self._spheres = node.create_publisher(MarkerArray, "~/collision_spheres", LATCHED)
-        description = String(data=engine.robot.urdf_path.read_text())
+        description = String(data=shown_description(engine.robot))
         self._descriptions = [
             node.create_publisher(String, name, LATCHED) for name in ("robot_description", "preview/robot_description")
         ]
