@@ -42,16 +42,19 @@ class RosClient:
         eventually(subscription.get_publisher_count, f"somebody publishes {topic}")
         return messages
 
+    def wait(self, future: Any) -> Any:
+        """The result of a future of rclpy."""
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        assert done.wait(PATIENCE), "no answer"
+        return future.result()
+
     def call(self, kind: type[Any], service: str, request: Any = None) -> Any:
         """The answer of a service."""
         client = self.node.create_client(kind, service)
         try:
             assert client.wait_for_service(PATIENCE), f"nobody serves {service}"
-            done = threading.Event()
-            future = client.call_async(kind.Request() if request is None else request)
-            future.add_done_callback(lambda _: done.set())
-            assert done.wait(PATIENCE), f"{service} does not answer"
-            return future.result()
+            return self.wait(client.call_async(kind.Request() if request is None else request))
         finally:
             self.node.destroy_client(client)
 
