@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from domain_coordinator import domain_id
+from ros_domain import isolate
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+
+isolate()
 
 
 class WithoutRos(pytest.Module):
@@ -25,15 +27,6 @@ class WithoutRos(pytest.Module):
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
     """Without ROS, a module is skipped before it imports any of it."""
     return None if find_spec("curobo_msgs") else WithoutRos.from_parent(parent, path=module_path)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def domain() -> Iterator[int]:
-    """The domain of this session's nodes, and of the processes that it starts."""
-    with domain_id() as number, pytest.MonkeyPatch.context() as environment:
-        environment.setenv("ROS_DOMAIN_ID", str(number))
-        environment.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        yield number
 
 
 @pytest.fixture

@@ -108,7 +108,7 @@ class StrategyParams(_Section):
     """How the robot's driver is spoken to. Times in s, angles in rad.
 
     The topics are those of the ROS side; without `state_topic` the driver tells no progress. A command has one point
-    every `point_dt`, its columns in `joint_order`. The streaming strategies send one every `chunk_period`, which reaches
+    every `point_dt`, its columns in `joint_order`; `joint_states_order` is that of joint states without names. The streaming strategies send one every `chunk_period`, which reaches
     `look_ahead` further than the next; the robot follows `delay` later. `velocity` and `acceleration` bound what is
     streamed. Defaults: `cspace` for the bounds and `joints` for the order; 0.02 and 0.08 from the Doosan bridge.
     """
@@ -120,6 +120,7 @@ class StrategyParams(_Section):
         default=("joint_speed", "joint_pose", "joint_trajectory"), min_length=1
     )
     joint_order: tuple[str, ...] | None = None
+    joint_states_order: tuple[str, ...] | None = None
     point_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
     chunk_period: Positive = 0.08
     look_ahead: Positive = 0.08
@@ -131,8 +132,9 @@ class StrategyParams(_Section):
 
     def faults(self, joints: tuple[str, ...]) -> Iterator[str]:
         """What is wrong beside these joints, as `key: message`."""
-        if self.joint_order is not None and sorted(self.joint_order) != sorted(joints):
-            yield f"joint_order: name each of {', '.join(joints)} once, in the order of the driver"
+        for name, order in (("joint_order", self.joint_order), ("joint_states_order", self.joint_states_order)):
+            if order is not None and sorted(order) != sorted(joints):
+                yield f"{name}: name each of {', '.join(joints)} once, in the order of the driver"
         for name, bounds in (("velocity", self.velocity), ("acceleration", self.acceleration)):
             if bounds is not None and len(bounds) != len(joints):
                 yield f"{name}: {len(bounds)} values for {len(joints)} joints"

@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -129,9 +129,9 @@ def run_service(
 ) -> int:
     """Run a service process until SIGTERM or SIGINT and return its exit code.
 
-    `parser` comes from `service_parser`. `start(service)` returns a context manager that opens and closes the service;
-    it calls `service.ready()`. What it cannot start with, it raises as a ZarmError: that ends as one line in the log
-    and exit code 1.
+    `parser` comes from `service_parser`. `start(service)` returns a context manager that opens and closes the service of one
+    robot; it calls `service.ready()`. What it cannot start with, it raises as a ZarmError: that ends as one line in the
+    log and exit code 1.
     """
     setup_logging(name)
     options = parser.parse_args()
@@ -139,22 +139,40 @@ def run_service(
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     try:
-        robot = load_robot(options.robot)
-        keys = _keys(options.name or robot.descriptor.name)
-        with Bus(options.connect) as bus:
-            service = Service(name, robot, keys, bus, options)
-            service.claim()
-            with start(service):
-                older = None
-                while older is None and not stop.wait(_WATCH_PERIOD):
-                    older = service.older_owner()
-                log.info("stopping")
-            if older is not None:
-                raise service.taken([older])
+        with ExitStack() as stack:
+            services = [
+                Service(name, robot, keys, stack.enter_context(Bus(options.connect)), options)
+                for robot, keys in _robots(options)
+            ]
+            for service in services:
+                service.claim()
+                stack.enter_context(start(service))
+            refusal = None
+            while refusal is None and not stop.wait(_WATCH_PERIOD):
+                refusal = next(
+                    (service.taken([older]) for service in services if (older := service.older_owner())), None
+                )
+            log.info("stopping")
+        if refusal is not None:
+            raise refusal
     except ZarmError as error:
         log.error("cannot run reason=%s", error)
         return 1
     return 0
+
+
+def _robots(options: argparse.Namespace) -> list[tuple[Robot, Keys]]:
+    robots = [load_robot(robot) for robot in _each(options.robot)]
+    names = _each(options.name) or [robot.descriptor.name for robot in robots]
+    if len(names) != len(robots):
+        raise InvalidRequest(f"{len(names)} names for {len(robots)} robots; give one for each, or none", field="--name")
+    if len(set(names)) < len(names):
+        raise InvalidRequest("a name stands twice; give each robot a name of its own", field="--name")
+    return [(robot, _keys(name)) for robot, name in zip(robots, names, strict=True)]
+
+
+def _each(option: str | list[str] | None) -> list[str]:
+    return [option] if isinstance(option, str) else option or []
 
 
 def _keys(robot: str) -> Keys:
@@ -171,13 +189,17 @@ def default_state() -> Path:
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "zarm"
 
 
-def service_parser(name: str) -> argparse.ArgumentParser:
-    """The command line that every service has; a service adds its own options."""
+def service_parser(name: str, *, several: bool = False) -> argparse.ArgumentParser:
+    """The command line that every service has; a service adds its own options. `several`: one process may serve several robots."""
     parser = argparse.ArgumentParser(f"zarm-{name.replace('_', '-')}", description=f"The zarm {name} of one robot.")
+    count = "+" if several else None
     parser.add_argument(
-        "--robot", default=os.environ.get("ZARM_ROBOT", "doosan_m1013"), help="descriptor: a name or a .yaml"
+        "--robot",
+        default=os.environ.get("ZARM_ROBOT", "doosan_m1013"),
+        help="descriptor: a name or a .yaml",
+        nargs=count,
     )
-    parser.add_argument("--name", help="the robot's name on the bus (default: the descriptor's)")
+    parser.add_argument("--name", help="the robot's name on the bus (default: the descriptor's)", nargs=count)
     parser.add_argument(
         "--connect", default=os.environ.get("ZARM_CONNECT", DEFAULT_ENDPOINT), help="the router's endpoint"
     )

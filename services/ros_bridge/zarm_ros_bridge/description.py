@@ -1,0 +1,68 @@
+"""The URDF that ROS is shown: the robot's own, and a shape for each link that has none."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+from zarm_contract.messages import Quaternion, Vector3
+from zarm_contract.robot import (
+    CollisionCapsule,
+    CollisionCuboid,
+    CollisionCylinder,
+    CollisionPrimitive,
+    CollisionSphere,
+    Robot,
+)
+
+
+def shown_description(robot: Robot) -> str:
+    """The robot's URDF; a link without a `<visual>` is shown as its exact collision geometry in the descriptor."""
+    tree = ET.fromstring(robot.urdf_path.read_text())  # noqa: S314  the file that the robot was loaded from
+    for link in tree.iter("link"):
+        if link.find("visual") is None:
+            for primitive in robot.descriptor.collision.get(link.get("name", ""), ()):
+                for position, rpy, shape in _shapes(primitive):
+                    visual = ET.SubElement(link, "visual")
+                    ET.SubElement(visual, "origin", xyz=_numbers(position), rpy=_numbers(rpy))
+                    ET.SubElement(visual, "geometry").append(shape)
+    ET.indent(tree)
+    return ET.tostring(tree, encoding="unicode")
+
+
+def _shapes(primitive: CollisionPrimitive) -> Iterator[tuple[Vector3, Vector3, ET.Element]]:
+    """Position (m), roll, pitch and yaw (rad), and the element; URDF has no capsule, so that one is three."""
+    match primitive:
+        case CollisionSphere():
+            yield primitive.center, (0.0, 0.0, 0.0), _sphere(primitive.radius)
+        case CollisionCuboid():
+            yield primitive.center, _rpy(primitive.orientation), ET.Element("box", size=_numbers(primitive.size))
+        case CollisionCylinder() | CollisionCapsule():
+            a, b = primitive.a, primitive.b
+            x, y, z = (end - start for start, end in zip(a, b, strict=True))
+            middle = ((a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2)
+            turn = (0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x))  # takes z to the axis
+            length = math.hypot(x, y, z)
+            yield middle, turn, ET.Element("cylinder", radius=repr(primitive.radius), length=repr(length))
+            if isinstance(primitive, CollisionCapsule):
+                for end in (a, b):
+                    yield end, (0.0, 0.0, 0.0), _sphere(primitive.radius)
+
+
+def _sphere(radius: float) -> ET.Element:
+    return ET.Element("sphere", radius=repr(radius))
+
+
+def _rpy(orientation: Quaternion) -> Vector3:
+    """Roll, pitch and yaw of a quaternion, R = Rz(yaw) Ry(pitch) Rx(roll) as in URDF."""
+    x, y, z, w = orientation
+    return (
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return " ".join(map(repr, values))

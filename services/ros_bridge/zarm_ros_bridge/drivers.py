@@ -1,0 +1,77 @@
+"""A robot's driver: its topics on ROS to and from `driver/*` on the bus."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState as RosJointState
+from std_msgs.msg import Float32
+from trajectory_msgs.msg import JointTrajectory
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import DriverCommand, DriverProgress, JointState
+from zarm_contract.robot import StrategyParams
+from zarm_ros_bridge.convert_drivers import driver_joint_state, ros_joint_trajectory
+from zarm_ros_bridge.driver_progress import ProgressReader
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.ros import Ros
+
+log = logging.getLogger(__name__)
+
+COMMAND_DEPTH = 10
+"""Commands that may wait for a driver, as in the reference."""
+
+
+class Drivers:
+    """Carries commands out (reliable), joint states and progress in; topics are those of `params`.
+
+    What a driver says that cannot be read goes no further; each kind of fault is logged once. Then the executor hears
+    nothing, and stops the robot. A driver may come late, go, and come again.
+    """
+
+    def __init__(self, ros: Ros, engine: Engine, params: StrategyParams) -> None:
+        keys = engine.keys
+        self._joints = engine.joints
+        self._unnamed = params.joint_states_order or engine.joints
+        self._topic = params.joint_states_topic
+        self._complaints: set[str] = set()
+        self._progress = ProgressReader()
+        self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
+        self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
+        self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
+        self._commands = ros.node.create_publisher(JointTrajectory, params.command_topic, COMMAND_DEPTH)
+        ros.listen(RosJointState, params.joint_states_topic, self._joint_states, qos_profile_sensor_data)
+        if params.state_topic is not None:
+            ros.listen(Float32, params.state_topic, self._state, COMMAND_DEPTH)
+        engine.bus.subscribe(keys.driver_command, DriverCommand, self._command)
+
+    def _command(self, _key: str, command: DriverCommand) -> None:
+        message = ros_joint_trajectory(command)
+        with self._turn:
+            self._progress.sent(command.sequence, len(command.time))
+            self._commands.publish(message)
+
+    def _joint_states(self, message: RosJointState) -> None:
+        try:
+            state = driver_joint_state(message, self._unnamed, self._joints)
+        except InvalidRequest as error:
+            self._complain(f"{error.problem.field}: {error.problem.message}")
+            return
+        self._states.put(state)
+
+    def _state(self, message: Float32) -> None:
+        if not math.isfinite(message.data):
+            self._complain(f"progress: {message.data} is no number from 0 to 1")
+            return
+        with self._turn:
+            progress = self._progress.read(message.data)
+        if progress is not None:
+            self._played.put(progress)
+
+    def _complain(self, fault: str) -> None:
+        if fault not in self._complaints and len(self._complaints) < 100:
+            self._complaints.add(fault)
+            log.warning("the driver cannot be read topic=%s reason=%s", self._topic, fault.replace("\n", " "))

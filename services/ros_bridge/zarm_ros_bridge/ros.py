@@ -1,0 +1,89 @@
+"""One participant on ROS: a context, its nodes, and the threads that serve them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.context import Context
+from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+REQUESTS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Requests that may wait for a service. The default of ROS is 10 for all clients together: what comes on top is lost, and its
+client waits for ever."""
+
+
+class Ros:
+    """The node `name` under `namespace`, in a context of its own, served by `workers` threads from `spin` on.
+
+    Use it in `with`. Services and actions of `node` in `group` may wait, each in a thread. What arrives at a high rate goes to `listen`:
+    a second node with a thread of its own, whose callbacks must return quickly; rclpy looks at every entity of a node for each
+    message, so this one has nothing else. DDS refuses two types under one name in one participant; a second `Ros` is a second
+    participant.
+    """
+
+    def __init__(self, name: str, namespace: str = "", *, workers: int, parameters: bool = False) -> None:
+        self._context = Context()
+        rclpy.init(args=[], context=self._context)
+        self.node = self._node(name, namespace, parameters=parameters)
+        self.group = ReentrantCallbackGroup()
+        self._listener = self._node(f"{name}_listener", namespace, parameters=False)
+        executors: list[tuple[Executor, Node]] = [
+            (MultiThreadedExecutor(workers, context=self._context), self.node),
+            (SingleThreadedExecutor(context=self._context), self._listener),
+        ]
+        self._executors = executors
+        self._threads = [
+            threading.Thread(target=executor.spin, name=f"ros {node.get_name()}") for executor, node in executors
+        ]
+
+    def serve(self, kind: type[Any], name: str, answer: Callable[[Any, Any], Any]) -> None:
+        """The service `name`: `answer(request, response)` returns the response, and may wait. Before `spin`."""
+        self.node.create_service(kind, name, answer, qos_profile=REQUESTS, callback_group=self.group)
+
+    def listen(self, kind: type[Any], topic: str, callback: Callable[[Any], None], qos: QoSProfile | int) -> None:
+        """Call `callback(message)` for each message on `topic`, one at a time. Before `spin`."""
+        self._listener.create_subscription(kind, topic, callback, qos)
+
+    def spin(self) -> None:
+        """Serve from now on."""
+        for executor, node in self._executors:
+            executor.add_node(node)
+        for thread in self._threads:
+            thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for executor, _ in self._executors:
+            executor.shutdown()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+        for _, node in self._executors:
+            node.destroy_node()
+        self._context.shutdown()
+
+    def _node(self, name: str, namespace: str, *, parameters: bool) -> Node:
+        return Node(
+            name,
+            namespace=namespace,
+            context=self._context,
+            use_global_arguments=False,
+            start_parameter_services=parameters,
+            enable_rosout=False,
+        )

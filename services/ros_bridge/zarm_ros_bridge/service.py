@@ -1,0 +1,60 @@
+"""The process of the ROS bridge: one participant pair for each robot, and what it serves there."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from zarm_contract.service import Service, run_service, service_parser
+from zarm_ros_bridge.drivers import Drivers
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.parameters import Parameters
+from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.topics import Topics
+
+NODE = "unified_planner"
+"""The name of the node, as clients of the reference know it."""
+WORKERS = 16
+"""How many requests are worked on at once; what comes on top waits."""
+
+
+@contextmanager
+def start(service: Service) -> Iterator[None]:
+    """The node of one robot, and beside it the one that serves `set_robot_strategy` by its first type."""
+    engine = Engine(service.bus, service.keys, service.robot)
+    namespace = _namespace(service)
+    with (
+        Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
+        Ros(f"{NODE}_v1", namespace, workers=1) as first,
+    ):
+        Parameters(ros.node, engine)
+        Topics(ros, engine, {})
+        params = service.robot.descriptor.strategy_params
+        if params is not None:
+            Drivers(ros, engine, params)
+        ros.spin()
+        first.spin()
+        service.ready()
+        yield
+
+
+def _namespace(service: Service) -> str:
+    """Names are those of the reference while there is one robot, and under the robot's name where there are several."""
+    given: str | None = service.options.namespace
+    if given is not None:
+        return given
+    return "" if len(service.options.robot) == 1 else service.keys.robot
+
+
+def main() -> int:
+    """Bridge one robot or several until SIGTERM or SIGINT; the exit code."""
+    parser = service_parser("ros_bridge", several=True)
+    parser.add_argument(
+        "--namespace", help="ROS namespace of its names (default: none for one robot, the robot's name for several)"
+    )
+    return run_service("ros_bridge", parser, start)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""What the ROS bridge costs: on top of a plan, between a driver and a client, and while nothing is asked of it.
+
+    python tests/benchmarks/ros_bridge.py [--plans 200] [--seconds 10]
+
+The same plan over Zenoh and from rclpy in turn, pair by pair; joint states from a driver on ROS to a client on Zenoh at 100
+and 1000 Hz, with what was lost; the processor time and the memory of a bridge whose robot stands.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import psutil
+from rich.console import Console
+from rich.table import Table
+from sensor_msgs.msg import JointState as RosJointState
+
+from curobo_msgs.srv import SetPlanner, TrajectoryGeneration
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from harness import ServiceProcess, eventually, router
+from motions import HOME, KEYS, ROBOT, moved
+from ros_client import RosClient
+from ros_domain import isolate
+
+from zarm_contract import messages as m
+from zarm_contract.bus import Bus
+
+GOALS = [moved(0.6, 0.2), moved(-0.5, 0.3, -0.2), moved(0.2, -0.3, 0.4, 0.5), moved(1.0)]
+
+
+def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float]]:
+    """Seconds of the same plans over Zenoh and over ROS, in turn."""
+    ros.call(
+        SetPlanner, "/unified_planner/set_planner", SetPlanner.Request(planner_type=SetPlanner.Request.JOINT_SPACE)
+    )
+    client = ros.node.create_client(TrajectoryGeneration, "/unified_planner/generate_trajectory")
+    client.wait_for_service()
+    start = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist())
+    over_zenoh, over_ros = [], []
+    for index in range(count):
+        goal = GOALS[index % len(GOALS)].tolist()
+        request = m.PlanRequest(
+            goal=m.JointGoal(kind="joints", position=tuple(goal)),
+            start=tuple(HOME.tolist()),
+            max_attempts=1,
+            timeout=5.0,
+        )
+        began = time.perf_counter()
+        bus.call(KEYS.plan, request, m.Plan, timeout=30)
+        between = time.perf_counter()
+        asked = TrajectoryGeneration.Request(start_pose=start, target_joint_positions=goal)
+        answer = ros.wait(client.call_async(asked))
+        over_ros.append(time.perf_counter() - between)
+        over_zenoh.append(between - began)
+        if not answer.success:
+            raise SystemExit(answer.message)
+    return over_zenoh, over_ros
+
+
+def joint_states(bus: Bus, ros: RosClient, rate: float, seconds: float) -> tuple[list[float], int]:
+    """Latencies (s) of joint states from a driver on ROS to a client on Zenoh, and how many were sent."""
+    arrived: list[float] = []
+    bus.subscribe(KEYS.driver_joint_states, m.JointState, lambda _, state: arrived.append(time.time() - state.stamp))
+    publisher = ros.node.create_publisher(RosJointState, "/dsr01/joint_states", 10)
+    eventually(publisher.get_subscription_count, "the bridge listens")
+    sent, deadline = int(rate * seconds), time.monotonic()
+    for _ in range(sent):
+        deadline += 1 / rate
+        time.sleep(max(0.0, deadline - time.monotonic()))
+        message = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist(), velocity=[0.0] * 6)
+        now = time.time_ns()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+        publisher.publish(message)
+    time.sleep(0.5)
+    ros.node.destroy_publisher(publisher)
+    return arrived, sent
+
+
+def idle(process: psutil.Process, seconds: float) -> float:
+    """The share of one core that a bridge takes while the robot stands and tells its joints."""
+    before = process.cpu_times()
+    time.sleep(seconds)
+    after = process.cpu_times()
+    return (after.user + after.system - before.user - before.system) / seconds
+
+
+def milliseconds(values: list[float] | np.ndarray) -> list[str]:
+    """Median, p99 and greatest."""
+    return [f"{1e3 * value:.2f}" for value in (*np.percentile(values, (50, 99)), np.max(values))]
+
+
+def main() -> None:
+    """Run all of it and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--plans", type=int, default=200)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    options = parser.parse_args()
+    isolate()
+    table = Table("what", "median ms", "p99 ms", "max ms", "", title="ROS bridge")
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        services = [
+            stack.enter_context(ServiceProcess(name, endpoint, folder))
+            for name in ("planner", "executor", "ros_bridge")
+        ]
+        for service in services:
+            service.wait_ready(bus, KEYS)
+        ros = stack.enter_context(RosClient())
+        bridge = psutil.Process(services[2].process.pid)
+        plans(bus, ros, 10)
+        over_zenoh, over_ros = plans(bus, ros, options.plans)
+        table.add_row("plan over Zenoh", *milliseconds(over_zenoh), "")
+        table.add_row("plan over ROS", *milliseconds(over_ros), "")
+        table.add_row("what the bridge adds", *milliseconds(np.subtract(over_ros, over_zenoh)), "pair by pair")
+        for rate in (100.0, 1000.0):
+            arrived, sent = joint_states(bus, ros, rate, options.seconds)
+            lost = f"{sent - len(arrived)} of {sent} lost"
+            table.add_row(f"joint states at {rate:g} Hz", *milliseconds(arrived), lost)
+        share = idle(bridge, options.seconds)
+        memory = bridge.memory_info().rss / 2**20
+    Console().print(table)
+    Console().print(
+        f"idle: {share:.1%} of a core, with the joints of the emulated robot at their rate; {memory:.0f} MB"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""A driver on ROS topics is carried to the executor and back: what it tells, what it is sent, and what it does wrong."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros_controller
+from executor_client import Client
+from harness import PATIENCE, ServiceProcess, eventually
+from motions import rest_to_rest
+from ros_client import RosClient, one
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float32
+from trajectory_msgs.msg import JointTrajectory
+
+from zarm_contract import messages as m
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
+from zarm_contract.robot import Robot, load_robot
+
+UR5E, M1013 = load_robot("ur5e"), load_robot("doosan_m1013")
+
+
+@contextmanager
+def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
+    """The stand-in for a robot under ros2_control, at home."""
+    descriptor, params = robot.descriptor, robot.descriptor.strategy_params
+    joints = [f"{name}={at}" for name, at in zip(descriptor.joints, descriptor.home, strict=True)]
+    command = [sys.executable, str(Path(ros_controller.__file__)), params.command_topic]
+    process = subprocess.Popen([*command, params.joint_states_topic, *joints], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "ready\n"
+        yield process
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+        process.stdout.close()
+
+
+@pytest.fixture
+def ros() -> Iterator[RosClient]:
+    with RosClient() as client:
+        yield client
+
+
+@pytest.fixture
+def bridge(bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[ServiceProcess]:
+    with ServiceProcess("ros_bridge", endpoint, tmp_path) as process:
+        process.wait_ready(bus, Keys("doosan_m1013"))
+        yield process
+
+
+def test_a_ur5e_is_moved_through_its_controller_topic(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    keys, there = Keys("ur5e"), np.array(UR5E.descriptor.home) + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
+    with ExitStack() as stack:
+        stack.enter_context(controller(UR5E))
+        bridge = stack.enter_context(ServiceProcess("ros_bridge", endpoint, tmp_path, robot="ur5e"))
+        bridge.wait_ready(bus, keys)
+        executor = ServiceProcess(
+            "executor", endpoint, tmp_path, robot="ur5e", arguments=("--strategy", "joint_trajectory")
+        )
+        stack.enter_context(executor).wait_ready(bus, keys)
+        client = Client(bus, keys)
+        goal = client.execute(rest_to_rest(there, np.array(UR5E.descriptor.home), robot=UR5E))
+        assert client.ended(goal).status == "succeeded"
+        np.testing.assert_allclose(client.position(), there, atol=1e-3)
+        back = client.execute(rest_to_rest(np.array(UR5E.descriptor.home), there, robot=UR5E, slower=3.0))
+        client.under_way(back)
+        client.cancel(back)
+        assert client.ended(back).status == "cancelled"
+        assert client.stands()
+        assert np.max(np.abs(client.position() - there)) > 0.05
+
+
+def test_commands_reach_the_driver_as_they_are(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
+    heard = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
+    names = M1013.descriptor.joints
+    rows = tuple(tuple(0.1 * i + j for j in range(6)) for i in range(2))
+    commands = bus.publisher(Keys("doosan_m1013").driver_command, m.DriverCommand)
+    commands.put(
+        m.DriverCommand(
+            sequence=1, joint_names=names, time=(0.0, 0.02), position=rows, velocity=rows, acceleration=rows
+        )
+    )
+    commands.put(m.DriverCommand(sequence=2, joint_names=names, time=(0.0, 1.5), position=rows))
+    commands.put(m.DriverCommand(sequence=3, joint_names=names))
+    eventually(lambda: len(heard) == 3, "the commands have come")
+    whole, positions, stop = heard
+    assert list(whole.joint_names) == list(names)
+    for point, row in zip(whole.points, rows, strict=True):
+        assert list(point.positions) == list(point.velocities) == list(point.accelerations) == list(row)
+    assert (whole.points[1].time_from_start.sec, whole.points[1].time_from_start.nanosec) == (0, 20_000_000)
+    assert not positions.points[0].velocities
+    assert (positions.points[1].time_from_start.sec, positions.points[1].time_from_start.nanosec) == (1, 500_000_000)
+    assert not stop.points
+    assert whole.header.stamp.sec == whole.header.stamp.nanosec == 0
+
+
+def _state(names: list[str], position: list[float], velocity: list[float] | None = None, stamp: int = 0) -> JointState:
+    message = JointState(name=names, position=position, velocity=velocity or [])
+    message.header.stamp.sec = stamp
+    return message
+
+
+HUMBLE = ["joint_1", "joint_2", "joint_4", "joint_5", "joint_3", "joint_6"]
+VALUES = [1.0, 2.0, 4.0, 5.0, 3.0, 6.0]
+
+
+def test_joint_states_reach_the_bus_by_name_with_the_drivers_stamp(
+    bus: Bus, bridge: ServiceProcess, ros: RosClient
+) -> None:
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
+    eventually(publisher.get_subscription_count, "the bridge listens")
+    in_order = tuple(float(index) for index in range(1, 7))
+    for message in (
+        _state(HUMBLE, VALUES, [10 * value for value in VALUES], stamp=1_700_000_000),
+        _state([name.replace("_", "") for name in HUMBLE], VALUES, stamp=1_700_000_001),
+        _state([], VALUES, stamp=1_700_000_002),
+        _state(["wheel", *HUMBLE], [0.0, *VALUES], [math.nan] * 7, stamp=1_700_000_003),
+    ):
+        publisher.publish(message)
+        state = eventually(
+            lambda sec=message.header.stamp.sec: (s := latest.get()) and s.stamp == sec and s, "the joints have come"
+        )
+        assert tuple(state.position[state.joint_names.index(f"joint_{n}")] for n in range(1, 7)) == in_order
+        expected = [10 * n for n in in_order] if message.header.stamp.sec == 1_700_000_000 else [0.0] * 6
+        assert [state.velocity[state.joint_names.index(f"joint_{n}")] for n in range(1, 7)] == expected
+
+
+def test_joint_states_that_cannot_be_read_go_no_further_and_are_complained_of_once(
+    bus: Bus, bridge: ServiceProcess, ros: RosClient
+) -> None:
+    heard: list[m.JointState] = []
+    bus.subscribe(Keys("doosan_m1013").driver_joint_states, m.JointState, lambda _, state: heard.append(state))
+    publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
+    eventually(publisher.get_subscription_count, "the bridge listens")
+    bad = {
+        "name: joint_6 missing": _state(HUMBLE[:-1] + ["wrist"], VALUES),
+        "name: a name stands twice": _state([*HUMBLE, "joint_1"], [*VALUES, 1.0]),
+        "position: 5 values for 6 joints": _state(HUMBLE, VALUES[:-1]),
+        "velocity: 2 values for 6 joints": _state(HUMBLE, VALUES, [0.0, 0.0]),
+        "position: a position is not finite": _state(HUMBLE, [*VALUES[:-1], math.nan]),
+        "position: 3 values for 6 joints": _state([], VALUES[:3]),
+    }
+    for _ in range(3):
+        for message in bad.values():
+            publisher.publish(message)
+            publisher.publish(_state(HUMBLE, VALUES))
+            before = len(heard)
+            eventually(lambda n=before: len(heard) > n or None, "what can be read comes through")
+    for complaint in bad:
+        assert bridge.output().count(complaint) == 1, bridge.output()
+    assert all(set(state.joint_names) == set(HUMBLE) for state in heard)
+
+
+def test_progress_is_of_the_command_that_was_sent_last(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
+    keys = Keys("doosan_m1013")
+    heard: list[m.DriverProgress] = []
+    bus.subscribe(keys.driver_progress, m.DriverProgress, lambda _, progress: heard.append(progress))
+    sent = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
+    publisher = ros.node.create_publisher(Float32, "/leeloo/trajectory_state", 10)
+    eventually(publisher.get_subscription_count, "the bridge listens")
+    commands = bus.publisher(keys.driver_command, m.DriverCommand)
+    row = (0.0,) * 6
+    commands.put(
+        m.DriverCommand(sequence=7, joint_names=M1013.descriptor.joints, time=(0.0, 0.1, 0.2, 0.3), position=(row,) * 4)
+    )
+    one(sent, "the command has come")
+    for value in (math.nan, 0.25, 0.5):
+        publisher.publish(Float32(data=value))
+    eventually(lambda: len(heard) == 2, "the progress has come")
+    assert [(progress.sequence, progress.fraction) for progress in heard] == [(7, 0.25), (7, 0.5)]
+
+
+def test_a_driver_that_comes_late_and_again_is_heard(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    for position in (VALUES, [value + 0.1 for value in VALUES]):
+        publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
+        eventually(publisher.get_subscription_count, "the bridge listens")
+        publisher.publish(_state(HUMBLE, position))
+        eventually(lambda at=position: (s := latest.get()) and list(s.position) == at, "the joints have come")
+        ros.node.destroy_publisher(publisher)
+
+
+def test_two_robots_in_one_bridge_have_namespaces_and_their_own_drivers(
+    bus: Bus, endpoint: str, tmp_path: Path, ros: RosClient
+) -> None:
+    with (
+        ServiceProcess("ros_bridge", endpoint, tmp_path, arguments=("--robot", "doosan_m1013", "ur5e")) as bridge,
+        controller(UR5E),
+    ):
+        for name in ("doosan_m1013", "ur5e"):
+            bridge.wait_ready(bus, Keys(name))
+        for namespace in ("/doosan_m1013", "/ur5e"):
+            eventually(
+                lambda at=namespace: ("unified_planner", at) in ros.node.get_node_names_and_namespaces(),
+                f"the node of {namespace} is seen",
+            )
+        states = bus.latest(Keys("ur5e").driver_joint_states, m.JointState)
+        state = eventually(states.get, "the joints of the ur5e have come")
+        assert sorted(state.joint_names) == sorted(UR5E.descriptor.joints)
+        assert bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState).wait(0.3) is None
