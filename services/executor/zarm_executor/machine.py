@@ -4,6 +4,7 @@ mode      idle -> running -> idle                      a goal that succeeds
           running -> stopping -> paused -> running     pause and resume
           running | paused -> stopping -> idle         cancel, stop, another goal that preempts this one, a switch of
                                                        strategy, the end of the process
+          running          -> stopping -> idle         a stream whose client is late or sends what cannot be done
           running | paused -> stopping -> fault        a check during motion failed, or the robot could not be stopped;
                                                        only `reset` leads back to idle
 
@@ -19,8 +20,10 @@ from collections import deque
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
 from zarm_executor.follower import TICK
-from zarm_executor.goal import Goal, Outcome
-from zarm_executor.strategies.base import Measured, Progress, Strategy
+from zarm_executor.goal import Chunk, Goal, Outcome
+from zarm_executor.limits import Limits
+from zarm_executor.splice import spliced
+from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
 
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
@@ -74,6 +77,8 @@ class Machine:
             self._successor = None
             self._demand_no_stop(stops)
             self.admit()
+            if goal.chunk is not None:
+                self._steerable()
             self._strategy.start(goal.path, self._speed_scale)
             self._goal = goal
             self._note(goal)
@@ -103,6 +108,33 @@ class Machine:
             if self._goal is not None and goal_id in (None, self._goal.goal_id):
                 self._cancel(self._goal, why)
 
+    def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> None:
+        """Lead the robot over to this chunk of the stream `goal_id`; nothing where it is not under way.
+
+        Raises ExecutionRefused (`limit_violated`) where that cannot be inside the limits.
+        """
+        with self._lock:
+            goal = self._goal
+            if goal is not None and goal.goal_id == goal_id and goal.chunk is not None and goal.outcome is None:
+                strategy = self._steerable()
+                path = spliced(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
+                goal.steer(path, chunk)
+                strategy.steer(path)
+
+    def abort(self, goal_id: str, problem: Problem) -> None:
+        """End the stream `goal_id`, whose client did wrong, as aborted; that is no fault of the robot."""
+        with self._lock:
+            if self._goal is not None and self._goal.goal_id == goal_id and self._goal.outcome is None:
+                self._end(self._goal, Outcome("aborted", problem))
+
+    def _steerable(self) -> Steerable:
+        if not isinstance(self._strategy, Steerable):
+            raise Unavailable(
+                f"under {self._strategy.name} a motion is handed over as a whole and cannot be streamed; switch to emulator, "
+                "joint_speed or joint_pose first (executor/strategy)"
+            )
+        return self._strategy
+
     def pause(self) -> None:
         """Bring the running goal to rest and hold it."""
         with self._lock:
@@ -117,6 +149,7 @@ class Machine:
             goal = self._goal
             if goal is not None and goal.outcome is None and goal.pausing:
                 goal.pausing = False
+                goal.monitor.go_on()
                 self._strategy.move(self._speed_scale)
                 self._become(goal, "running")
 
@@ -189,6 +222,14 @@ class Machine:
         with self._lock:
             return self._goal.state(self._strategy.progress()) if self._goal else None
 
+    def sequence(self, goal_id: str) -> int | None:
+        """The number of the newest chunk of the stream `goal_id`; None where it is not under way."""
+        with self._lock:
+            goal = self._goal
+            return (
+                goal.chunk.sequence if goal is not None and goal.goal_id == goal_id and goal.chunk is not None else None
+            )
+
     def joint_state(self) -> Measured | None:
         """The newest measured state of the robot."""
         with self._lock:
@@ -231,8 +272,14 @@ class Machine:
         try:
             if goal.outcome is None:
                 monitor.follow(now, dt, progress, measured)
-            if goal.moving and monitor.at_goal(now, progress, measured):
-                self._finish(goal, Outcome("succeeded"))
+            if goal.moving:
+                late = goal.late(now)
+                if late is not None:
+                    self._end(goal, Outcome("aborted", late))
+                elif goal.complete and monitor.at_goal(now, progress, measured):
+                    self._finish(goal, Outcome("succeeded"))
+            else:
+                goal.held_until = now
         except ExecutionFailed as failure:
             self._abort(goal, failure)
         if not goal.moving and goal.status != "paused":

@@ -21,6 +21,7 @@ from zarm_contract.messages import (
     SpeedRequest,
     Strategies,
     StrategyRequest,
+    StreamChunk,
 )
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_executor.admission import REST_PATIENCE, Admission
@@ -36,6 +37,7 @@ from zarm_executor.reporter import Reporter
 from zarm_executor.state_file import StateFile
 from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
+from zarm_executor.streams import Streams
 
 log = logging.getLogger(__name__)
 
@@ -82,8 +84,8 @@ def start(service: Service) -> Iterator[None]:
     sys.setswitchinterval(SWITCH_INTERVAL)
     robot, keys, bus = service.robot, service.keys, service.bus
     joints, folder = robot.descriptor.joints, service.options.state / keys.robot
-    # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
-    with Bus(service.options.connect) as command_bus:
+    # What a slow reader of the other keys holds up must not hold up the robot: sessions of their own.
+    with Bus(service.options.connect) as command_bus, Bus(service.options.connect) as stream_bus:
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
@@ -101,6 +103,7 @@ def start(service: Service) -> Iterator[None]:
             ghost = Ghost(bus, keys, robot)
             told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
             admission = Admission(machine, reporter)
+            streams = Streams(robot, machine, reporter, admission)
             executor = Executor(robot, machine, reporter, admission, plans, strategies, *told)
             with (
                 Loop("control", TICK, control.tick, realtime=True),
@@ -111,6 +114,7 @@ def start(service: Service) -> Iterator[None]:
                 for receive in (plans.add, ghost.show):
                     bus.watch(keys.plans, Plan, receive)
                 _serve(bus, service, executor)
+                stream_bus.subscribe(keys.stream, StreamChunk, streams.receive)
                 service.ready()
                 try:
                     yield

@@ -13,7 +13,7 @@ import numpy as np
 
 from zarm_executor.follower import CATCH_UP, TICK, Follower
 from zarm_executor.path import Path
-from zarm_executor.strategies.base import Progress
+from zarm_executor.strategies.base import Progress, Steerable
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.reference import Commanded, Reference
@@ -27,7 +27,7 @@ _OFF_GRID = 0.3
 """A chunk that cannot wait is sent when the driver is at most this share of a point from beginning the next one."""
 
 
-class Streaming(DriverStrategy):
+class Streaming(DriverStrategy, Steerable):
     """Sends chunks from the start of a motion until the robot rests, then nothing.
 
     The robot is expected `delay` behind what is commanded; that is what `progress` reports.
@@ -81,6 +81,16 @@ class Streaming(DriverStrategy):
         if self._follower is not None and self._follower.target != speed:
             self._follower.target = speed
             self._urgent = True
+
+    def commanded(self) -> float:
+        """How far the path is commanded, s; the robot is `delay` behind."""
+        return 0.0 if self._follower is None else self._follower.time
+
+    def steer(self, path: Path) -> None:
+        """Go on along `path` with the next chunk, which does not wait for its turn."""
+        if self._follower is not None:
+            self._follower.join(path)
+            self._urgent, self._over = True, False
 
     def tick(self, now: float, dt: float) -> None:
         """Move on, and send a chunk where one is due."""
