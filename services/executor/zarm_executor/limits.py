@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 
@@ -16,6 +17,15 @@ LIMIT_TOLERANCE = 1.01
 POSITION_TOLERANCE = 1e-4
 """Positions may be outside their limits by this much, rad: rounding, and interpolation between samples."""
 _HALVINGS = 16
+_BERNSTEIN = {
+    degree: np.array([[comb(i, k) / comb(degree, k) for k in range(degree + 1)] for i in range(degree + 1)])
+    for degree in (3, 4, 5)
+}
+"""From powers to control points: b_i = sum over k <= i of (i over k) / (D over k) c_k (Farouki and Rajan 1987)."""
+
+
+_Values = Callable[[Array], Array]
+"""Of polynomials (D+1, ...) on [0, 1], lowest power first, values between which all of each polynomial lies."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +55,9 @@ class Limits:
 
     def check(self, path: Path) -> None:
         """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside."""
-        for curve in self._curves(path.coefficients, path.steps):
+        if self._certain(path.coefficients, path.steps).all():
+            return
+        for curve in self._curves(path.coefficients, path.steps, _extremes):
             if curve.inside.all():
                 continue
             excess = np.nan_to_num(np.abs(curve.values - curve.offset) / curve.limit, nan=np.inf)
@@ -60,20 +72,32 @@ class Limits:
                 field=f"trajectory.{name}",
             )
 
-    def hold(self, coefficients: Array, steps: Array) -> Array:
-        """Which (N,) of these segments, coefficients (N, 6, J) over the times (N,) s, are inside every limit."""
-        inside = [curve.inside.all(axis=(0, 2)) for curve in self._curves(coefficients, steps)]
+    def first_inside(self, coefficients: Array, steps: Array) -> int | None:
+        """The first of these segments, coefficients (N, 6, J) over the times (N,) s, that is inside every limit, if any."""
+        certain = np.flatnonzero(self._certain(coefficients, steps))
+        before = int(certain[0]) if certain.size else len(steps)
+        if before == 0:
+            return 0
+        inside = np.flatnonzero(self._inside(coefficients[:before], steps[:before], _extremes))
+        return int(inside[0]) if inside.size else before if certain.size else None
+
+    def _certain(self, coefficients: Array, steps: Array) -> Array:
+        """Which (N,) segments are inside for certain: seen with a tenth of the work, but not all that are inside."""
+        return self._inside(coefficients, steps, _hull)
+
+    def _inside(self, coefficients: Array, steps: Array, values: _Values) -> Array:
+        inside = [curve.inside.all(axis=(0, 2)) for curve in self._curves(coefficients, steps, values)]
         return np.asarray(np.logical_and.reduce(inside))
 
-    def _curves(self, coefficients: Array, steps: Array) -> Iterator[_Curve]:
+    def _curves(self, coefficients: Array, steps: Array, values: _Values) -> Iterator[_Curve]:
         position = np.moveaxis(coefficients, 1, 0)  # (6, segments, J)
         velocity = _derivative(position) / steps[:, None]
         acceleration = _derivative(velocity) / steps[:, None]
         middle, reach = (self._lower + self._upper) / 2, (self._upper - self._lower) / 2 + POSITION_TOLERANCE
         none = np.zeros_like(middle)
-        yield _Curve("position", "rad", _extremes(position), middle, reach)
-        yield _Curve("velocity", "rad/s", _extremes(velocity), none, self._velocity * LIMIT_TOLERANCE)
-        yield _Curve("acceleration", "rad/s^2", _extremes(acceleration), none, self._acceleration * LIMIT_TOLERANCE)
+        yield _Curve("position", "rad", values(position), middle, reach)
+        yield _Curve("velocity", "rad/s", values(velocity), none, self._velocity * LIMIT_TOLERANCE)
+        yield _Curve("acceleration", "rad/s^2", values(acceleration), none, self._acceleration * LIMIT_TOLERANCE)
 
 
 def _derivative(polynomials: Array) -> Array:
@@ -88,6 +112,13 @@ def _value(polynomials: Array, u: Array) -> Array:
     for coefficient in polynomials[-2::-1]:
         result = result * u + coefficient
     return result
+
+
+def _hull(polynomials: Array) -> Array:
+    """Control points (D+1, ...) of polynomials (D+1, ...): a Bezier curve lies in the hull of its control points."""
+    degree = len(polynomials) - 1
+    points: Array = np.einsum("ik,k...->i...", _BERNSTEIN[degree], polynomials)
+    return points
 
 
 def _extremes(polynomials: Array) -> Array:

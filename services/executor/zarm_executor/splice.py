@@ -34,15 +34,14 @@ def spliced(path: Path, now: float, chunk: Path, start: float, limits: Limits) -
     before = _states(path, np.full_like(joins, begin))
     after = _states(chunk, joins - start)
     with np.errstate(all="ignore"):
-        holds = limits.hold(quintics(before, after, BLENDS), BLENDS)
-    if not holds.any():
+        first = limits.first_inside(quintics(before, after, BLENDS), BLENDS)
+    if first is None:
         off = float(np.abs(_states(chunk, np.array([begin - start]))[0] - before[0, :1]).max())
         raise ExecutionRefused(
             f"the chunk is {off:.4f} rad from the motion that it is to go on from, at {begin:.2f} s of the stream, and cannot "
             f"be reached within {BLENDS[-1]:g} s inside the limits; send what goes on from where the robot is by then",
             code="limit_violated",
         )
-    first = int(holds.argmax())
     join = float(joins[first])
     old = (path.time >= path.time[max(0, int(np.searchsorted(path.time, now - PAST, side="right")) - 1)]) & (
         path.time < begin - _APART
