@@ -39,14 +39,17 @@ class Arm(Steerable):
         self.played = 1.0
         self.failure: Unavailable | None = None
         self.deaf = False
+        self.is_open = False
 
     def open(self) -> None:
         self.calls.append("open")
         if self.failure is not None:
             raise self.failure
+        self.is_open = True
 
     def close(self) -> None:
         self.calls.append("close")
+        self.is_open = False
 
     def admit(self) -> None:
         pass

@@ -38,7 +38,7 @@ class Machine:
     def __init__(self, strategy: Strategy, *, speed_scale: float = 1.0) -> None:
         strategy.open()
         self._speed_scale = speed_scale
-        self._strategy = strategy
+        self._strategy, self._open = strategy, True
         self._goal: Goal | None = None
         self._successor: str | None = None
         self._problem: Problem | None = None
@@ -161,17 +161,23 @@ class Machine:
                 self._strategy.move(speed_scale)
 
     def reset(self) -> None:
-        """Leave `fault`."""
+        """Leave `fault`. Raises the ZarmError of opening the strategy again, where a switch left none open; it is fault then."""
         with self._lock:
+            if not self._open:
+                self._strategy.open()
+                self._open = True
             self._problem = None
 
     def switch(self, strategy: Strategy, patience: float) -> None:
-        """Bring the robot to rest within `patience` s, then let `strategy` move it.
+        """Bring the robot to rest within `patience` s, then let `strategy` move it; a fault stays.
 
-        Raises Busy while another switch is under way, and Unavailable where the robot does not rest or `strategy`
-        cannot be opened; then the old one is active as before.
+        Raises Busy while another switch is under way, and Unavailable at the end of the process, where the robot does not
+        rest, or where `strategy` cannot be opened; then the old one is active as before. Where that cannot be opened again
+        either, nothing can move the robot: that is a fault.
         """
         with self._lock:
+            if self._ending:
+                raise Unavailable("the executor is ending; switch when it has been started again")
             if self._switching:
                 raise Busy("the strategy is being switched already; try again in a moment")
             self._switching = True
@@ -181,15 +187,30 @@ class Machine:
             with self._lock:
                 if not self.wait_for_rest(patience):
                     raise Unavailable(f"the robot does not come to rest; {old.name} is still active")
-                old.close()
+                if self._open:
+                    old.close()
+                self._open = False
                 try:
                     strategy.open()
                 except ZarmError as error:
-                    old.open()
-                    raise Unavailable(f"{strategy.name} cannot start: {error}; {old.name} is active again") from error
-                self._strategy = strategy
+                    raise self._reopened(f"{strategy.name} cannot start: {error}") from error
+                self._strategy, self._open = strategy, True
         finally:
             self._switching = False
+
+    def _reopened(self, why: str) -> Unavailable:
+        """Open the strategy again after a switch that failed; what to answer."""
+        try:
+            self._strategy.open()
+        except ZarmError as error:
+            message = (
+                f"{why}; and {self._strategy.name} cannot start again: {error}; when that is put right, reset "
+                "(executor/reset) or switch to another strategy and reset"
+            )
+            self._problem = Problem(code="unavailable", message=message)
+            return Unavailable(message)
+        self._open = True
+        return Unavailable(f"{why}; {self._strategy.name} is active again")
 
     def end(self, patience: float) -> bool:
         """Bring the robot to rest and admit no further motion; whether it rests within `patience` s."""
@@ -201,7 +222,9 @@ class Machine:
     def release(self) -> None:
         """Close the active strategy; no command and no tick may follow."""
         with self._lock:
-            self._strategy.close()
+            if self._open:
+                self._strategy.close()
+                self._open = False
 
     # -- what is --
 
