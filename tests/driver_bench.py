@@ -11,13 +11,16 @@ from typing import Any
 
 import numpy as np
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+from waves import chunk
 
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState
 from zarm_contract.robot import Robot, StrategyParams
-from zarm_executor.goal import Goal
+from zarm_executor.goal import Chunk, Goal
+from zarm_executor.limits import Limits
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Array, Path
+from zarm_executor.splice import spliced
 from zarm_executor.strategies import build_strategies
 from zarm_leeloo_sim.player import STEP, Player
 
@@ -173,6 +176,21 @@ class DriverBench:
         monitor = Monitor(path, self.robot.descriptor)
         self.machine.start(Goal("goal", None, path, monitor), self.machine.stops)
         return path
+
+    def stream(self, seconds: float) -> float:
+        """Stream a swinging target, a chunk every 0.05 s; returns the time of the stream."""
+        limits, start = Limits(self.robot), self.now
+        for index in range(round(seconds / 0.05)):
+            at = self.now - start
+            piece = Chunk(index + 1, at, chunk(at), self.now, 0.1, False)
+            if index == 0:
+                path = spliced(Path.standing(self.positions[-1]), 0.0, piece.path, 0.0, limits)
+                goal = Goal("stream", None, path, Monitor(path, self.robot.descriptor), chunk=piece)
+                self.machine.start(goal, self.machine.stops)
+            else:
+                self.machine.steer("stream", piece, limits)
+            self.run(0.05)
+        return self.now - start
 
     def switch(self, name: str) -> None:
         """Switch to another strategy while time passes; raises what the switch raises."""

@@ -11,19 +11,22 @@ from motions import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
 from zarm_executor.follower import TICK, Follower
-from zarm_executor.goal import Goal
+from zarm_executor.goal import Chunk, Goal
+from zarm_executor.limits import Limits
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Array, Path
-from zarm_executor.strategies.base import Measured, Progress, Strategy
+from zarm_executor.splice import spliced
+from zarm_executor.strategies.base import Measured, Progress, Steerable
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
+LIMITS = Limits(ROBOT)
 EXECUTION = ROBOT.descriptor.execution
 
 Disturbance = Callable[[Measured], Measured | None]
 
 
-class Arm(Strategy):
+class Arm(Steerable):
     """Follows exactly what is commanded, until `disturb` makes something else of what is measured."""
 
     name = "arm"
@@ -36,14 +39,17 @@ class Arm(Strategy):
         self.played = 1.0
         self.failure: Unavailable | None = None
         self.deaf = False
+        self.is_open = False
 
     def open(self) -> None:
         self.calls.append("open")
         if self.failure is not None:
             raise self.failure
+        self.is_open = True
 
     def close(self) -> None:
         self.calls.append("close")
+        self.is_open = False
 
     def admit(self) -> None:
         pass
@@ -58,6 +64,12 @@ class Arm(Strategy):
 
     def move(self, speed: float) -> None:
         self.follower.target = speed
+
+    def commanded(self) -> float:
+        return self.follower.time
+
+    def steer(self, path: Path) -> None:
+        self.follower.join(path)
 
     def tick(self, now: float, dt: float) -> None:
         if self.follower.settled:
@@ -107,6 +119,17 @@ class Bench:
         goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor))
         self.machine.start(goal, self.machine.stops if stops is None else stops)
         return path
+
+    def stream(self, chunk: Path, *, last: bool = False, deadline: float = 0.1) -> None:
+        """Begin the stream `stream-1` with a chunk that starts where the arm is."""
+        path = spliced(Path.standing(self.arm.exact.position), 0.0, chunk, 0.0, LIMITS)
+        monitor = Monitor(path, ROBOT.descriptor)
+        first = Chunk(1, 0.0, path, self.now, deadline, last)
+        self.machine.start(Goal("stream-1", None, path, monitor, chunk=first), self.machine.stops)
+
+    def steer(self, sequence: int, start: float, chunk: Path, *, last: bool = False, deadline: float = 0.1) -> None:
+        """Send a later chunk."""
+        self.machine.steer("stream-1", Chunk(sequence, start, chunk, self.now, deadline, last), LIMITS)
 
     def statuses(self) -> list[str]:
         return [change.status for change in self.machine.changes]

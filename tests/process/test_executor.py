@@ -354,6 +354,16 @@ def test_a_switch_in_motion_brings_the_robot_to_rest_first(client: Client) -> No
     eventually(lambda: published == ["ghost", "emulator"], "each switch was published")
 
 
+def test_what_is_no_switch_leaves_the_goal_alone(client: Client) -> None:
+    goal_id = client.execute(FAR)
+    client.under_way(goal_id, 0.1)
+    assert client.strategy("emulator").active == "emulator"
+    with pytest.raises(InvalidRequest):
+        client.strategy("telepathy")
+    assert client.ended(goal_id).status == "succeeded"
+    assert client.statuses(goal_id) == ["accepted", "running", "succeeded"]
+
+
 def test_an_unknown_strategy_is_refused_with_the_known_ones(client: Client) -> None:
     with pytest.raises(InvalidRequest, match="emulator, ghost") as refusal:
         client.strategy("telepathy")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from driver_bench import MOVING, Case, DriverBench, distance_from
 from motions import HOME, moved
+from waves import target
 
 from zarm_contract.errors import Unavailable
 from zarm_executor.machine import STALL_LIMIT
@@ -239,6 +240,63 @@ def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_d
     sent = len(bench.commands)
     assert bench.rests()
     assert len(bench.commands) == sent
+
+
+# --- streams ---
+
+STEERABLE = MOVING[:3]
+
+
+@pytest.mark.parametrize("case", STEERABLE, ids=str)
+def test_a_streamed_target_is_followed_inside_the_limits_and_a_late_client_ends_at_rest(
+    case: Case, tmp_path: Folder
+) -> None:
+    bench = DriverBench(case, tmp_path)
+    time = bench.stream(3.0)
+    lag = 0.0 if case.strategy == "emulator" else 0.06
+    expected = target(time - lag)[0]
+    assert bench.positions[-1][0] - HOME[0] == pytest.approx(expected, abs=0.002 if lag == 0.0 else 0.03)
+    assert bench.machine.state().mode == "running"
+    sent = len(bench.commands)
+    bench.run(0.17)  # the deadline, and the next point of the driver
+    assert bench.machine.state().mode == "stopping"
+    if case.strategy != "emulator":
+        _, command = next(item for item in reversed(bench.commands[sent:]) if item[1].time)
+        first, second = np.abs(np.diff(command.position, axis=0)).max(axis=1)[[0, 1]]
+        assert second < first
+    bench.until("idle", patience=1.5)
+    assert bench.last().problem is not None
+    assert bench.last().problem.code == "timeout"
+    assert bench.rests()
+    assert bench.commanded_acceleration() <= LIMIT * 1.001
+    bench.execute(HOME, bench.positions[-1])
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
+@pytest.mark.parametrize("case", STEERABLE, ids=str)
+def test_a_stream_is_held_slowed_and_switched_away_from_like_any_goal(case: Case, tmp_path: Folder) -> None:
+    bench = DriverBench(case, tmp_path)
+    bench.stream(1.0)
+    bench.machine.set_speed(0.3)
+    bench.run(0.05)
+    bench.machine.pause()
+    bench.until("paused", patience=2.0)
+    bench.run(1.0)
+    assert bench.machine.state().mode == "paused"
+    bench.machine.resume()
+    bench.run(0.05)
+    bench.switch("ghost")
+    assert bench.last().status == "cancelled"
+    assert bench.machine.state().strategy == "ghost"
+
+
+@pytest.mark.parametrize("case", MOVING[3:], ids=str)
+def test_a_strategy_that_hands_motions_over_as_a_whole_refuses_a_stream(case: Case, tmp_path: Folder) -> None:
+    bench = DriverBench(case, tmp_path)
+    with pytest.raises(Unavailable, match="joint_speed or joint_pose"):
+        bench.stream(0.05)
+    assert bench.machine.state().mode == "idle"
 
 
 # --- what is sent ---

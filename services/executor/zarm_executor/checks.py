@@ -7,16 +7,12 @@ import numpy as np
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_contract.robot import Execution, Robot
+from zarm_executor.limits import POSITION_TOLERANCE, Limits
 from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured
 
-LIMIT_TOLERANCE = 1.01
-"""Velocity and acceleration may be above their limits by this factor: what interpolation adds between samples."""
-POSITION_TOLERANCE = 1e-4
-"""Positions may be outside their limits by this much, rad: rounding, and interpolation between samples."""
 REST_VELOCITY = 1e-3
 """A motion that starts and ends slower than this (rad/s) starts and ends at rest."""
-_HALVINGS = 16
 
 
 def executable(trajectory: Trajectory, robot: Robot) -> Path:
@@ -27,8 +23,20 @@ def executable(trajectory: Trajectory, robot: Robot) -> Path:
     """
     path = Path.of(trajectory, robot.descriptor.joints)
     with np.errstate(all="ignore"):  # absurd numbers overflow to inf and NaN, which no comparison below lets pass
-        _rest(path, robot.descriptor.joints)
-        _limits(path, robot)
+        _rest(path, robot.descriptor.joints, (0, -1))
+        Limits(robot).check(path)
+    return path
+
+
+def continuation(trajectory: Trajectory, robot: Robot, turns: Array) -> Path:
+    """The path of a trajectory, shifted by `turns` (J,) rad, that this robot can follow from a motion; it ends at rest.
+
+    Raises what `executable` raises.
+    """
+    path = Path.of(trajectory, robot.descriptor.joints).shifted(turns)
+    with np.errstate(all="ignore"):
+        _rest(path, robot.descriptor.joints, (-1,))
+        Limits(robot).check(path)
     return path
 
 
@@ -39,6 +47,16 @@ def startable(path: Path, measured: Measured | None, now: float, robot: Robot) -
     range allows. What is left, at most `start_tolerance`, is moved first, slowly enough for every limit.
 
     Raises ExecutionRefused: `no_joint_state` or `start_state_mismatch`.
+    """
+    path, at = placed(path, measured, now, robot)
+    limits = robot.descriptor.cspace
+    return path.approached_from(at.position, np.array(limits.velocity), np.array(limits.acceleration))
+
+
+def placed(path: Path, measured: Measured | None, now: float, robot: Robot) -> tuple[Path, Measured]:
+    """The path, shifted by whole turns so that the robot stands within `start_tolerance` of its start; and where it stands.
+
+    Raises what `startable` raises.
     """
     execution, joints = robot.descriptor.execution, robot.descriptor.joints
     measured = _fresh(measured, now, execution)
@@ -59,8 +77,7 @@ def startable(path: Path, measured: Measured | None, now: float, robot: Robot) -
                 code="start_state_mismatch",
                 joint=joint,
             )
-    limits = robot.descriptor.cspace
-    return path.approached_from(measured.position, np.array(limits.velocity), np.array(limits.acceleration))
+    return path, measured
 
 
 def _fresh(measured: Measured | None, now: float, execution: Execution) -> Measured:
@@ -88,85 +105,12 @@ def _turns(path: Path, position: Array, robot: Robot) -> Array:
     return np.where(allowed, turns, 0.0)
 
 
-def _rest(path: Path, joints: tuple[str, ...]) -> None:
-    for row, end in ((0, "start"), (-1, "end")):
+def _rest(path: Path, joints: tuple[str, ...], rows: tuple[int, ...]) -> None:
+    for row in rows:
+        end = "start" if row == 0 else "end"
         for joint, speed in zip(joints, np.abs(path.velocity[row]), strict=True):
             if not speed <= REST_VELOCITY:
                 raise InvalidRequest(
                     f"{joint} moves at {speed:.3g} rad/s at the {end} of the motion; a motion starts and ends at rest",
                     field="trajectory.velocity",
                 )
-
-
-def _limits(path: Path, robot: Robot) -> None:
-    joints, cspace = robot.descriptor.joints, robot.descriptor.cspace
-    position = np.moveaxis(path.coefficients, 1, 0)  # (6, segments, J)
-    velocity = _derivative(position) / path.steps[:, None]
-    acceleration = _derivative(velocity) / path.steps[:, None]
-    lower, upper = np.array(robot.lower), np.array(robot.upper)
-    middle, reach = (lower + upper) / 2, (upper - lower) / 2 + POSITION_TOLERANCE
-    for name, unit, curve, offset, limit in (
-        ("position", "rad", position, middle, reach),
-        ("velocity", "rad/s", velocity, np.zeros_like(middle), np.array(cspace.velocity) * LIMIT_TOLERANCE),
-        (
-            "acceleration",
-            "rad/s^2",
-            acceleration,
-            np.zeros_like(middle),
-            np.array(cspace.acceleration) * LIMIT_TOLERANCE,
-        ),
-    ):
-        values = _extremes(curve)  # (points, segments, J)
-        if np.all(np.abs(values - offset) <= limit):
-            continue
-        excess = np.nan_to_num(np.abs(values - offset) / limit, nan=np.inf)
-        point, segment, joint = np.unravel_index(int(excess.argmax()), excess.shape)
-        bounds = (
-            f"{lower[joint]:g} to {upper[joint]:g}" if name == "position" else f"{limit[joint] / LIMIT_TOLERANCE:g}"
-        )
-        raise ExecutionRefused(
-            f"the {name} of {joints[joint]} reaches {values[point, segment, joint]:.4g} {unit} near "
-            f"{path.time[segment]:.2f} s, outside its limit {bounds}; plan again with the limits of this robot",
-            code="limit_violated",
-            joint=joints[joint],
-            field=f"trajectory.{name}",
-        )
-
-
-def _derivative(polynomials: Array) -> Array:
-    """Coefficients (D, ...), lowest power first, of the derivatives of polynomials (D+1, ...)."""
-    powers = np.arange(1, len(polynomials)).reshape(-1, *(1,) * (polynomials.ndim - 1))
-    slope: Array = polynomials[1:] * powers
-    return slope
-
-
-def _value(polynomials: Array, u: Array) -> Array:
-    result: Array = np.zeros_like(u) + polynomials[-1]
-    for coefficient in polynomials[-2::-1]:
-        result = result * u + coefficient
-    return result
-
-
-def _extremes(polynomials: Array) -> Array:
-    """Values (D+1, ...) of polynomials (D+1, ...) on [0, 1], their least and greatest among them."""
-    return _value(polynomials, _ends_and_turns(polynomials))
-
-
-def _ends_and_turns(polynomials: Array) -> Array:
-    """Points (D+1, ...) in [0, 1], in order: both ends, and each at which a polynomial of degree D turns.
-
-    Between two points at which its slope turns the slope is monotone, so bisection finds the one zero it may have there.
-    Where it has none the bisection ends at a border of the interval, which does no harm.
-    """
-    ends = np.zeros_like(polynomials[:1]), np.ones_like(polynomials[:1])
-    if len(polynomials) == 2:
-        return np.concatenate(ends)
-    slope = _derivative(polynomials)
-    knots = _ends_and_turns(slope)
-    low, high = knots[:-1], knots[1:]
-    sign = np.sign(_value(slope, low))
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        before = np.sign(_value(slope, middle)) == sign
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    return np.concatenate((ends[0], low, ends[1]))

@@ -110,8 +110,10 @@ class Executor:
         name = request.strategy
         if name is None or name == self._machine.state().strategy:
             return self._describe_strategies()
-        self._machine.switch(self._strategies.find(name), REST_PATIENCE)
-        self._reporter.publish()
+        try:
+            self._machine.switch(self._strategies.find(name), REST_PATIENCE)
+        finally:
+            self._reporter.publish()
         return self.publish_strategies()
 
     def publish_strategies(self) -> Strategies:

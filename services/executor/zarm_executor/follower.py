@@ -65,6 +65,11 @@ class Follower:
             self._step(step)
             dt -= step
 
+    def join(self, path: Path) -> None:
+        """Go on along `path`, which is at `time` where the present one is there."""
+        self.path = path
+        self._reach()
+
     def ahead(self, dt: float, count: int | None = None) -> Stretch:
         """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more."""
         scout = copy.copy(self)

@@ -20,9 +20,27 @@ class Outcome:
     fault: bool = False
 
 
+@dataclass(frozen=True)
+class Chunk:
+    """A piece of a stream: `path` begins at `start` s of it. The next one is due `deadline` s after the moment `received`.
+
+    `received` is on the monotonic clock.
+    """
+
+    sequence: int
+    start: float
+    path: Path
+    received: float
+    deadline: float
+    last: bool
+
+
 @dataclass
 class Goal:
-    """A motion along `path`. `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion."""
+    """A motion along `path`; of a stream `chunk` is the newest one.
+
+    `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion.
+    """
 
     goal_id: str
     plan_id: str | None
@@ -32,11 +50,36 @@ class Goal:
     elapsed: float = 0.0
     pausing: bool = False
     outcome: Outcome | None = None
+    chunk: Chunk | None = None
+    held_until: float = 0.0
 
     @property
     def moving(self) -> bool:
         """Whether it is to go on: neither is its end certain, nor is it held."""
         return self.outcome is None and not self.pausing
+
+    @property
+    def complete(self) -> bool:
+        """Whether the end of its path is its goal, rather than where to wait for the next chunk."""
+        return self.chunk is None or self.chunk.last
+
+    def steer(self, path: Path, chunk: Chunk) -> None:
+        """Go on along `path`, which leads to `chunk`."""
+        self.path, self.chunk = path, chunk
+        self.monitor.steer(path)
+
+    def late(self, now: float) -> Problem | None:
+        """Why it must end because its next chunk is late; the time does not run while it is held."""
+        if self.chunk is None or self.chunk.last:
+            return None
+        waited = now - max(self.chunk.received, self.held_until)
+        if waited <= self.chunk.deadline:
+            return None
+        return Problem(
+            code="timeout",
+            message=f"no chunk came within {waited:.3f} s of chunk {self.chunk.sequence} (deadline {self.chunk.deadline:g} s); "
+            "see what held the client up, then begin a new stream from where the robot is",
+        )
 
     def state(self, progress: Progress) -> GoalState:
         """What is said about it on the bus when the strategy is as far as `progress`."""

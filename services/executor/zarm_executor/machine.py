@@ -4,6 +4,7 @@ mode      idle -> running -> idle                      a goal that succeeds
           running -> stopping -> paused -> running     pause and resume
           running | paused -> stopping -> idle         cancel, stop, another goal that preempts this one, a switch of
                                                        strategy, the end of the process
+          running          -> stopping -> idle         a stream whose client is late or sends what cannot be done
           running | paused -> stopping -> fault        a check during motion failed, or the robot could not be stopped;
                                                        only `reset` leads back to idle
 
@@ -18,8 +19,10 @@ from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
-from zarm_executor.goal import Goal, Outcome
-from zarm_executor.strategies.base import Measured, Progress, Strategy
+from zarm_executor.goal import Chunk, Goal, Outcome
+from zarm_executor.limits import Limits
+from zarm_executor.splice import spliced
+from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
 
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
@@ -36,7 +39,7 @@ class Machine:
         strategy.open()
         self._period = period
         self._speed_scale = speed_scale
-        self._strategy = strategy
+        self._strategy, self._open = strategy, True
         self._goal: Goal | None = None
         self._successor: str | None = None
         self._problem: Problem | None = None
@@ -75,6 +78,8 @@ class Machine:
             self._successor = None
             self._demand_no_stop(stops)
             self.admit()
+            if goal.chunk is not None:
+                self._steerable()
             self._strategy.start(goal.path, self._speed_scale)
             self._goal = goal
             self._note(goal)
@@ -104,6 +109,33 @@ class Machine:
             if self._goal is not None and goal_id in (None, self._goal.goal_id):
                 self._cancel(self._goal, why)
 
+    def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> None:
+        """Lead the robot over to this chunk of the stream `goal_id`; nothing where it is not under way.
+
+        Raises ExecutionRefused (`limit_violated`) where that cannot be inside the limits.
+        """
+        with self._lock:
+            goal = self._goal
+            if goal is not None and goal.goal_id == goal_id and goal.chunk is not None and goal.outcome is None:
+                strategy = self._steerable()
+                path = spliced(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
+                goal.steer(path, chunk)
+                strategy.steer(path)
+
+    def abort(self, goal_id: str, problem: Problem) -> None:
+        """End the stream `goal_id`, whose client did wrong, as aborted; that is no fault of the robot."""
+        with self._lock:
+            if self._goal is not None and self._goal.goal_id == goal_id and self._goal.outcome is None:
+                self._end(self._goal, Outcome("aborted", problem))
+
+    def _steerable(self) -> Steerable:
+        if not isinstance(self._strategy, Steerable):
+            raise Unavailable(
+                f"under {self._strategy.name} a motion is handed over as a whole and cannot be streamed; switch to emulator, "
+                "joint_speed or joint_pose first (executor/strategy)"
+            )
+        return self._strategy
+
     def pause(self) -> None:
         """Bring the running goal to rest and hold it."""
         with self._lock:
@@ -118,6 +150,7 @@ class Machine:
             goal = self._goal
             if goal is not None and goal.outcome is None and goal.pausing:
                 goal.pausing = False
+                goal.monitor.go_on()
                 self._strategy.move(self._speed_scale)
                 self._become(goal, "running")
 
@@ -129,17 +162,23 @@ class Machine:
                 self._strategy.move(speed_scale)
 
     def reset(self) -> None:
-        """Leave `fault`."""
+        """Leave `fault`. Raises the ZarmError of opening the strategy again, where a switch left none open; it is fault then."""
         with self._lock:
+            if not self._open:
+                self._strategy.open()
+                self._open = True
             self._problem = None
 
     def switch(self, strategy: Strategy, patience: float) -> None:
-        """Bring the robot to rest within `patience` s, then let `strategy` move it.
+        """Bring the robot to rest within `patience` s, then let `strategy` move it; a fault stays.
 
-        Raises Busy while another switch is under way, and Unavailable where the robot does not rest or `strategy`
-        cannot be opened; then the old one is active as before.
+        Raises Busy while another switch is under way, and Unavailable at the end of the process, where the robot does not
+        rest, or where `strategy` cannot be opened; then the old one is active as before. Where that cannot be opened again
+        either, nothing can move the robot: that is a fault.
         """
         with self._lock:
+            if self._ending:
+                raise Unavailable("the executor is ending; switch when it has been started again")
             if self._switching:
                 raise Busy("the strategy is being switched already; try again in a moment")
             self._switching = True
@@ -149,15 +188,30 @@ class Machine:
             with self._lock:
                 if not self.wait_for_rest(patience):
                     raise Unavailable(f"the robot does not come to rest; {old.name} is still active")
-                old.close()
+                if self._open:
+                    old.close()
+                self._open = False
                 try:
                     strategy.open()
                 except ZarmError as error:
-                    old.open()
-                    raise Unavailable(f"{strategy.name} cannot start: {error}; {old.name} is active again") from error
-                self._strategy = strategy
+                    raise self._reopened(f"{strategy.name} cannot start: {error}") from error
+                self._strategy, self._open = strategy, True
         finally:
             self._switching = False
+
+    def _reopened(self, why: str) -> Unavailable:
+        """Open the strategy again after a switch that failed; what to answer."""
+        try:
+            self._strategy.open()
+        except ZarmError as error:
+            message = (
+                f"{why}; and {self._strategy.name} cannot start again: {error}; when that is put right, reset "
+                "(executor/reset) or switch to another strategy and reset"
+            )
+            self._problem = Problem(code="unavailable", message=message)
+            return Unavailable(message)
+        self._open = True
+        return Unavailable(f"{why}; {self._strategy.name} is active again")
 
     def end(self, patience: float) -> bool:
         """Bring the robot to rest and admit no further motion; whether it rests within `patience` s."""
@@ -169,7 +223,9 @@ class Machine:
     def release(self) -> None:
         """Close the active strategy; no command and no tick may follow."""
         with self._lock:
-            self._strategy.close()
+            if self._open:
+                self._strategy.close()
+                self._open = False
 
     # -- what is --
 
@@ -189,6 +245,14 @@ class Machine:
         """The state of the goal that has not ended, if there is one."""
         with self._lock:
             return self._goal.state(self._strategy.progress()) if self._goal else None
+
+    def sequence(self, goal_id: str) -> int | None:
+        """The number of the newest chunk of the stream `goal_id`; None where it is not under way."""
+        with self._lock:
+            goal = self._goal
+            return (
+                goal.chunk.sequence if goal is not None and goal.goal_id == goal_id and goal.chunk is not None else None
+            )
 
     def joint_state(self) -> Measured | None:
         """The newest measured state of the robot."""
@@ -232,8 +296,14 @@ class Machine:
         try:
             if goal.outcome is None:
                 monitor.follow(now, dt, progress, measured)
-            if goal.moving and monitor.at_goal(now, progress, measured):
-                self._finish(goal, Outcome("succeeded"))
+            if goal.moving:
+                late = goal.late(now)
+                if late is not None:
+                    self._end(goal, Outcome("aborted", late))
+                elif goal.complete and monitor.at_goal(now, progress, measured):
+                    self._finish(goal, Outcome("succeeded"))
+            else:
+                goal.held_until = now
         except ExecutionFailed as failure:
             self._abort(goal, failure)
         if not goal.moving and goal.status != "paused":

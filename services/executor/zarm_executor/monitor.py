@@ -33,6 +33,14 @@ class Monitor:
         self._reached = 0.0
         self._reached_at: float | None = None
 
+    def steer(self, path: Path) -> None:
+        """The motion goes on along `path`, which is at its present time where the one before is there."""
+        self._path = path
+
+    def go_on(self) -> None:
+        """The motion goes on after a stop."""
+        self._stopping_since = None
+
     def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> None:
         """Raises ExecutionFailed where the robot does not follow: `tolerance_violated` or `driver_stalled`.
 
@@ -81,7 +89,6 @@ class Monitor:
 
         Raises ExecutionFailed (`tolerance_violated`) when it does not within `settle_time`.
         """
-        self._stopping_since = None
         if measured is None or not progress.finished:
             return False
         error = np.abs(measured.position - self._path.end)

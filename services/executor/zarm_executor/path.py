@@ -28,10 +28,21 @@ _QUINTIC = np.array(
 ends (Hermite interpolation: six conditions, six coefficients)."""
 
 
+def quintics(begin: Array, end: Array, step: Array) -> Array:
+    """Coefficients (N, 6, J), lowest power first, of the quintics over times of length `step` (N,) s scaled to [0, 1].
+
+    `begin` and `end` (3, N, J) are their positions, velocities and accelerations at both ends.
+    """
+    step = step[:, None]
+    conditions = [part for state in (begin, end) for part in (state[0], state[1] * step, state[2] * step**2)]
+    coefficients: Array = np.einsum("ij,jnk->nik", _QUINTIC, np.stack(conditions))
+    return coefficients
+
+
 class Path:
     """A motion of J joints sampled at N times.
 
-    `time` (N,) in s from 0, strictly increasing; `position`, `velocity`, `acceleration` (N, J) in rad, rad/s, rad/s^2.
+    `time` (N,) in s, strictly increasing, from 0 except for a motion whose past was forgotten; `position`, `velocity`, `acceleration` (N, J) in rad, rad/s, rad/s^2.
     Between samples it is the quintic that meets all three at both ends, as `Trajectory` defines it. `start` and `end` are
     the joint positions (J,) at the two ends.
     """
@@ -86,18 +97,17 @@ class Path:
     @cached_property
     def coefficients(self) -> Array:
         """Coefficients (N-1, 6, J), lowest power first, of each segment's position over its own time scaled to [0, 1]."""
-        step = self.steps[:, None]
-        conditions = [
-            part
-            for end in (slice(None, -1), slice(1, None))
-            for part in (self.position[end], self.velocity[end] * step, self.acceleration[end] * step**2)
-        ]
-        coefficients: Array = np.einsum("ij,jnk->nik", _QUINTIC, np.stack(conditions))
-        return coefficients
+        states = self.states
+        return quintics(states[:, :-1], states[:, 1:], self.steps)
+
+    @property
+    def states(self) -> Array:
+        """Position, velocity and acceleration (3, N, J) at the samples."""
+        return np.stack((self.position, self.velocity, self.acceleration))
 
     def at(self, time: float) -> Array:
         """Position, velocity and acceleration as rows of a (3, J) array; `time` (s) outside the path is its nearest end."""
-        time = min(max(time, 0.0), self.duration)
+        time = min(max(time, self._knots[0]), self.duration)
         index = min(bisect_right(self._knots, time), len(self._knots) - 1) - 1
         begin, end = self._knots[index], self._knots[index + 1]
         step = end - begin
@@ -131,7 +141,7 @@ class Path:
 
     def nearest(self, position: Array, first: float, last: float) -> float:
         """The path time from `first` to `last` s at which the path is nearest to `position` (J,), to 1 ms."""
-        times = np.append(np.arange(first, last, 0.001), last).clip(0.0, self.duration)
+        times = np.append(np.arange(first, last, 0.001), last).clip(self._knots[0], self.duration)
         distance = np.abs(self.sample(times)[0] - position).max(axis=1)
         return float(times[distance.argmin()])
 

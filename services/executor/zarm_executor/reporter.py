@@ -64,6 +64,11 @@ class Reporter:
             with self._lock:
                 self._publish_goal(left.model_copy(update={"status": "aborted", "problem": problem}))
 
+    def report(self, goal: GoalState) -> None:
+        """Publish the end of a goal that has not begun, whatever runs."""
+        with self._lock:
+            self._set_goal(goal)
+
     def remember(self, goal: GoalState) -> None:
         """Put on record, before it moves, a goal that a restart must report. Raises Unavailable."""
         self.publish()  # takes the goal before this one off the record
@@ -91,11 +96,15 @@ class Reporter:
             return self._publish_state(now)
 
     def _publish_goal(self, goal: GoalState) -> None:
+        self._set_goal(goal)
+        if goal.done:
+            self.forget()
+
+    def _set_goal(self, goal: GoalState) -> None:
         self._goals.set(goal, key=self._keys.goal(goal.goal_id))
         log.info("goal goal_id=%s status=%s%s", goal.goal_id, goal.status, _reason(goal.problem))
         if not goal.done:
             return
-        self.forget()
         self._finished.append(goal.goal_id)
         if len(self._finished) > FINISHED_GOALS:
             self._goals.forget(self._keys.goal(self._finished.popleft()))

@@ -22,6 +22,7 @@ from zarm_contract.messages import (
     SpeedRequest,
     Strategies,
     StrategyRequest,
+    StreamChunk,
 )
 from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import Service, run_service, service_parser
@@ -39,6 +40,7 @@ from zarm_executor.ring import Ring
 from zarm_executor.state_file import StateFile
 from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
+from zarm_executor.streams import Streams
 
 log = logging.getLogger(__name__)
 
@@ -93,12 +95,14 @@ def start(service: Service) -> Iterator[None]:
     ring = Ring(keys)
     bus.observe(ring.observe)
     period = robot.descriptor.execution.control_period
-    # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
+    # What a slow reader of the other keys holds up must not hold up the robot: sessions of their own.
     with (
         FaultRecords(folder / "records", keys, ring) as records,
         Bus(service.options.connect) as command_bus,
+        Bus(service.options.connect) as stream_bus,
     ):
         command_bus.observe(ring.observe)
+        stream_bus.observe(ring.observe)
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
@@ -116,6 +120,7 @@ def start(service: Service) -> Iterator[None]:
             ghost = Ghost(bus, keys, robot)
             told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
             admission = Admission(machine, reporter)
+            streams = Streams(robot, machine, reporter, admission)
             executor = Executor(robot, machine, reporter, admission, plans, strategies, *told)
             with (
                 Loop("control", period, control.tick, realtime=True),
@@ -130,6 +135,7 @@ def start(service: Service) -> Iterator[None]:
 
                 bus.watch(keys.plans, Plan, receive)
                 _serve(bus, service, executor)
+                stream_bus.subscribe(keys.stream, StreamChunk, streams.receive)
                 _exempt_from_collection()
                 service.ready()
                 try:

@@ -84,3 +84,15 @@ class Strategy(ABC):
     @abstractmethod
     def progress(self) -> Progress:
         """How far the motion begun by the last `start` is."""
+
+
+class Steerable(Strategy):
+    """A strategy whose path may change while it is followed."""
+
+    @abstractmethod
+    def commanded(self) -> float:
+        """The path time (s) that is commanded now."""
+
+    @abstractmethod
+    def steer(self, path: Path) -> None:
+        """Go on along `path`, which is at the commanded path time where the present one is there."""

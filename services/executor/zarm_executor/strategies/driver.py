@@ -46,7 +46,8 @@ class DriverStrategy(Strategy):
         self.link.stop()
 
     def close(self) -> None:
-        """The robot rests; its driver goes on telling where."""
+        """The robot rests; its driver is left with nothing to play, and goes on telling where the robot is."""
+        self.link.stop()
 
     def admit(self) -> None:
         """Whether the joints are fresh is checked before every motion, whatever the strategy."""

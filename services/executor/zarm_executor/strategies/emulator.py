@@ -14,7 +14,7 @@ from zarm_executor.follower import Follower
 from zarm_executor.loop import Loop
 from zarm_executor.path import Array, Path
 from zarm_executor.state_file import StateFile
-from zarm_executor.strategies.base import Measured, Progress, Strategy
+from zarm_executor.strategies.base import Measured, Progress, Steerable
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ class EmulatedRobot:
         self._saved = position
 
 
-class Emulator(Strategy):
+class Emulator(Steerable):
     """Moves the emulated robot along the path by the clock."""
 
     name = "emulator"
@@ -97,6 +97,14 @@ class Emulator(Strategy):
     def move(self, speed: float) -> None:
         """Let the path speed become `speed`."""
         self._follower.target = speed
+
+    def commanded(self) -> float:
+        """How far the path is followed, s."""
+        return self._follower.time
+
+    def steer(self, path: Path) -> None:
+        """Go on along `path`."""
+        self._follower.join(path)
 
     def tick(self, now: float, dt: float) -> None:
         """Put the robot where the clock says that it is."""

@@ -36,6 +36,11 @@ class JointSpeed(Streaming):
         self._stands()
         self._leading_since, self._led = None, False
 
+    def steer(self, path: Path) -> None:
+        """Go on along `path`, at whose end the robot is to be led anew."""
+        super().steer(path)
+        self._leading_since, self._led = None, False
+
     def _send(self, ahead: Stretch, now: float, played: int) -> bool:
         base = self._playing(played)
         velocity = self._clamped(ahead.velocity + self._correction(ahead, now), base)

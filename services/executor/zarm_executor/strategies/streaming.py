@@ -14,7 +14,7 @@ import numpy as np
 
 from zarm_executor.follower import CATCH_UP, TICK, Follower
 from zarm_executor.path import Path
-from zarm_executor.strategies.base import Progress
+from zarm_executor.strategies.base import Progress, Steerable
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.reference import Commanded, Reference
@@ -30,7 +30,7 @@ _ROUNDING = 1e-6
 """Ticks this close (s) to a moment are at it."""
 
 
-class Streaming(DriverStrategy):
+class Streaming(DriverStrategy, Steerable):
     """Sends chunks from the start of a motion until the robot rests, then nothing.
 
     The robot is expected `delay` behind what is commanded; that is what `progress` reports.
@@ -84,6 +84,16 @@ class Streaming(DriverStrategy):
         if self._follower is not None and self._follower.target != speed:
             self._follower.target = speed
             self._urgent = True
+
+    def commanded(self) -> float:
+        """How far the path is commanded, s; the robot is `delay` behind."""
+        return 0.0 if self._follower is None else self._follower.time
+
+    def steer(self, path: Path) -> None:
+        """Go on along `path` with the next chunk, which does not wait for its turn."""
+        if self._follower is not None:
+            self._follower.join(path)
+            self._urgent, self._over = True, False
 
     def tick(self, now: float, dt: float) -> None:
         """Move on, and send a chunk where one is due."""

@@ -1,0 +1,63 @@
+"""Leading a robot from the motion that it makes over to another one, without a jump.
+
+From one moment on the old path is left on a quintic that meets the new one in position, velocity and acceleration a
+blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit. The path speed
+goes on as it was, so what the follower promises of a path inside the limits holds on the way over too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_contract.errors import ExecutionRefused
+from zarm_executor.limits import Limits
+from zarm_executor.path import Array, Path, quintics
+
+BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
+"""Blending times that are tried, s of the path."""
+PAST = 2.0
+"""How much of the past of a path is kept, s: more than any strategy looks back for a robot that is behind."""
+_APART = 1e-4
+"""Samples of a spliced path are at least this far apart, s."""
+
+
+def spliced(path: Path, now: float, chunk: Path, start: float, limits: Limits) -> Path:
+    """`path` until the path time `now` (s), or until `start` where that is later, then over to `chunk`.
+
+    `chunk` has its own time 0 at the path time `start`; where `now` is later, what it holds before is passed over. Both
+    rest at their ends for as long as need be.
+
+    Raises ExecutionRefused (`limit_violated`) where no blending time is inside the limits.
+    """
+    begin = max(now, start)
+    joins = begin + BLENDS
+    before = _states(path, np.full_like(joins, begin))
+    after = _states(chunk, joins - start)
+    with np.errstate(all="ignore"):
+        first = limits.first_inside(quintics(before, after, BLENDS), BLENDS)
+    if first is None:
+        off = float(np.abs(_states(chunk, np.array([begin - start]))[0] - before[0, :1]).max())
+        raise ExecutionRefused(
+            f"the chunk is {off:.4f} rad from the motion that it is to go on from, at {begin:.2f} s of the stream, and cannot "
+            f"be reached within {BLENDS[-1]:g} s inside the limits; send what goes on from where the robot is by then",
+            code="limit_violated",
+        )
+    join = float(joins[first])
+    old = (path.time >= path.time[max(0, int(np.searchsorted(path.time, now - PAST, side="right")) - 1)]) & (
+        path.time < begin - _APART
+    )
+    new = chunk.time + start > join + _APART
+    times, states = [path.time[old]], [path.states[:, old]]
+    if path.duration + _APART < begin - _APART:  # it rests until then
+        times.append(np.array([path.duration + _APART]))
+        states.append(_states(path, times[-1]))
+    times += [np.array([begin, join]), chunk.time[new] + start]
+    states += [before[:, :1], after[:, first : first + 1], chunk.states[:, new]]
+    return Path(np.concatenate(times), *np.concatenate(states, axis=1))
+
+
+def _states(path: Path, times: Array) -> Array:
+    """Position, velocity and acceleration (3, N, J) at N times (N,); at and beyond its end a path is at rest."""
+    states = path.sample(times.clip(path.time[0], path.duration))
+    states[1:, times >= path.duration] = 0.0
+    return states

@@ -1,0 +1,109 @@
+"""Closed-loop motions: chunks that a client streams, each in place of what is left of the one before."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import OrderedDict
+
+import numpy as np
+
+from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.messages import GoalState, StreamChunk
+from zarm_contract.robot import Robot
+from zarm_executor.admission import Admission
+from zarm_executor.checks import continuation, executable, placed
+from zarm_executor.goal import Chunk, Goal
+from zarm_executor.limits import Limits
+from zarm_executor.machine import Machine
+from zarm_executor.monitor import Monitor
+from zarm_executor.path import Array, Path
+from zarm_executor.reporter import Reporter
+from zarm_executor.splice import spliced
+
+log = logging.getLogger(__name__)
+
+REMEMBERED = 256
+"""So many streams that have begun or been refused are known, so that none begins a second time."""
+
+
+class Streams:
+    """Reads `executor/stream`. A chunk has no answer: what becomes of it is in the state of its goal."""
+
+    def __init__(self, robot: Robot, machine: Machine, reporter: Reporter, admission: Admission) -> None:
+        self._robot = robot
+        self._limits = Limits(robot)
+        self._machine = machine
+        self._reporter = reporter
+        self._admission = admission
+        self._turns: Array = np.zeros(len(robot.descriptor.joints))
+        self._known: OrderedDict[str, bool] = OrderedDict()
+
+    def receive(self, _key: str, chunk: StreamChunk) -> None:
+        """Begin the stream, or lead the robot over to this chunk; one call at a time."""
+        received = time.monotonic()
+        sequence = self._machine.sequence(chunk.goal_id)
+        if sequence is not None:
+            if chunk.sequence > sequence:
+                self._go_on(chunk, received)
+            else:
+                self._drop(chunk, f"its number is not above {sequence}")
+        elif chunk.goal_id in self._known or chunk.goal_id == self._machine.state().goal_id:
+            self._drop(chunk, "that goal has ended or takes no chunks")
+        elif chunk.sequence == 1:
+            self._begin(chunk, received)
+        else:
+            self._drop(chunk, "its stream is unknown and begins with number 1")
+
+    def _begin(self, chunk: StreamChunk, received: float) -> None:
+        self._know(chunk.goal_id)
+        try:
+            with self._admission.turn() as turn:
+                if chunk.start != 0.0:
+                    raise InvalidRequest("the first chunk of a stream starts at 0 s of it", field="start")
+                planned = executable(chunk.trajectory, self._robot)
+                path, at = placed(planned, self._machine.joint_state(), time.monotonic(), self._robot)
+                self._turns = path.start - planned.start
+                # From where the robot stands, which may be a tolerance away, it is led over as between two chunks.
+                path = spliced(Path.standing(at.position), 0.0, path, 0.0, self._limits)
+                monitor = Monitor(path, self._robot.descriptor)
+                turn.start(Goal(chunk.goal_id, None, path, monitor, chunk=self._chunk(chunk, path, received)))
+        except ZarmError as error:
+            self._refuse(chunk, error)
+
+    def _go_on(self, chunk: StreamChunk, received: float) -> None:
+        try:
+            path = continuation(chunk.trajectory, self._robot, self._turns)
+            self._machine.steer(chunk.goal_id, self._chunk(chunk, path, received), self._limits)
+        except ZarmError as error:
+            self._machine.abort(chunk.goal_id, error.problem)
+            self._reporter.publish()
+
+    @staticmethod
+    def _chunk(chunk: StreamChunk, path: Path, received: float) -> Chunk:
+        return Chunk(chunk.sequence, chunk.start, path, received, chunk.deadline, chunk.last)
+
+    def _refuse(self, chunk: StreamChunk, error: ZarmError) -> None:
+        """Say under the stream's goal why it has not begun."""
+        position = chunk.trajectory.position[0]
+        state = GoalState(
+            goal_id=chunk.goal_id,
+            status="cancelled" if error.code == "cancelled" else "aborted",
+            progress=0.0,
+            elapsed=0.0,
+            duration=chunk.trajectory.time[-1],
+            joint_command=position,
+            problem=error.problem,
+        )
+        self._reporter.report(state)
+
+    def _drop(self, chunk: StreamChunk, why: str) -> None:
+        if not self._known.get(chunk.goal_id, False):
+            log.warning("dropped a chunk goal_id=%s sequence=%d reason=%s", chunk.goal_id, chunk.sequence, why)
+        self._know(chunk.goal_id, told=True)
+
+    def _know(self, goal_id: str, *, told: bool = False) -> None:
+        """Note a stream, and whether it was `told` in the log that a chunk of it was dropped."""
+        self._known[goal_id] = told
+        if len(self._known) > REMEMBERED:
+            self._known.popitem(last=False)

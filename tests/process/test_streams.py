@@ -1,0 +1,183 @@
+"""Closed-loop chunks on `executor/stream`, from real clients over a real router."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driven import LIMIT, driven
+from executor_client import Client
+from harness import PATIENCE, ServiceProcess, eventually
+from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+from waves import as_message, chunk
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import GoalState, StreamChunk
+from zarm_contract.session import open_client
+from zarm_executor.path import Path as Motion
+
+EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
+
+
+def run_example(endpoint: str, seconds: float) -> subprocess.Popen[bytes]:
+    command = [sys.executable, str(EXAMPLE), "--connect", endpoint, "--seconds", str(seconds)]
+    command += ["--deadline", "1"]  # on a busy machine the client may have to wait for its turn
+    return subprocess.Popen([*command, "--joints", *ROBOT.descriptor.joints])
+
+
+@pytest.fixture
+def executor(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[ServiceProcess]:
+    with ServiceProcess("executor", endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        yield process
+
+
+@pytest.fixture
+def client(executor: ServiceProcess, bus: Bus) -> Client:
+    return Client(bus)
+
+
+@pytest.fixture
+def send(client: Client) -> Callable[..., None]:
+    """Sends one chunk; the publisher is known to the executor."""
+    publisher = client.bus.publisher(KEYS.stream, StreamChunk)
+
+    def put(goal_id: str, sequence: int, start: float = 0.0, path: Motion | None = None, **others: object) -> None:
+        trajectory = as_message(chunk(start) if path is None else path, ROBOT)
+        publisher.put(
+            StreamChunk.model_validate(
+                {"goal_id": goal_id, "sequence": sequence, "start": start, "trajectory": trajectory} | others
+            )
+        )
+
+    return put
+
+
+def seen(client: Client, goal_id: str) -> GoalState:
+    """Wait for the end of a goal that may not be known yet."""
+
+    def end() -> GoalState | None:
+        return next((goal for goal in client.goals if goal.goal_id == goal_id and goal.done), None)
+
+    return eventually(end, f"{goal_id} has ended")
+
+
+def test_the_example_of_a_client_is_followed_to_its_end(client: Client, endpoint: str) -> None:
+    process = run_example(endpoint, 3.0)
+    assert process.wait(PATIENCE) == 0
+    assert {goal.status for goal in client.goals if goal.done} == {"succeeded"}
+    swing = np.array([joints.position[0] for joints in client.measured])
+    assert swing.max() - HOME[0] == pytest.approx(0.3, abs=0.01)
+    assert client.greatest_acceleration() <= 1.03
+    assert client.stands()
+
+
+def test_a_client_that_is_frozen_leaves_a_robot_at_rest_that_is_idle(client: Client, endpoint: str) -> None:
+    process = run_example(endpoint, 60.0)
+    try:
+        eventually(lambda: client.state().mode == "running", "the stream runs")
+        eventually(lambda: abs(client.measured[-1].velocity[0]) > 0.15, "the robot moves")
+        process.send_signal(signal.SIGSTOP)
+        goal_id = client.state().goal_id
+        assert goal_id is not None
+        end = seen(client, goal_id)
+        assert (end.status, end.problem.code) == ("aborted", "timeout")
+        assert client.statuses(goal_id)[-2:] == ["stopping", "aborted"]
+        rested = client.position()
+        assert client.state().mode == "idle"
+        process.send_signal(signal.SIGCONT)
+        process.wait(PATIENCE)  # what it still sends is late
+        assert client.stands()
+        np.testing.assert_array_equal(client.position(), rested)
+        assert client.greatest_acceleration() <= 1.03
+        assert client.ended(client.execute(rest_to_rest(HOME, rested))).status == "succeeded"
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_example_is_short() -> None:
+    assert len(EXAMPLE.read_text().splitlines()) < 100
+
+
+@pytest.mark.parametrize(
+    ("chunks", "code"),
+    [
+        ([(1, 0.0, chunk(0.0, off=0.5))], "start_state_mismatch"),
+        ([(1, 0.0, Motion.of(rest_to_rest(moved(1.0), slower=0.7), ROBOT.descriptor.joints))], "limit_violated"),
+        ([(1, 0.3, chunk(0.0))], "invalid_request"),
+        ([(1, 0.0, chunk(0.0)), (2, 0.0, chunk(0.0, off=0.9))], "limit_violated"),
+        ([(1, 0.0, chunk(0.0)), (1, 0.0, chunk(0.0)), (3, 0.0, chunk(0.0)), (2, 0.0, chunk(0.0, off=0.9))], "timeout"),
+    ],
+    ids=["starts elsewhere", "too fast", "starts late", "out of reach", "out of order, and no more"],
+)
+def test_what_becomes_of_a_stream_is_told_under_its_goal_and_is_no_fault(
+    client: Client, send: Callable[..., None], chunks: list[tuple[int, float, Motion]], code: str
+) -> None:
+    for sequence, start, path in chunks:
+        send("stream-a", sequence, start, path)
+    end = seen(client, "stream-a")
+    assert (end.status, end.problem.code) == ("aborted", code)
+    assert client.state().mode == "idle"
+    assert client.stands()
+    assert client.ended(client.execute(rest_to_rest(HOME, client.position()))).status == "succeeded"
+
+
+def test_a_stream_beside_another_goal_is_refused_and_does_not_touch_it(
+    client: Client, send: Callable[..., None]
+) -> None:
+    goal_id = client.execute(rest_to_rest(moved(1.0)))
+    client.under_way(goal_id, 0.1)
+    send("stream-b", 1)
+    send(goal_id, 1)
+    send(goal_id, 2)
+    assert seen(client, "stream-b").problem.code == "busy"
+    assert client.ended(goal_id).status == "succeeded"
+
+
+def test_noise_and_chunks_of_unknown_streams_do_no_harm(
+    executor: ServiceProcess, client: Client, send: Callable[..., None], endpoint: str
+) -> None:
+    with open_client(endpoint) as session:
+        for payload in (b"{", b"\xff", b"", b"[" * 100_000, b'{"goal_id": "x", "sequence": 0}') * 20:
+            session.put(KEYS.stream, payload)
+    for sequence in range(2, 30):
+        send("stream-c", sequence)
+    send("stream-d", 1, last=True)
+    assert seen(client, "stream-d").status == "succeeded"
+    assert executor.output().count("goal_id=stream-c") == 1
+    assert not [goal for goal in client.goals if goal.goal_id == "stream-c"]
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose"])
+def test_a_robot_behind_a_driver_follows_and_rests_when_the_client_dies(
+    bus: Bus, endpoint: str, tmp_path: Path, strategy: str
+) -> None:
+    plays = ("--plays", "position") if strategy == "joint_pose" else ()
+    with driven(bus, endpoint, tmp_path, strategy, *plays) as robot:
+        process = run_example(endpoint, 60.0)
+        try:
+            eventually(lambda: robot.told and abs(robot.arm()[0] - HOME[0]) > 0.2, "the arm follows")
+        finally:
+            process.kill()
+            process.wait()
+        robot.client.mode("idle")
+        assert robot.client.goals[-1].problem.code == "timeout"
+        robot.at_rest()
+        if strategy == "joint_speed":
+            assert robot.commanded_acceleration() <= LIMIT * 1.01
+
+
+def test_a_strategy_that_hands_motions_over_as_a_whole_takes_no_stream(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    with driven(bus, endpoint, tmp_path, "joint_trajectory") as robot:
+        process = run_example(endpoint, 5.0)
+        assert process.wait(PATIENCE) == 1
+        refused = robot.client.goals[-1]
+        assert (refused.status, refused.problem.code) == ("aborted", "unavailable")
+        assert "joint_speed" in refused.problem.message
+        assert not any(command.time for command in robot.commands)

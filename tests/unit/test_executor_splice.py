@@ -1,0 +1,105 @@
+"""Leading the robot from one motion over to another keeps every limit, and never jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motions import HOME, ROBOT, moved, rest_to_rest
+from waves import chunk
+
+from zarm_contract.errors import ExecutionRefused
+from zarm_executor.follower import TICK, Follower
+from zarm_executor.limits import LIMIT_TOLERANCE, Limits
+from zarm_executor.path import Array, Path
+from zarm_executor.splice import PAST, spliced
+
+JOINTS = ROBOT.descriptor.joints
+LIMITS = Limits(ROBOT)
+LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
+
+
+def swing(*distances: float, start: Array = HOME, slower: float = 1.5) -> Path:
+    return Path.of(rest_to_rest(moved(*distances, start=start), start, slower=slower), JOINTS)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    first=st.lists(st.floats(-0.8, 0.8), min_size=3, max_size=3),
+    second=st.lists(st.floats(-0.8, 0.8), min_size=3, max_size=3),
+    when=st.floats(0.0, 1.2),
+    begun=st.floats(-0.5, 0.5),
+    target=st.sampled_from([0.1, 0.5, 1.0]),
+)
+def test_wherever_two_motions_are_joined_the_robot_neither_jumps_nor_breaks_a_limit(
+    first: list[float], second: list[float], when: float, begun: float, target: float
+) -> None:
+    old = swing(*first)
+    now = when * old.duration
+    new = swing(*second, start=old.at(now)[0])
+    follower = Follower(old, LIMIT)
+    positions = [follower.position, follower.position]
+    while follower.time < now and not follower.finished:
+        follower.advance(TICK)
+        positions.append(follower.position)
+    follower.target = target
+    before = (follower.position, follower.velocity)
+    try:
+        joined = spliced(old, follower.time, new, follower.time + begun, LIMITS)
+    except ExecutionRefused:
+        joined = old
+    follower.join(joined)
+    if joined is not old:
+        LIMITS.check(joined)
+        assert joined.duration >= follower.time + begun + new.duration - 1e-9
+        np.testing.assert_allclose(joined.end, new.end, atol=1e-12)
+    np.testing.assert_allclose(follower.position, before[0], atol=1e-12)
+    np.testing.assert_allclose(follower.velocity, before[1], atol=1e-9)
+    while not follower.settled:
+        follower.advance(TICK)
+        positions.append(follower.position)
+    positions.append(follower.position)
+    # LIMIT_TOLERANCE is what the paths themselves may be above their limits
+    assert np.all(np.abs(np.diff(positions, 2, axis=0)) / TICK**2 <= LIMIT * LIMIT_TOLERANCE * 1.005)
+
+
+def test_a_chunk_that_agrees_with_the_motion_changes_nothing_but_its_end() -> None:
+    path = chunk(0.0)
+    for start in (0.05, 0.1, 0.15):
+        path = spliced(path, start, chunk(start), start, LIMITS)
+    for time in (0.0, 0.04, 0.12, 0.2, 0.3):
+        np.testing.assert_allclose(path.at(time)[0], chunk(0.0, 0.5).at(time)[0], atol=1e-5)
+    assert path.duration == pytest.approx(0.15 + 0.2 + 0.8)
+
+
+def test_a_chunk_beside_the_motion_is_reached_in_the_shortest_time_that_the_limits_allow() -> None:
+    near, far = (spliced(chunk(0.0), 0.1, chunk(0.1, off=off), 0.1, LIMITS) for off in (0.001, 0.02))
+    assert near.at(0.1 + 0.1)[0][0] == pytest.approx(chunk(0.1, off=0.001).at(0.1)[0][0], abs=1e-9)
+    assert far.at(0.1 + 0.1)[0][0] < chunk(0.1, off=0.02).at(0.1)[0][0] - 0.005
+    LIMITS.check(near)
+    LIMITS.check(far)
+
+
+def test_a_chunk_out_of_reach_is_refused() -> None:
+    with pytest.raises(ExecutionRefused, match=r"0\.5000 rad from the motion") as refusal:
+        spliced(chunk(0.0), 0.1, chunk(0.1, off=0.5), 0.1, LIMITS)
+    assert refusal.value.code == "limit_violated"
+
+
+def test_a_chunk_that_starts_later_is_waited_for_at_rest() -> None:
+    path = Path.standing(HOME)
+    joined = spliced(path, 0.5, chunk(0.0), 3.0, LIMITS)
+    for time in (0.6, 1.5, 2.9):
+        np.testing.assert_allclose(joined.at(time), np.vstack((HOME, np.zeros((2, 6)))), atol=1e-9)
+    assert joined.duration == pytest.approx(4.0)
+
+
+def test_a_path_forgets_what_is_long_past_and_keeps_what_is_not() -> None:
+    path = chunk(0.0)
+    for index in range(1, 200):
+        start = index * 0.05
+        path = spliced(path, start, chunk(start), start, LIMITS)
+    assert path.time[0] == pytest.approx(start - PAST, abs=0.06)
+    assert len(path.time) < 200
+    np.testing.assert_allclose(path.at(start - 1.0)[0][0] - HOME[0], chunk(start - 1.0).start[0] - HOME[0], atol=1e-4)
