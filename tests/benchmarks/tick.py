@@ -4,7 +4,7 @@ The executor, a router, the simulated driver, and beside them a planner whose cl
 processes on one machine. Lateness is the time from a tick's deadline to its start; jitter is how much the time between two
 ticks differs from the period; a missed tick is a deadline that was left out. A command's latency is from before it is
 published by the executor until another process has it, a joint state's from the driver's stamp until the executor has it.
-"ordinary" is the executor, and who listens in the driver's place, without real-time priority, as where it is not allowed.
+"ordinary" is without real-time priority, as where it is not allowed, of the executor, the driver and the other process.
 
 Prints tables and draws them into plots/tick.png. Needs no more than a minute and a half.
 """
@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -140,7 +140,10 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
     notes = state / "notes.npz"
     with ExitStack() as stack:
         if case.strategy != "emulator":
-            stack.enter_context(ServiceProcess("leeloo_sim", endpoint, state)).wait_ready(bus, KEYS)
+            driver = stack.enter_context(ServiceProcess("leeloo_sim", endpoint, state))
+            driver.wait_ready(bus, KEYS)
+            if case.realtime:
+                prefer(driver)
         executor = stack.enter_context(timed_executor(case, endpoint, state, notes))
         executor.wait_ready(bus, KEYS)
         hear = stack.enter_context(listening(endpoint, case.realtime))
@@ -182,6 +185,13 @@ def started(bus: Bus, trajectory: Trajectory) -> bool:
     except ExecutionRefused:
         return False
     return True
+
+
+def prefer(service: ServiceProcess) -> None:
+    """Give a process that does not ask for it real-time priority, where that is allowed."""
+    with suppress(PermissionError):
+        for thread in psutil.Process(service.process.pid).threads():
+            os.sched_setscheduler(thread.id, os.SCHED_RR, os.sched_param(PROCESS_PRIORITY))
 
 
 def cpu_time(service: ServiceProcess) -> float:
