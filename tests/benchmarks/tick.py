@@ -2,7 +2,8 @@
 
 The executor, a router, the simulated driver, and beside them a planner whose clients ask for one plan after the other:
 processes on one machine. Lateness is the time from a tick's deadline to its start; jitter is how much the time between two
-ticks differs from the period; a missed tick is a deadline that was left out. A command's latency is from before it is
+ticks differs from the period, that of ticks left out before it too; a missed tick is a deadline that was left out, and
+lateness is against the first deadline that was not. A command's latency is from before it is
 published by the executor until another process has it, a joint state's from the driver's stamp until the executor has it.
 "ordinary" is without real-time priority, as where it is not allowed, of the executor, the driver and the other process.
 
@@ -347,17 +348,17 @@ def cell(seconds: Array) -> str:
 
 
 def draw(results: list[Result]) -> None:
-    """The share of ticks that are later than so much."""
-    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    """The share of ticks with more jitter than so much; ticks left out show as jitter of whole periods."""
+    figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
     for r in results:
-        late = np.sort(r.late) * 1e3
+        jitter = np.sort(r.jitter) * 1e3
         style = "-" if r.case.realtime else ":"
-        axes.step(np.maximum(late, 1e-3), 1.0 - np.arange(len(late)) / len(late), style, label=str(r.case))
+        axes.step(np.maximum(jitter, 1e-3), 1.0 - np.arange(len(jitter)) / len(jitter), style, label=str(r.case))
     axes.axvline(1.0, color="grey", linewidth=0.8)
     axes.axhline(0.01, color="grey", linewidth=0.8)
-    axes.set(xscale="log", yscale="log", xlabel="lateness of a tick, ms", ylabel="share of ticks that are later")
+    axes.set(xscale="log", yscale="log", xlabel="jitter, ms", ylabel="share of ticks with more jitter")
     axes.set_title("The control loop beside a planner")
-    axes.legend(fontsize="small")
+    figure.legend(fontsize="small", loc="outside lower center", ncols=2)
     figure.savefig(PLOT, dpi=120)
     print(f"plotted into {PLOT}")  # noqa: T201
 
