@@ -3,8 +3,8 @@
 The executor, a router, the simulated driver, and beside them a planner whose clients ask for one plan after the other:
 processes on one machine. Lateness is the time from a tick's deadline to its start; jitter is how much the time between two
 ticks differs from the period, that of ticks left out before it too; a missed tick is a deadline that was left out, and
-lateness is against the first deadline that was not. A command's latency is from before it is
-published by the executor until another process has it, a joint state's from the driver's stamp until the executor has it.
+lateness is against the last deadline. A command's latency is from before it is published by the executor until another
+process has it, a joint state's from the driver's stamp until the executor has it.
 "ordinary" is without real-time priority, as where it is not allowed, of the executor, the driver and the other process.
 
 Prints tables and draws them into plots/tick.png. Needs no more than a minute and a half.
