@@ -2,9 +2,10 @@
 
 The executor, a router, the simulated driver, and beside them a planner whose clients ask for one plan after the other:
 processes on one machine. Lateness is the time from a tick's deadline to its start; jitter is how much the time between two
-ticks differs from the period; a missed tick is a deadline that was left out. A command's latency is from before it is
-published by the executor until another process has it, a joint state's from the driver's stamp until the executor has it.
-"ordinary" is the executor, and who listens in the driver's place, without real-time priority, as where it is not allowed.
+ticks differs from the period, that of ticks left out before it too; a missed tick is a deadline that was left out, and
+lateness is against the last deadline. A command's latency is from before it is published by the executor until another
+process has it, a joint state's from the driver's stamp until the executor has it.
+"ordinary" is without real-time priority, as where it is not allowed, of the executor, the driver and the other process.
 
 Prints tables and draws them into plots/tick.png. Needs no more than a minute and a half.
 """
@@ -19,7 +20,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -140,7 +141,10 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
     notes = state / "notes.npz"
     with ExitStack() as stack:
         if case.strategy != "emulator":
-            stack.enter_context(ServiceProcess("leeloo_sim", endpoint, state)).wait_ready(bus, KEYS)
+            driver = stack.enter_context(ServiceProcess("leeloo_sim", endpoint, state))
+            driver.wait_ready(bus, KEYS)
+            if case.realtime:
+                prefer(driver)
         executor = stack.enter_context(timed_executor(case, endpoint, state, notes))
         executor.wait_ready(bus, KEYS)
         hear = stack.enter_context(listening(endpoint, case.realtime))
@@ -182,6 +186,13 @@ def started(bus: Bus, trajectory: Trajectory) -> bool:
     except ExecutionRefused:
         return False
     return True
+
+
+def prefer(service: ServiceProcess) -> None:
+    """Give a process that does not ask for it real-time priority, where that is allowed."""
+    with suppress(PermissionError):
+        for thread in psutil.Process(service.process.pid).threads():
+            os.sched_setscheduler(thread.id, os.SCHED_RR, os.sched_param(PROCESS_PRIORITY))
 
 
 def cpu_time(service: ServiceProcess) -> float:
@@ -337,17 +348,17 @@ def cell(seconds: Array) -> str:
 
 
 def draw(results: list[Result]) -> None:
-    """The share of ticks that are later than so much."""
-    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
+    """The share of ticks with more jitter than so much; ticks left out show as jitter of whole periods."""
+    figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
     for r in results:
-        late = np.sort(r.late) * 1e3
+        jitter = np.sort(r.jitter) * 1e3
         style = "-" if r.case.realtime else ":"
-        axes.step(np.maximum(late, 1e-3), 1.0 - np.arange(len(late)) / len(late), style, label=str(r.case))
+        axes.step(np.maximum(jitter, 1e-3), 1.0 - np.arange(len(jitter)) / len(jitter), style, label=str(r.case))
     axes.axvline(1.0, color="grey", linewidth=0.8)
     axes.axhline(0.01, color="grey", linewidth=0.8)
-    axes.set(xscale="log", yscale="log", xlabel="lateness of a tick, ms", ylabel="share of ticks that are later")
+    axes.set(xscale="log", yscale="log", xlabel="jitter, ms", ylabel="share of ticks with more jitter")
     axes.set_title("The control loop beside a planner")
-    axes.legend(fontsize="small")
+    figure.legend(fontsize="small", loc="outside lower center", ncols=2)
     figure.savefig(PLOT, dpi=120)
     print(f"plotted into {PLOT}")  # noqa: T201
 

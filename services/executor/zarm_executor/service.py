@@ -56,7 +56,7 @@ DRIVER_PATIENCE = 10.0
 JOINT_STATES_PERIOD = 0.008
 """Shortest time, s, between two publications of the joints, 125 Hz: the faster ones of a driver are on its own key."""
 
-SWITCH_INTERVAL = 0.0005
+SWITCH_INTERVAL = 0.0001
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
 
 
