@@ -17,7 +17,7 @@ IN_MOTION = 0.5
 """Speed of the fastest joint, rad/s, at which the fault strikes."""
 STILL = 1e-3
 """What is slower (rad/s) is at rest, but for the last of the drives' lag."""
-WATCHED = 50
+WATCHED = 30
 """For how many steps of the arm nothing may move after the recovery, and again after the reset."""
 WINDOW = 2
 """Steps of the arm over which its acceleration is taken: one point of a command."""

@@ -207,9 +207,9 @@ def other_order(place: Arena) -> Iterator[str | None]:
             again.put(JointState(stamp=stamp, joint_names=names, position=position, velocity=velocity))  # type: ignore[arg-type]
 
     yield place.go()
-    with Bus(place.endpoint) as bus:
-        again = bus.publisher(place.keys.driver_joint_states, JointState, realtime=True)
-        bus.subscribe(place.keys.driver_joint_states, JointState, turn)
+    with Bus(place.endpoint) as mouth, Bus(place.endpoint) as ear:
+        again = mouth.publisher(place.keys.driver_joint_states, JointState, realtime=True)
+        ear.subscribe(place.keys.driver_joint_states, JointState, turn)
         yield None
 
 

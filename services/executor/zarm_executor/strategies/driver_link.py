@@ -97,9 +97,13 @@ class DriverLink:
         return self._measured
 
     def velocity(self) -> Array:
-        """The measured velocities (J,), whatever the driver tells never outside those that it is sent."""
+        """The measured velocities (J,), whatever the driver tells never outside those that it is sent.
+
+        Zero where they are old: what was moving before a silence must not be made to move again after it.
+        """
         measured = self.measured()
-        told = np.zeros_like(self.velocity_clamp) if measured is None else measured.velocity
+        old = measured is None or time.monotonic() - measured.time > self.execution.joint_state_timeout
+        told = np.zeros_like(self.velocity_clamp) if measured is None or old else measured.velocity
         return np.clip(told, -self.velocity_clamp, self.velocity_clamp)
 
     def standing(self) -> bool:

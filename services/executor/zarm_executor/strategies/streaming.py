@@ -48,6 +48,7 @@ class Streaming(DriverStrategy, Steerable):
         self._sent_at: float | None = None
         self._urgent = False
         self._over = True
+        self._away: tuple[float, float] | None = None
 
     # -- what a streaming strategy decides --
 
@@ -69,7 +70,7 @@ class Streaming(DriverStrategy, Steerable):
         self._follower = Follower(path, self.link.acceleration_limit, speed=speed, target=speed)
         self._reference = Reference(self._memory)
         self._expected = Commanded(0.0, 0.0, 0.0, path.start)
-        self._sent_at, self._over = None, False
+        self._sent_at, self._over, self._away = None, False, None
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""
@@ -106,7 +107,13 @@ class Streaming(DriverStrategy, Steerable):
             return
         if self._sent_at is not None:
             if dt > CATCH_UP:
-                follower = self._picked_up(follower, now, dt)
+                self._away = now, dt
+            if self._away is not None:
+                back_at, pause = self._away
+                if self._unheard(now, back_at):
+                    return
+                self._away = None
+                follower = self._picked_up(follower, now, pause)
             else:
                 follower.advance(dt)
             if follower.target == 0.0 and not follower.settled and self.link.standing():
@@ -127,6 +134,11 @@ class Streaming(DriverStrategy, Steerable):
         if follower is None or expected is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         return Progress(expected.time, expected.speed, expected.position, follower.finished and self._over)
+
+    def _unheard(self, now: float, back_at: float) -> bool:
+        """Whether what the driver told during a pause is still to be read: until then it brakes the robot by itself."""
+        measured, patience = self.link.measured(), self.link.execution.joint_state_timeout
+        return (measured is None or now - measured.time > patience) and now - back_at <= patience
 
     def _picked_up(self, follower: Follower, now: float, dt: float) -> Follower:
         """After a pause in which nothing was sent: the motion goes on from where, and as fast as, the robot moves by now.
