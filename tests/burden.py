@@ -9,7 +9,6 @@ from pathlib import Path
 import psutil
 from harness import ServiceProcess
 
-
 PRIORITY = 10
 """A real-time priority, above every ordinary thread."""
 
