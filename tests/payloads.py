@@ -14,6 +14,9 @@ from hypothesis import strategies as st
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.messages import Message
 
+PORTION = 500
+"""How many near misses hypothesis makes at a time; it remembers all of them."""
+
 EXTREME: tuple[object, ...] = (
     float("nan"),
     float("inf"),
@@ -64,7 +67,7 @@ def junk() -> st.SearchStrategy[object]:
 def near_misses(draw: st.DrawFn, examples: list[Message]) -> bytes:
     """A message with a few things wrong, or by chance with none, as bytes."""
     payload = json.loads(encode(draw(st.sampled_from(examples))))
-    for _ in range(draw(st.integers(0, 3))):
+    for _ in range(draw(st.sampled_from((1, 1, 2, 3, 0)))):
         _damage(draw, payload)
     text = json.dumps(payload, ensure_ascii=draw(st.booleans())).encode("utf-8", "surrogatepass")
     if draw(st.integers(0, 9)) == 0:
@@ -74,6 +77,8 @@ def near_misses(draw: st.DrawFn, examples: list[Message]) -> bytes:
 
 def _damage(draw: st.DrawFn, payload: Any) -> None:
     place = payload
+    if not payload:
+        place[draw(st.text(max_size=8))] = draw(junk())
     while place:
         keys = sorted(place) if isinstance(place, dict) else range(len(place))
         key = draw(st.sampled_from(keys))
@@ -94,12 +99,18 @@ def _damage(draw: st.DrawFn, payload: Any) -> None:
         return
 
 
-def structured(examples: dict[str, list[Message]], count: int, number: int) -> list[tuple[str, bytes]]:
+def structured(examples: dict[str, list[Message]], count: int, number: int) -> Iterator[tuple[str, bytes]]:
     """`count` near misses, each with the key that it is for; `examples` are the messages of each key."""
-    made: list[tuple[str, bytes]] = []
     keys = sorted(examples)
+    keyed = st.sampled_from(keys).flatmap(lambda key: st.tuples(st.just(key), near_misses(examples[key])))
+    for begin in range(0, count, PORTION):
+        yield from _drawn(keyed, min(PORTION, count - begin), f"{number} {begin}")
 
-    @seed(number)
+
+def _drawn(strategy: st.SearchStrategy[tuple[str, bytes]], count: int, label: str) -> list[tuple[str, bytes]]:
+    made: list[tuple[str, bytes]] = []
+
+    @seed(label)
     @settings(
         max_examples=count,
         database=None,
@@ -107,7 +118,7 @@ def structured(examples: dict[str, list[Message]], count: int, number: int) -> l
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
-    @given(st.sampled_from(keys).flatmap(lambda key: st.tuples(st.just(key), near_misses(examples[key]))))
+    @given(strategy)
     def collect(one: tuple[str, bytes]) -> None:
         made.append(one)
 

@@ -23,6 +23,8 @@ from zarm_contract.robot import ROBOTS
 
 SECONDS = float(os.environ.get("ZARM_SOAK_SECONDS", "20"))
 RATE = 250
+PATIENT = 0.5
+"""s without joint states; a crowded machine may keep the driver waiting, and how soon silence is noticed is tested elsewhere."""
 PLACES = [
     JointGoal(kind="joints", position=tuple(moved(*by).tolist())) for by in ((0.6, -0.3), (-0.4, 0.2, 0.3), (0.2,))
 ]
@@ -36,7 +38,7 @@ def fast_robot(folder: Path) -> str:
     for file in (f"{name}.yaml", f"{name}.urdf"):
         (folder / file).write_bytes((ROBOTS / file).read_bytes())
     with (folder / f"{name}.yaml").open("a") as descriptor:
-        descriptor.write(f"\nexecution:\n  control_rate: {RATE}\n")
+        descriptor.write(f"\nexecution:\n  control_rate: {RATE}\n  joint_state_timeout: {PATIENT}\n")
     return str(folder / f"{name}.yaml")
 
 

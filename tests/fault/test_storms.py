@@ -45,6 +45,8 @@ COMMANDS: tuple[tuple[str, Message], ...] = (
     (KEYS.reset, Nothing()),
 )
 """What holds a motion and goes on with it."""
+REFUSALS = ("ok", "busy", "cancelled", "unavailable", "start_state_mismatch", "no_joint_state")
+"""What a request to move is answered while others stop the robot and switch its strategy."""
 
 
 @pytest.fixture
@@ -122,7 +124,7 @@ def test_of_many_switches_at_once_each_is_answered_and_one_strategy_is_active(
         elif answer.key == KEYS.cancel:
             assert answer.code == "ok", answer
         else:
-            assert answer.code in ("ok", "busy", "cancelled", "unavailable", "start_state_mismatch"), answer
+            assert answer.code in REFUSALS, answer
     assert any(answer.key == KEYS.strategy and answer.code == "ok" for answer in answers)
     state = robot.client.mode("idle")
     assert state.problem is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from zarm_contract.errors import Unavailable
 from zarm_executor.path import Path
 from zarm_executor.strategies.base import Measured, Progress, Strategy
@@ -17,7 +19,8 @@ class GhostOnly(Strategy):
         self._robot = robot
 
     def open(self) -> None:
-        """Nothing is held."""
+        """Nothing is held; where the robot stands is known at once."""
+        self._robot.rest(time.monotonic())
 
     def close(self) -> None:
         """Nothing was held."""
