@@ -35,6 +35,7 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         np.testing.assert_allclose(robot.client.position(), robot.arm(), atol=1e-9)
         assert robot.client.measured[-1].joint_names == ROBOT.descriptor.joints
         assert robot.told[-1].joint_names != ROBOT.descriptor.joints
+        assert robot.client.measured[-1].stamp in {state.stamp for state in robot.told}
         progress = [goal.progress for goal in robot.client.goals]
         assert progress == sorted(progress)
         assert len(set(progress)) > 5

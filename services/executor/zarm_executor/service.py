@@ -76,9 +76,10 @@ class Control:
         due = now - self._published_at > 0.9 * JOINT_STATES_PERIOD
         if due and measured is not None and measured.time != self._published:
             self._published, self._published_at = measured.time, now
+            stamp = measured.stamp
             self._publisher.put(
                 JointState(
-                    stamp=time.time() - (time.monotonic() - measured.time),
+                    stamp=time.time() - (time.monotonic() - measured.time) if stamp is None else stamp,
                     joint_names=self._joints,
                     position=tuple(measured.position.tolist()),
                     velocity=tuple(measured.velocity.tolist()),

@@ -11,11 +11,15 @@ from zarm_executor.path import Array, Path
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Joint positions (J,) rad and velocities (J,) rad/s, measured at `time` on the monotonic clock."""
+    """Joint positions (J,) rad and velocities (J,) rad/s, measured at `time` on the monotonic clock.
+
+    `stamp` is the time of day (Unix s) that the robot's driver gave, by its own clock; None where no driver told them.
+    """
 
     position: Array
     velocity: Array
     time: float
+    stamp: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,7 @@ class DriverLink:
         order = self._order(state.joint_names)
         if order is not None and state.stamp != self._stamp:
             self._stamp = state.stamp
-            self._measured = Measured(np.array(state.position)[order], np.array(state.velocity)[order], at)
+            self._measured = Measured(np.array(state.position)[order], np.array(state.velocity)[order], at, state.stamp)
             if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
                 self._stood = self._measured
         return self._measured
