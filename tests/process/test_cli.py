@@ -215,6 +215,23 @@ def test_cancel_from_elsewhere_fails_the_command_that_executes(
         assert the_one_line(execute.errors()).startswith("zarm: cancelled: ")
 
 
+def test_a_goal_preempts_another_only_when_it_is_asked_to(
+    up: Up, observer: Bus, empty_scene: None, tmp_path: Path
+) -> None:
+    done(up, "execute", "--joints", near_home(0.0))
+    arguments = ("execute", "--joints", near_home(1.2), *SLOWLY, "--connect", up.endpoint)
+    with Command(*arguments, folder=tmp_path) as execute:
+        eventually(lambda: mode(observer) == "running", "the robot moves")
+        done(up, "pause")
+        eventually(lambda: mode(observer) == "paused", "the robot is held")
+        back = ("execute", "--joints", near_home(0.0))
+        assert "cancel it or wait" in refused(up, *back)
+        done(up, *back, "--preempt")
+        assert execute.end() == 1
+        assert the_one_line(execute.errors()).startswith("zarm: cancelled: ")
+    assert measured(observer)[0] == pytest.approx(0.0, abs=0.01)
+
+
 def test_speed_shows_and_changes_at_which_share_of_the_planned_speed_the_robot_moves(up: Up, observer: Bus) -> None:
     assert data(up, "speed") == {"speed_scale": 1.0}
     assert done(up, "speed", "0.4").startswith("0.4 of the planned speed")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from motions import HOME, ROBOT, moved, rest_to_rest
 from waves import chunk
 
-from zarm_contract.errors import ExecutionRefused
+from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_executor.follower import TICK, Follower
 from zarm_executor.limits import LIMIT_TOLERANCE, Limits
 from zarm_executor.path import Array, Path
@@ -85,6 +85,12 @@ def test_a_chunk_out_of_reach_is_refused() -> None:
     with pytest.raises(ExecutionRefused, match=r"0\.5000 rad from the motion") as refusal:
         spliced(chunk(0.0), 0.1, chunk(0.1, off=0.5), 0.1, LIMITS)
     assert refusal.value.code == "limit_violated"
+
+
+def test_a_chunk_that_starts_long_after_the_motion_is_refused() -> None:
+    with pytest.raises(InvalidRequest) as refusal:
+        spliced(chunk(0.0), 0.1, chunk(0.0), 1e6, LIMITS)
+    assert refusal.value.problem.field == "start"
 
 
 def test_a_chunk_that_starts_later_is_waited_for_at_rest() -> None:

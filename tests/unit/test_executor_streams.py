@@ -41,6 +41,9 @@ def test_chunks_are_followed_without_a_jump_and_the_last_one_succeeds(bench: Ben
     assert bench.machine.sequence("stream-1") == sequence
     now = bench.arm.follower.time
     bench.steer(sequence + 1, now, chunk(now), last=True)
+    path = bench.arm.follower.path
+    bench.steer(sequence + 2, now, chunk(now))  # there is none after the last one
+    assert bench.arm.follower.path is path
     bench.until("idle")
     assert bench.statuses() == ["accepted", "running", "succeeded"]
     assert bench.last().progress == 1.0

@@ -110,13 +110,15 @@ class Machine:
                 self._cancel(self._goal, why)
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> None:
-        """Lead the robot over to this chunk of the stream `goal_id`; nothing where it is not under way.
+        """Lead the robot over to this chunk of the stream `goal_id`; nothing where it is not under way or has its last one.
 
-        Raises ExecutionRefused (`limit_violated`) where that cannot be inside the limits.
+        Raises what `spliced` raises.
         """
         with self._lock:
             goal = self._goal
-            if goal is not None and goal.goal_id == goal_id and goal.chunk is not None and goal.outcome is None:
+            if goal is None or goal.goal_id != goal_id or goal.chunk is None or goal.outcome is not None:
+                return
+            if not goal.chunk.last:
                 strategy = self._steerable()
                 path = spliced(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
                 goal.steer(path, chunk)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_contract.errors import ExecutionRefused
+from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_executor.limits import Limits
 from zarm_executor.path import Array, Path, quintics
 
@@ -17,6 +17,8 @@ BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
 """Blending times that are tried, s of the path."""
 PAST = 2.0
 """How much of the past of a path is kept, s: more than any strategy looks back for a robot that is behind."""
+LONGEST_REST = 10.0
+"""How long (s) a robot that is at the end of its path may wait there for the start of a chunk."""
 _APART = 1e-4
 """Samples of a spliced path are at least this far apart, s."""
 
@@ -27,8 +29,15 @@ def spliced(path: Path, now: float, chunk: Path, start: float, limits: Limits) -
     `chunk` has its own time 0 at the path time `start`; where `now` is later, what it holds before is passed over. Both
     rest at their ends for as long as need be.
 
-    Raises ExecutionRefused (`limit_violated`) where no blending time is inside the limits.
+    Raises ExecutionRefused (`limit_violated`) where no blending time is inside the limits, and InvalidRequest where `chunk`
+    starts later than `LONGEST_REST` after the end of `path`.
     """
+    if start > path.duration + LONGEST_REST:
+        raise InvalidRequest(
+            f"the chunk starts at {start:.2f} s of a stream that ends at {path.duration:.2f} s so far; let it start at most "
+            f"{LONGEST_REST:g} s after that",
+            field="start",
+        )
     begin = max(now, start)
     joins = begin + BLENDS
     before = _states(path, np.full_like(joins, begin))

@@ -98,7 +98,7 @@ class StreamChunk(Message):
     Times of a stream run from its beginning as the robot moves (slower under a lower speed scale): the first sample of
     `trajectory` is at `start` s of the stream, and each trajectory ends at rest. The next chunk must be received within
     `deadline` s of this one, else the robot is brought to rest and the goal is aborted (`timeout`); not so after `last`, at
-    whose end the goal succeeds.
+    whose end the goal succeeds. What cannot be done ends the goal as aborted too, with the problem in its state.
     """
 
     goal_id: Name
