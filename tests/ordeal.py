@@ -21,8 +21,10 @@ STILL = 1e-3
 """What is slower (rad/s) is at rest, but for the last of the drives' lag."""
 WATCHED = 30
 """For how many steps of the arm nothing may move after the recovery, and again after the reset."""
-WINDOW = 2
-"""Steps of the arm over which its acceleration is taken: one point of a command."""
+WINDOW = 10
+"""Steps of the arm over which its acceleration is taken: five points of a command."""
+ONE_POINT = 1 / 5
+"""Share of it by which a chunk may exceed that begins one point off, because executor and driver tick each for itself."""
 
 Fault = Callable[[Arena], Iterator[str | None]]
 """Starts a motion and yields its goal; when the arm moves, strikes, and yields; when the arm stands, recovers."""
@@ -81,7 +83,7 @@ def endure(place: Arena, fault: Fault, promise: Promise) -> Figure:
     place.nudge()
     eventually(lambda: np.all(np.array(place.burden()) <= burden), f"the executor is back at {burden} threads, files")
     assert figure.rest <= promise.bound, figure
-    assert figure.acceleration <= CEILING * 1.01, figure
+    assert figure.acceleration <= CEILING * (1 + ONE_POINT), figure
     assert place.commanded_acceleration() <= LIMIT * 1.01
     return figure
 
