@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from arena import STEP, Arena
+from driven import LIMIT
 from harness import eventually
 from motions import HOME
 
 from zarm_contract.errors import Problem
+from zarm_contract.messages import GoalState
 from zarm_leeloo_sim.player import CEILING
 
 IN_MOTION = 0.5
@@ -19,8 +21,10 @@ STILL = 1e-3
 """What is slower (rad/s) is at rest, but for the last of the drives' lag."""
 WATCHED = 30
 """For how many steps of the arm nothing may move after the recovery, and again after the reset."""
-WINDOW = 2
-"""Steps of the arm over which its acceleration is taken: one point of a command."""
+WINDOW = 10
+"""Steps of the arm over which its acceleration is taken: five points of a command."""
+ONE_POINT = 1 / 5
+"""Share of it by which a chunk may exceed that begins one point off, because executor and driver tick each for itself."""
 
 Fault = Callable[[Arena], Iterator[str | None]]
 """Starts a motion and yields its goal; when the arm moves, strikes, and yields; when the arm stands, recovers."""
@@ -54,7 +58,12 @@ def endure(place: Arena, fault: Fault, promise: Promise) -> Figure:
     steps = fault(place)
     goal_id = next(steps)
     assert goal_id is not None
-    eventually(lambda: place.speed() > IN_MOTION, "the arm is in motion")
+
+    def over() -> list[GoalState]:
+        return [goal for goal in place.client.goals if goal.goal_id == goal_id and goal.done]
+
+    eventually(lambda: over() or place.speed() > IN_MOTION, "the arm is in motion")
+    assert not over()
     struck = place.samples()
     next(steps)
     place.wait_to_stand()
@@ -74,8 +83,8 @@ def endure(place: Arena, fault: Fault, promise: Promise) -> Figure:
     place.nudge()
     eventually(lambda: np.all(np.array(place.burden()) <= burden), f"the executor is back at {burden} threads, files")
     assert figure.rest <= promise.bound, figure
-    assert figure.acceleration <= CEILING * 1.01, figure
-    assert place.commanded_acceleration() <= CEILING
+    assert figure.acceleration <= CEILING * (1 + ONE_POINT), figure
+    assert place.commanded_acceleration() <= LIMIT * 1.01
     return figure
 
 

@@ -364,6 +364,19 @@ def test_a_streamed_robot_whose_chunks_stop_coming_comes_to_rest_by_itself(tmp_p
     assert not bench.arm.velocity.any()
 
 
+def test_after_a_pause_joints_from_before_it_move_nothing(tmp_path: Folder) -> None:
+    bench = DriverBench(Case("joint_speed"), tmp_path)
+    bench.execute()
+    bench.run(1.2)
+    bench.silent = True
+    bench.freeze(STALL_LIMIT + 1.0)
+    stood = bench.arm.position
+    bench.run(0.05)
+    bench.silent = False
+    bench.until("fault")
+    np.testing.assert_array_equal(bench.arm.position, stood)
+
+
 def test_drift_does_not_add_up_when_the_measured_joints_close_the_loop(tmp_path: Folder) -> None:
     """A driver that is 5 % too slow is corrected by joint_speed; joint_trajectory, open loop, ends beside the goal."""
     ends = {}
