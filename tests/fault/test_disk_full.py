@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from burden import favour
 from driven import THERE, Driven
 from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually
@@ -151,6 +152,7 @@ def test_a_real_robot_is_stopped_over_a_full_disk_as_ever_and_not_moved(
         robot.driver.wait_ready(bus, KEYS)
         robot.executor = stack.enter_context(robot.new_executor())
         robot.executor.wait_ready(bus, KEYS)
+        favour(robot.driver, robot.executor)
         goal_id = robot.client.execute(THERE)
         robot.client.under_way(goal_id)
         disk.fill()
@@ -167,6 +169,7 @@ def test_a_real_robot_is_stopped_over_a_full_disk_as_ever_and_not_moved(
         robot.executor.kill()
         with robot.new_executor() as again:
             again.wait_ready(bus, KEYS)
+            favour(again)
             assert robot.client.strategy().active == "joint_speed"
             np.testing.assert_array_equal(robot.at_rest(), stopped)
             disk.empty()

@@ -17,6 +17,7 @@ import payloads
 import psutil
 import pytest
 import zenoh
+from burden import favour
 from contract.examples import by_class
 from driven import driven
 from harness import PATIENCE, ServiceProcess
@@ -237,6 +238,7 @@ def test_the_executor_and_the_driver_take_any_payload_and_the_robot_stands(
         assert {state.position for state in robot.client.measured[measured:]} == {tuple(first.tolist())}
         assert not any(any(state.velocity) for state in robot.client.measured[measured:])
         assert {goal.goal_id for goal in robot.client.goals} == set()
+        favour(robot.driver, robot.executor)
         assert robot.client.strategy("joint_speed").active == "joint_speed"
         goal_id = robot.client.execute(rest_to_rest(moved(0.2)))
         assert robot.client.ended(goal_id).status == "succeeded"
