@@ -158,6 +158,8 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     # scene
     *_OBJECTS,
+    m.OccupancyRequest(resolution=0.1),
+    m.Occupancy(scene_revision=12, resolution=0.1, cells=((0, 0, 0), (1, -2, 3))),
     m.Scene(revision=12, objects=_OBJECTS, attached=(_ATTACHED,), ignored_links=("link_5",)),
     _ADD,
     _REMOVE,

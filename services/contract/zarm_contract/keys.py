@@ -50,6 +50,11 @@ class Keys:
         return self._key("planner", "check")
 
     @property
+    def occupancy(self) -> str:
+        """OccupancyRequest -> Occupancy."""
+        return self._key("planner", "occupancy")
+
+    @property
     def settings(self) -> str:
         """SettingsChange -> PlannerSettings; latched."""
         return self._key("planner", "settings")

@@ -23,6 +23,8 @@ from zarm_contract.messages import (
     FkRequest,
     IkRequest,
     IkSolutions,
+    Occupancy,
+    OccupancyRequest,
     Plan,
     PlannerKind,
     PlannerSettings,
@@ -39,6 +41,7 @@ from zarm_planner.exact import RESOLUTION, ExactScene
 from zarm_planner.frames import matrix, pose_of
 from zarm_planner.joints import checked, within_range
 from zarm_planner.motion import Array, Limits
+from zarm_planner.occupancy import reached_cells
 from zarm_planner.pipeline import Options, Verified, plan
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.running import Running
@@ -184,6 +187,20 @@ class Planner:
                     )
                 )
             return CheckResults(results=tuple(results))
+
+        return self._running.run(work, _BATCH_TIMEOUT)
+
+    def occupancy(self, request: OccupancyRequest) -> Occupancy:
+        """Which cells of a grid the scene's objects reach into. Raises InvalidRequest where they are too many."""
+
+        def work(stop: Stop) -> Occupancy:
+            snapshot = self._look()
+            cells = reached_cells(snapshot.world, request.resolution, stop.check)
+            return Occupancy.model_construct(  # whose cells were just counted; to validate so many takes longer than to find them
+                scene_revision=snapshot.revision,
+                resolution=request.resolution,
+                cells=tuple(map(tuple, cells.tolist())),
+            )
 
         return self._running.run(work, _BATCH_TIMEOUT)
 

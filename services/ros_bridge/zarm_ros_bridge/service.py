@@ -8,8 +8,11 @@ from contextlib import contextmanager
 
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.parameters import Parameters
+from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.scene import SceneServices
 
 NODE = "unified_planner"
 """The name of the node, as clients of the reference know it."""
@@ -27,6 +30,9 @@ def start(service: Service) -> Iterator[None]:
         Ros(f"{NODE}_v1", namespace, workers=1) as first,
     ):
         parameters = Parameters(ros.node, engine)
+        Planning(ros, engine, parameters)
+        Kinematics(ros, engine)
+        SceneServices(ros, engine, parameters, {})
         ros.spin()
         first.spin()
         service.ready()

@@ -195,3 +195,20 @@ class SceneEdited(Message):
 
     revision: Annotated[int, Field(ge=0)]
     count: Annotated[int, Field(ge=0)]
+
+
+class OccupancyRequest(Message):
+    """Ask which cubes with edges of `resolution` m the scene's objects reach into."""
+
+    resolution: Resolution = 0.05
+
+
+class Occupancy(Message):
+    """The cells that the objects reach into, each once; `(i, j, k)` has its centre at `(i, j, k) * resolution` in the base frame.
+
+    No part of an object is outside them. What the robot carries is not there.
+    """
+
+    scene_revision: Annotated[int, Field(ge=0)]
+    resolution: Resolution
+    cells: tuple[tuple[Index, Index, Index], ...] = Field(max_length=MAX_CELLS)
