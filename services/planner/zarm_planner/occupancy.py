@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import MAX_CELLS
+from zarm_contract.messages import MAX_CELLS, MAX_INDEX
 from zarm_planner import rows
 from zarm_planner.shapes import obstacle_shape
-from zarm_planner.voxels import FARTHEST_CELL, Cells, distinct
+from zarm_planner.voxels import Cells, distinct
 from zarm_planner.world import World
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def reached_cells(world: World, resolution: float, check: Callable[[], None]) ->
 def _cells(row: Array, resolution: float, check: Callable[[], None]) -> Cells:
     """Those of one shape (17,): blocks of cells that come near it are halved along each axis until they are cells."""
     lower, upper = (corner[0] for corner in rows.bounds(row[None]))
-    if np.abs((lower, upper)).max() > (FARTHEST_CELL - 1) * resolution:
+    if np.abs((lower, upper)).max() > (MAX_INDEX - 1) * resolution:
         raise InvalidRequest(
             f"an object is too far away for cells of {resolution:g} m; use a coarser resolution", field="resolution"
         )

@@ -15,10 +15,8 @@ from zarm_contract.messages import (
     IkRequest,
     IkSolutions,
     Plan,
-    PlannerSettings,
     PlanRequest,
     Pose,
-    SettingsChange,
 )
 from zarm_contract.robot import load_robot
 from zarm_ros_bridge.answers import with_message
@@ -30,6 +28,8 @@ from zarm_ros_bridge.ros import Ros
 
 _WITHOUT_ENGINE = ("mpc",)
 """Planners that zarm does not have yet."""
+_WAYS = 16
+"""Joint solutions of a pose that are looked at."""
 _BATCH_SECONDS = 65.0
 """Longest wait for inverse kinematics of many poses: the planner gives them 60 s."""
 
@@ -75,6 +75,7 @@ class Planning:
             planner="auto",
             timeout=timeout,
             max_attempts=self._parameters.value("max_attempts"),
+            margin=self._parameters.value("collision_activation_distance"),
         )
         try:
             return self._engine.ask(self._engine.keys.plan, Plan, request, timeout=timeout + ANSWER_SECONDS)
@@ -98,7 +99,7 @@ class Planning:
 
     def _nearest_first(self, poses: tuple[Pose, ...], start: Positions) -> list[int]:
         """Places of the poses, by the time that the slowest joint needs to them; those without a free solution come last."""
-        request = IkRequest(poses=poses, near=start)
+        request = IkRequest(poses=poses, near=start, max_solutions=_WAYS)
         found = self._engine.ask(self._engine.keys.ik, IkSolutions, request, timeout=_BATCH_SECONDS).solutions
         speed = self._engine.robot.descriptor.cspace.velocity
 
@@ -132,8 +133,6 @@ class Planning:
 
     def _update(self, _: Trigger.Request, __: Trigger.Response) -> str:
         engine = self._engine
-        margin = self._parameters.value("collision_activation_distance")
-        engine.ask(engine.keys.settings, PlannerSettings, SettingsChange(margin=margin))
         robot = load_robot(str(engine.robot.path))
         services = [service for service in ("planner", "executor") if self._hash(service) != robot.hash]
         if robot.hash != engine.robot.hash:

@@ -61,6 +61,7 @@ from zarm_contract.messages.planner import (
 from zarm_contract.messages.scene import (
     MAX_ATTACHED,
     MAX_CELLS,
+    MAX_INDEX,
     MAX_OBJECTS,
     MAX_POINTS,
     AddObjects,
@@ -91,6 +92,7 @@ from zarm_contract.messages.service import Health, Nothing
 __all__ = [
     "MAX_ATTACHED",
     "MAX_CELLS",
+    "MAX_INDEX",
     "MAX_OBJECTS",
     "MAX_POINTS",
     "Accepted",

@@ -13,6 +13,8 @@ MAX_OBJECTS = 10_000
 MAX_ATTACHED = 16
 MAX_CELLS = 200_000
 MAX_POINTS = 200_000
+MAX_INDEX = 500_000
+"""No cell is further from that at the origin, along any axis."""
 
 
 class Cuboid(Message):
@@ -74,7 +76,7 @@ class Mesh(Message):
 Resolution = Annotated[float, Field(ge=0.002, le=1)]
 
 
-Index = Annotated[int, Field(ge=-500_000, le=500_000)]
+Index = Annotated[int, Field(ge=-MAX_INDEX, le=MAX_INDEX)]
 
 
 class Voxels(Message):
