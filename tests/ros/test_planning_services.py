@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from curobo_msgs.srv import Fk, GetPlanners, SetPlanner, TrajectoryGeneration
 from geometry_msgs.msg import Point, Pose, Quaternion
+from harness import eventually
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from ros_node import answer
@@ -19,8 +20,8 @@ from ros_stack import KEYS, Stack, stack
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState, Nothing, Plan
 from zarm_contract.messages import JointState as MeasuredJoints
-from zarm_contract.messages import Nothing, Plan
 from zarm_contract.robot import ROBOTS, load_robot
 
 ROBOT = load_robot("doosan_m1013")
@@ -276,23 +277,61 @@ def test_many_clients_at_once_all_get_their_plan(arm: Stack) -> None:
         assert response.trajectory[-1].position[0] == pytest.approx(0.1 * k)
 
 
-def test_an_update_says_whether_every_service_has_the_robots_file_as_it_is(arm: Stack, descriptor: Path) -> None:
+def test_an_update_makes_every_service_take_the_changed_file_of_the_robot(arm: Stack, descriptor: Path) -> None:
+    goal = {"target_joint_positions": [1.0, *HOME[1:]]}
+    before, fast = descriptor.read_text(), generate(arm, **goal)
+    assert_sound(fast, HOME)
+    processes = [arm.processes[name].process.pid for name in ("executor", "planner")]
+    slow = before.replace("velocity: [1.2, 1.2, 1.2, 1.2, 1.2, 1.2]", "velocity: [0.2, 0.2, 0.2, 0.2, 0.2, 0.2]")
+    try:
+        descriptor.write_text(slow)
+        update = arm.ros.call(Trigger, "update_motion_gen_config")
+        assert update.success, update.message
+        assert "executor and planner have started anew" in update.message
+        response = generate(arm, **goal)
+        assert response.success, response.message
+        assert np.abs([state.velocity for state in response.trajectory]).max() <= 0.2 * 1.001
+        assert len(response.trajectory) > 2 * len(fast.trajectory)
+    finally:
+        descriptor.write_text(before)
+        assert arm.ros.call(Trigger, "update_motion_gen_config").success
+    assert len(generate(arm, **goal).trajectory) == pytest.approx(len(fast.trajectory), abs=2)
+    assert [arm.processes[name].process.pid for name in ("executor", "planner")] == processes
+
+
+def test_an_update_without_a_change_and_with_a_broken_file_leaves_all_as_it_is(arm: Stack, descriptor: Path) -> None:
     same = arm.ros.call(Trigger, "update_motion_gen_config")
     assert same.success, same.message
     before = descriptor.read_text()
+    for wrong, named in (("interpolation_dt: soon", "interpolation_dt"), ("tip_link: link_5", "tip_link")):
+        key = wrong.split(":")[0]
+        line = next(line for line in before.splitlines() if line.startswith(f"{key}:"))
+        try:
+            descriptor.write_text(before.replace(line, wrong))
+            broken = arm.ros.call(Trigger, "update_motion_gen_config")
+            assert not broken.success
+            assert named in broken.message
+            assert str(descriptor) in broken.message
+        finally:
+            descriptor.write_text(before)
+    assert_sound(generate(arm, target_pose=TUTORIAL), HOME)
+
+
+def test_an_update_is_refused_while_the_robot_moves(arm: Stack, descriptor: Path) -> None:
+    assert_sound(generate(arm, target_joint_positions=[1.0, *HOME[1:]]), HOME)
+    before = descriptor.read_text()
+    goal = arm.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10)
     try:
-        descriptor.write_text(before.replace("interpolation_dt: 0.02", "interpolation_dt: 0.01"))
-        changed = arm.ros.call(Trigger, "update_motion_gen_config")
-        assert not changed.success
-        assert "planner, executor" in changed.message
-        descriptor.write_text(before.replace("interpolation_dt: 0.02", "interpolation_dt: soon"))
-        broken = arm.ros.call(Trigger, "update_motion_gen_config")
-        assert not broken.success
-        assert "interpolation_dt" in broken.message
-        assert str(descriptor) in broken.message
+        descriptor.write_text(before + "\n# a remark")
+        update = arm.ros.call(Trigger, "update_motion_gen_config")
+        assert not update.success
+        assert "running" in update.message
     finally:
         descriptor.write_text(before)
-    assert arm.ros.call(Trigger, "update_motion_gen_config").success
+        arm.bus.call(KEYS.cancel, CancelRequest(goal_id=goal.goal_id), ExecutorState, timeout=10)
+    eventually(
+        lambda: arm.bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=10).mode == "idle", "it rests"
+    )
 
 
 def parameter(arm: Stack, name: str) -> ParameterValue:

@@ -181,6 +181,10 @@ class Keys:
         """Nothing -> Health."""
         return self._key(service, "health")
 
+    def reread(self, service: str) -> str:
+        """Nothing -> Health: take the robot's file as it is now, and start anew where it has changed."""
+        return self._key(service, "reread")
+
     def alive(self, service: str, instance: str) -> str:
         """Liveliness token. `service` and `instance` may be `*`."""
         return self._key(service, "@alive", instance)

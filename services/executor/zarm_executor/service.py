@@ -105,6 +105,7 @@ def start(service: Service) -> Iterator[None]:
                 bus.watch(keys.scene_revision, SceneEdited, plans.set_scene)
                 for receive in (plans.add, ghost.show):
                     bus.watch(keys.plans, Plan, receive)
+                service.interruptible = executor.check_idle
                 _serve(bus, service, executor)
                 service.ready()
                 try:

@@ -10,7 +10,6 @@ from std_srvs.srv import Trigger
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed, Unavailable, ZarmError
 from zarm_contract.messages import (
     Goal,
-    Health,
     HeldAxes,
     IkRequest,
     IkSolutions,
@@ -18,12 +17,12 @@ from zarm_contract.messages import (
     PlanRequest,
     Pose,
 )
-from zarm_contract.robot import load_robot
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.convert import Positions, in_terms_of, is_empty, positions_of
 from zarm_ros_bridge.convert_plans import goal_of, held_of, pose_goal, poses_of, ros_trajectory, target_of
 from zarm_ros_bridge.engine import ANSWER_SECONDS, Engine
 from zarm_ros_bridge.parameters import PLANNERS, Parameters
+from zarm_ros_bridge.rereading import reread_robot
 from zarm_ros_bridge.ros import Ros
 
 _WITHOUT_ENGINE = ("mpc",)
@@ -132,20 +131,9 @@ class Planning:
         return response
 
     def _update(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        engine = self._engine
-        robot = load_robot(str(engine.robot.path))
-        services = [service for service in ("planner", "executor") if self._hash(service) != robot.hash]
-        if robot.hash != engine.robot.hash:
-            services.append("ros_bridge")
-        if services:
-            raise Unavailable(
-                f"the parameters are applied, but {robot.path} has changed since {', '.join(services)} started, and a running "
-                "robot keeps its limits; restart zarm, or these services, to take the file"
-            )
-        return f"The parameters are applied; {robot.path} is as every service has it"
-
-    def _hash(self, service: str) -> str:
-        return self._engine.ask(self._engine.keys.health(service), Health).robot_hash
+        changed = reread_robot(self._engine)
+        file = self._engine.robot.path
+        return f"{file} has changed, and {changed}" if changed else f"{file} is as every service has it"
 
 
 def _choosable(planner: str) -> None:
