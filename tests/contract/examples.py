@@ -111,6 +111,7 @@ EXAMPLES: tuple[Message, ...] = (
         optimize_s=0.5,
         velocity_scale=0.5,
         acceleration_scale=0.25,
+        margin=0.03,
         seed=7,
     ),
     m.PlanRequest(goal=_JOINT_GOAL),
@@ -158,6 +159,8 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     # scene
     *_OBJECTS,
+    m.OccupancyRequest(resolution=0.1),
+    m.Occupancy(scene_revision=12, resolution=0.1, cells=((0, 0, 0), (1, -2, 3))),
     m.Scene(revision=12, objects=_OBJECTS, attached=(_ATTACHED,), ignored_links=("link_5",)),
     _ADD,
     _REMOVE,

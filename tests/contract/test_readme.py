@@ -25,7 +25,7 @@ def test_every_key_is_listed_once() -> None:
     keys = Keys("arm")
     every = {getattr(keys, name) for name, value in vars(Keys).items() if isinstance(value, property)}
     every |= {keys.scene_object("<name>"), keys.goal("<goal_id>")}
-    every |= {keys.health("<service>"), keys.alive("<service>", "<instance>")}
+    every |= {keys.health("<service>"), keys.reread("<service>"), keys.alive("<service>", "<instance>")}
     assert sorted(f"zarm/arm/{key}" for key in first_column("Keys")) == sorted(every)
 
 

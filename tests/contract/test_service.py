@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import pytest
 from harness import PATIENCE, eventually, free_endpoint
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import Unavailable
+from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import load_robot
@@ -102,6 +103,40 @@ def test_a_second_robot_of_a_kind_has_a_name_of_its_own(start: Start, bus: Bus) 
     start("--name", "pendulum_2")
     for keys in (KEYS, Keys("pendulum_2")):
         eventually(lambda keys=keys: health(bus, keys), "the service is ready")
+
+
+def reread(bus: Bus) -> Health:
+    return bus.call(KEYS.reread("minimal"), Nothing(), Health, timeout=PATIENCE)
+
+
+def test_a_service_starts_anew_with_the_changed_file_of_its_robot(start: Start, bus: Bus, pendulum: Path) -> None:
+    process = start()
+    before = eventually(lambda: health(bus), "the service is ready")
+    assert reread(bus).instance == before.instance
+    pendulum.write_text(pendulum.read_text() + "\n# a remark\n")
+    assert reread(bus).robot_hash == before.robot_hash
+
+    def renewed() -> Health | None:
+        now = health(bus)
+        return now if now is not None and now.robot_hash != before.robot_hash else None
+
+    after = eventually(renewed, "the service has taken the file")
+    assert after.pid == before.pid == process.pid
+    assert after.instance != before.instance
+    process.send_signal(signal.SIGTERM)
+    output, _ = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, output) == (0, "closed\nclosed\n")
+
+
+def test_a_service_goes_on_where_the_changed_file_has_faults(start: Start, bus: Bus, pendulum: Path) -> None:
+    start()
+    before = eventually(lambda: health(bus), "the service is ready")
+    pendulum.write_text(pendulum.read_text().replace("joints:", "joint:"))
+    with pytest.raises(InvalidRequest, match=re.escape(str(pendulum))):
+        reread(bus)
+    now = health(bus)
+    assert now is not None
+    assert (now.instance, now.ready) == (before.instance, True)
 
 
 # -- one owner --

@@ -26,6 +26,8 @@ from zarm_contract.messages import (
     JointGoal,
     Mesh,
     Nothing,
+    Occupancy,
+    OccupancyRequest,
     Plan,
     PlanRequest,
     PointCloud,
@@ -108,6 +110,24 @@ def test_a_mesh_is_planned_around(empty: Bus) -> None:
     found = plan_behind_the_post(empty)
     assert found.clearance > 0.0
     assert_around_the_post(found)
+
+
+def test_the_cells_that_objects_of_any_kind_reach_into_are_told(empty: Bus) -> None:
+    def reached(resolution: float) -> Occupancy:
+        return empty.call(KEYS.occupancy, OccupancyRequest(resolution=resolution), Occupancy, timeout=PATIENCE)
+
+    assert reached(0.05).cells == ()
+    add(empty, MESH, Sphere(kind="sphere", name="ball", position=(1.0, 0.0, 0.0), radius=0.01))
+    edited = add(empty, PointCloud(kind="cloud", name="cloud", points=((1.0, 1.0, 0.0),), resolution=0.01))
+    found = reached(0.05)
+    assert (found.scene_revision, found.resolution) == (edited.revision, 0.05)
+    assert {(20, 0, 0), (20, 20, 0)} <= set(found.cells)
+    post = [cell for cell in found.cells if cell[0] < 15]
+    assert len({k for _, _, k in post}) == 19  # 0.9 m from -0.05 m on
+    add(empty, Sphere(kind="sphere", name="large", position=(2.0, 0.0, 0.0), radius=0.3))
+    with pytest.raises(InvalidRequest) as raised:
+        reached(0.002)
+    assert raised.value.problem.field == "resolution"
 
 
 def test_a_configuration_that_touches_a_mesh_is_found_with_pair_and_depth(empty: Bus) -> None:

@@ -50,6 +50,11 @@ class Keys:
         return self._key("planner", "check")
 
     @property
+    def occupancy(self) -> str:
+        """OccupancyRequest -> Occupancy."""
+        return self._key("planner", "occupancy")
+
+    @property
     def settings(self) -> str:
         """SettingsChange -> PlannerSettings; latched."""
         return self._key("planner", "settings")
@@ -175,6 +180,10 @@ class Keys:
     def health(self, service: str) -> str:
         """Nothing -> Health."""
         return self._key(service, "health")
+
+    def reread(self, service: str) -> str:
+        """Nothing -> Health: take the robot's file as it is now, and start anew where it has changed."""
+        return self._key(service, "reread")
 
     def alive(self, service: str, instance: str) -> str:
         """Liveliness token. `service` and `instance` may be `*`."""

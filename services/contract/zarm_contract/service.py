@@ -8,6 +8,7 @@ import logging
 import os
 import secrets
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -31,6 +32,8 @@ CONTRACT = "v1"
 _WITHDRAWAL = 2.0
 """Seconds that a starting service gives another one that starts at the same moment to withdraw."""
 
+_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+"""Those that end a service."""
 _WATCH_PERIOD = 1.0
 """Seconds between two looks for an older owner of the same robot."""
 _GLANCE = 0.3
@@ -55,6 +58,11 @@ class Service:
     bus: Bus
     options: argparse.Namespace
     instance: str = field(default_factory=lambda: f"{time.time_ns() // 1_000_000:011x}{secrets.token_hex(2)}")
+    interruptible: Callable[[], None] = lambda: None
+    """Raises where this is no moment to start anew; a service that moves something sets it."""
+    end: threading.Event = field(default_factory=threading.Event)
+    outdated: bool = False
+    """Whether the robot's file has changed, and the process starts anew to take it."""
     _activity: str = "starting"
     _ready: bool = False
     _started: float = field(default_factory=time.monotonic)
@@ -86,6 +94,20 @@ class Service:
             pid=os.getpid(),
         )
 
+    def reread(self, _: Nothing) -> Health:
+        """Look at the robot's file again; where it has changed, end, and start anew with it in the same process.
+
+        Whoever asks sees in `health` when that is done. Raises InvalidRequest for a file with faults, and what
+        `interruptible` raises; then nothing has changed.
+        """
+        robot = load_robot(str(self.robot.path))
+        if robot.hash != self.robot.hash:
+            self.interruptible()
+            self._ready, self.outdated = False, True
+            self.starting("ending to start anew with the changed robot")
+            self.end.set()
+        return self.health()
+
     def claim(self) -> None:
         """Become the one owner of this service for the robot. Raises Unavailable while another one is alive.
 
@@ -102,6 +124,7 @@ class Service:
                 raise self.taken(others)
             time.sleep(0.05)
         self.bus.serve(self.keys.health(self.name), Nothing, self.health, readable=True)
+        self.bus.serve(self.keys.reread(self.name), Nothing, self.reread, workers=1)
 
     def older_owner(self) -> str | None:
         """The instance of an owner that was there before this one, if it is on the bus.
@@ -135,13 +158,19 @@ def run_service(
     """
     setup_logging(name)
     options = parser.parse_args()
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop, signalled = threading.Event(), threading.Event()
+
+    def receive(*_: object) -> None:
+        signalled.set()
+        stop.set()
+
+    for number in _SIGNALS:
+        signal.signal(number, receive)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     try:
         with ExitStack() as stack:
             services = [
-                Service(name, robot, keys, stack.enter_context(Bus(options.connect)), options)
+                Service(name, robot, keys, stack.enter_context(Bus(options.connect)), options, end=stop)
                 for robot, keys in _robots(options)
             ]
             for service in services:
@@ -155,6 +184,11 @@ def run_service(
             log.info("stopping")
         if refusal is not None:
             raise refusal
+        if any(service.outdated for service in services):
+            signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # one that comes from now on waits for the next program
+            if not signalled.is_set():
+                sys.stdout.flush()
+                os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - this very program
     except ZarmError as error:
         log.error("cannot run reason=%s", error)
         return 1

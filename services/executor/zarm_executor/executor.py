@@ -65,6 +65,12 @@ class Executor:
             turn.start(Goal(goal_id, plan_id, path, Monitor(path, self._robot.descriptor)))
         return Accepted(goal_id=goal_id)
 
+    def check_idle(self) -> None:
+        """Raises Busy unless the robot rests and nothing is wrong."""
+        mode = self._machine.state().mode
+        if mode != "idle":
+            raise Busy(f"the executor is in the mode {mode}; let the goal end, or reset what is wrong, and ask again")
+
     def cancel(self, request: CancelRequest) -> ExecutorState:
         """Cancel one goal, or the one that runs."""
         self._machine.cancel(request.goal_id, "the goal was cancelled by a client")

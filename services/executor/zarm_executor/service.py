@@ -135,6 +135,7 @@ def start(service: Service) -> Iterator[None]:
                     ghost.show(key, plan)
 
                 bus.watch(keys.plans, Plan, receive)
+                service.interruptible = executor.check_idle
                 _serve(bus, service, executor)
                 stream_bus.subscribe(keys.stream, StreamChunk, streams.receive)
                 _exempt_from_collection()

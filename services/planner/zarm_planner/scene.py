@@ -182,7 +182,8 @@ def _added(
             )
         if item.name in objects and not replace:
             raise InvalidRequest(
-                f"there is already an object {item.name}; set replace, or choose another name", field=f"{field}.name"
+                f"there is already an object {item.name}; remove it first, set replace, or choose another name",
+                field=f"{field}.name",
             )
         _check_size(item, field)
         added[item.name] = _kept(item, field, meshes)

@@ -19,6 +19,7 @@ from zarm_contract.messages import (
     IkRequest,
     JointState,
     Message,
+    OccupancyRequest,
     Plan,
     PlannerSettings,
     PlanRequest,
@@ -94,6 +95,7 @@ def start(service: Service) -> Iterator[None]:
         bus.serve(keys.ik, IkRequest, when_warm(planner.ik))
         bus.serve(keys.fk, FkRequest, when_warm(planner.fk))
         bus.serve(keys.check, CheckRequest, when_warm(planner.check))
+        bus.serve(keys.occupancy, OccupancyRequest, when_warm(planner.occupancy), workers=1)
         planner.warm_up(service.starting)
         gc.freeze()  # what is loaded stays; looking for garbage in it again and again would delay a plan by 0.1 s at times
         warm = True

@@ -7,10 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from zarm_contract.service import Service, run_service, service_parser
+from zarm_ros_bridge.convert_markers import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.parameters import Parameters
+from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.scene import SceneServices
 from zarm_ros_bridge.topics import Topics
 
 NODE = "unified_planner"
@@ -28,8 +32,12 @@ def start(service: Service) -> Iterator[None]:
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"{NODE}_v1", namespace, workers=1) as first,
     ):
-        Parameters(ros.node, engine)
-        Topics(ros, engine, {})
+        parameters = Parameters(ros.node, engine)
+        colours: dict[str, Colour] = {}
+        Planning(ros, engine, parameters)
+        Kinematics(ros, engine)
+        SceneServices(ros, engine, parameters, colours)
+        Topics(ros, engine, colours)
         params = service.robot.descriptor.strategy_params
         if params is not None:
             Drivers(ros, engine, params)

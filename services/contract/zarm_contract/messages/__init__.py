@@ -61,6 +61,7 @@ from zarm_contract.messages.planner import (
 from zarm_contract.messages.scene import (
     MAX_ATTACHED,
     MAX_CELLS,
+    MAX_INDEX,
     MAX_OBJECTS,
     MAX_POINTS,
     AddObjects,
@@ -73,6 +74,8 @@ from zarm_contract.messages.scene import (
     DetachObject,
     LoadScene,
     Mesh,
+    Occupancy,
+    OccupancyRequest,
     PointCloud,
     Primitive,
     RemoveObjects,
@@ -89,6 +92,7 @@ from zarm_contract.messages.service import Health, Nothing
 __all__ = [
     "MAX_ATTACHED",
     "MAX_CELLS",
+    "MAX_INDEX",
     "MAX_OBJECTS",
     "MAX_POINTS",
     "Accepted",
@@ -131,6 +135,8 @@ __all__ = [
     "Name",
     "NonNegative",
     "Nothing",
+    "Occupancy",
+    "OccupancyRequest",
     "Plan",
     "PlanRequest",
     "PlanTimings",

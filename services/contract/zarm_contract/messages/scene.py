@@ -13,6 +13,8 @@ MAX_OBJECTS = 10_000
 MAX_ATTACHED = 16
 MAX_CELLS = 200_000
 MAX_POINTS = 200_000
+MAX_INDEX = 500_000
+"""No cell is further from that at the origin, along any axis."""
 
 
 class Cuboid(Message):
@@ -74,7 +76,7 @@ class Mesh(Message):
 Resolution = Annotated[float, Field(ge=0.002, le=1)]
 
 
-Index = Annotated[int, Field(ge=-500_000, le=500_000)]
+Index = Annotated[int, Field(ge=-MAX_INDEX, le=MAX_INDEX)]
 
 
 class Voxels(Message):
@@ -195,3 +197,20 @@ class SceneEdited(ShortMessage):
 
     revision: Annotated[int, Field(ge=0)]
     count: Annotated[int, Field(ge=0)]
+
+
+class OccupancyRequest(Message):
+    """Ask which cubes with edges of `resolution` m the scene's objects reach into."""
+
+    resolution: Resolution = 0.05
+
+
+class Occupancy(Message):
+    """The cells that the objects reach into, each once; `(i, j, k)` has its centre at `(i, j, k) * resolution` in the base frame.
+
+    No part of an object is outside them. What the robot carries is not there.
+    """
+
+    scene_revision: Annotated[int, Field(ge=0)]
+    resolution: Resolution
+    cells: tuple[tuple[Index, Index, Index], ...] = Field(max_length=MAX_CELLS)

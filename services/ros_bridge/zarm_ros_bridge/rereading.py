@@ -1,0 +1,57 @@
+"""A changed descriptor is taken by every service of the robot."""
+
+from __future__ import annotations
+
+import time
+
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import Health, Strategies, StrategyRequest
+from zarm_contract.robot import load_robot
+from zarm_ros_bridge.engine import Engine
+
+RESTART_SECONDS = 60.0
+"""Longest wait for a service that starts anew; a planner takes some seconds, and half a minute where it has to compile."""
+SWITCH_SECONDS = 20.0
+"""Longest wait for a switch of the strategy."""
+
+_SERVICES = ("executor", "planner")  # the executor first: it is the one that may refuse, and then nothing has changed
+_FIXED = ("name", "base_link", "tip_link", "joints", "strategy_params")
+
+
+def reread_robot(engine: Engine) -> str:
+    """Have the robot's file read again, and what starts anew with it be ready; what was done, empty where nothing has changed.
+
+    The strategy that was active is active again. Raises InvalidRequest for a file with faults, Busy while the robot moves, and
+    Unavailable where a service does not come back in time, or where the file has changed in what the bridge is built on.
+    """
+    robot = load_robot(str(engine.robot.path))
+    for name in _FIXED:
+        if getattr(robot.descriptor, name) != getattr(engine.robot.descriptor, name):
+            raise Unavailable(
+                f"{name} has changed in {robot.path}, which the services on ROS are built on; restart zarm to take it"
+            )
+    strategy = engine.strategies().active
+    renewed = []
+    for service in _SERVICES:
+        if engine.ask(engine.keys.reread(service), Health).robot_hash != robot.hash:
+            renewed.append(service)
+            _wait_for(engine, service, robot.hash)
+    if engine.strategies().active != strategy:
+        engine.ask(engine.keys.strategy, Strategies, StrategyRequest(strategy=strategy), timeout=SWITCH_SECONDS)
+    engine.robot = robot
+    return f"{' and '.join(renewed)} have started anew with it" if renewed else ""
+
+
+def _wait_for(engine: Engine, service: str, robot_hash: str) -> None:
+    deadline = time.monotonic() + RESTART_SECONDS
+    while time.monotonic() < deadline:
+        try:
+            health = engine.ask(engine.keys.health(service), Health, timeout=1.0)
+        except Unavailable:
+            health = None
+        if health is not None and health.ready and health.robot_hash == robot_hash:
+            return
+        time.sleep(0.05)
+    raise Unavailable(
+        f"the {service} has not come back with the changed robot within {RESTART_SECONDS:g} s; its log says why"
+    )

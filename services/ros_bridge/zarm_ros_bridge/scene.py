@@ -1,0 +1,157 @@
+"""Services of the scene: its obstacles, what is known of distances to them, and what is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+
+from std_srvs.srv import Trigger
+
+from curobo_msgs.srv import (
+    AddObject,
+    GetCollisionDistance,
+    GetVoxelGrid,
+    RemoveObject,
+    SetCollisionCache,
+)
+from curobo_msgs.srv import SetLinkCollision as RosSetLinkCollision
+from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.messages import (
+    AddObjects,
+    CheckRequest,
+    CheckResults,
+    ClearScene,
+    Occupancy,
+    OccupancyRequest,
+    RemoveObjects,
+    Scene,
+    SceneEdit,
+    SceneEdited,
+    SetLinkCollision,
+)
+from zarm_ros_bridge.answers import with_message
+from zarm_ros_bridge.convert import in_terms_of, is_empty, positions_of
+from zarm_ros_bridge.convert_scene import FIELDS, Colour, colour_of, name_of, object_of, ros_cloud
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.parameters import Parameters
+from zarm_ros_bridge.ros import Ros
+
+_EDIT_SECONDS = 30.0
+"""Longest wait for an edit: a large mesh takes seconds to read."""
+_SECONDS = 65.0
+"""Longest wait for what the planner gives 60 s."""
+
+
+class SceneServices:
+    """add_object, remove_object, remove_all_objects, get_obstacles, get_voxel_grid, get_collision_distance, set_collision_cache
+    and set_link_collision. `colours` are those of objects by name, for whoever shows them; the scene knows none.
+    """
+
+    def __init__(self, ros: Ros, engine: Engine, parameters: Parameters, colours: MutableMapping[str, Colour]) -> None:
+        self._engine = engine
+        self._parameters = parameters
+        self._colours = colours
+        ros.serve(AddObject, "~/add_object", with_message(self._add))
+        ros.serve(RemoveObject, "~/remove_object", with_message(self._remove))
+        ros.serve(Trigger, "~/remove_all_objects", with_message(self._remove_all))
+        ros.serve(Trigger, "~/get_obstacles", with_message(self._obstacles))
+        ros.serve(GetVoxelGrid, "~/get_voxel_grid", with_message(self._voxels))
+        ros.serve(GetCollisionDistance, "~/get_collision_distance", with_message(self._distance))
+        ros.serve(SetCollisionCache, "~/set_collision_cache", with_message(self._cache))
+        ros.serve(RosSetLinkCollision, "~/set_link_collision", with_message(self._links))
+
+    def _edit(self, edit: AddObjects | RemoveObjects | ClearScene | SetLinkCollision) -> SceneEdited:
+        request = SceneEdit(edit=edit)
+        return self._engine.ask(self._engine.keys.scene_edit, SceneEdited, request, timeout=_EDIT_SECONDS)
+
+    def _scene(self) -> Scene:
+        return self._engine.ask(self._engine.keys.scene, Scene)
+
+    def _add(self, request: AddObject.Request, _: AddObject.Response) -> str:
+        item = object_of(request)
+        colour, before = colour_of(request), self._colours.get(item.name)
+        if colour is not None:  # known by the time that the scene is published with the object
+            self._colours[item.name] = colour
+        try:
+            edited = self._edit(AddObjects(op="add", objects=(item,)))
+        except ZarmError as error:
+            self._colours.pop(item.name, None)
+            if before is not None:
+                self._colours[item.name] = before
+            raise in_terms_of(error, FIELDS) from error
+        return f"Object '{item.name}' added; the scene has {edited.count}"
+
+    def _remove(self, request: RemoveObject.Request, _: RemoveObject.Response) -> str:
+        name = name_of(request.name)
+        try:
+            edited = self._edit(RemoveObjects(op="remove", names=(name,)))
+        except ZarmError as error:
+            raise in_terms_of(error, {"edit.names.0": "name"}) from error
+        self._colours.pop(name, None)
+        return f"Object '{name}' removed; the scene has {edited.count}"
+
+    def _remove_all(self, _: Trigger.Request, __: Trigger.Response) -> str:
+        self._edit(ClearScene(op="clear"))
+        self._colours.clear()
+        return "All objects removed"
+
+    def _obstacles(self, _: Trigger.Request, __: Trigger.Response) -> str:
+        names = [item.name for item in self._scene().objects]
+        return ", ".join(names) if names else "no obstacles"
+
+    def _voxels(self, _: GetVoxelGrid.Request, response: GetVoxelGrid.Response) -> str:
+        request = OccupancyRequest(resolution=self._parameters.value("voxel_size"))
+        try:
+            occupancy = self._engine.ask(self._engine.keys.occupancy, Occupancy, request, timeout=_SECONDS)
+        except ZarmError as error:
+            raise in_terms_of(error, {"resolution": "voxel_size"}) from error
+        response.voxel_grid = ros_cloud(occupancy, self._engine.robot.descriptor.base_link)
+        return f"{len(occupancy.cells)} voxels of {occupancy.resolution:g} m are occupied"
+
+    def _distance(self, request: GetCollisionDistance.Request, response: GetCollisionDistance.Response) -> str:
+        joints = None
+        if not is_empty(request.joint_state):
+            joints = (positions_of(request.joint_state, self._engine.joints, "joint_state"),)
+        check = CheckRequest(joints=joints, spheres=True)
+        (result,) = self._engine.ask(self._engine.keys.check, CheckResults, check, timeout=_SECONDS).results
+        response.distances = list(result.spheres or ())
+        response.in_collision = result.in_collision
+        if result.pair is None:
+            return f"nothing is within {result.clearance:g} m"
+        one, other = result.pair
+        if result.in_collision:
+            return f"{one} is {-1e3 * result.clearance:.1f} mm inside {other}"
+        return f"{one} is {1e3 * result.clearance:.1f} mm from {other}"
+
+    def _cache(self, request: SetCollisionCache.Request, response: SetCollisionCache.Response) -> str:
+        kinds = ("obb", "mesh", "blox")
+        try:
+            for kind in kinds:
+                if (count := getattr(request, kind)) < -1:
+                    raise InvalidRequest(f"{count} is no number of obstacles; -1 leaves it as it is", field=kind)
+            for kind in kinds:
+                if (count := getattr(request, kind)) >= 0:
+                    self._parameters.set(f"{kind}_cache_size", count)
+        finally:
+            for kind in kinds:
+                setattr(response, f"{kind}_cache", self._parameters.value(f"{kind}_cache_size"))
+        return "noted; the scene takes obstacles of any kind up to its own limits, whatever these numbers are"
+
+    def _links(self, request: RosSetLinkCollision.Request, response: RosSetLinkCollision.Response) -> str:
+        if not request.link_names:
+            raise InvalidRequest("name the links", field="link_names")
+        known = self._engine.robot.descriptor.spheres
+        applied = [name for name in dict.fromkeys(request.link_names) if name in known]
+        response.unknown_links = [name for name in dict.fromkeys(request.link_names) if name not in known]
+        if applied:
+            try:
+                self._edit(SetLinkCollision(op="links", names=tuple(applied), enabled=request.enabled))
+            except ZarmError as error:
+                raise in_terms_of(error, {"edit.names": "link_names"}) from error
+            response.applied_links = applied
+        if response.unknown_links:
+            raise InvalidRequest(
+                f"{', '.join(response.unknown_links)} cannot collide or is no link; those are {', '.join(known)}",
+                field="link_names",
+            )
+        state = "looked at" if request.enabled else "no longer looked at"
+        return f"collisions of {', '.join(applied)} are {state}"
