@@ -205,11 +205,12 @@ class RobotDescriptor(_Section):
 class Robot:
     """A descriptor together with its URDF's kinematics.
 
-    `lower` and `upper` are the position limits of `descriptor.joints` (rad), from the URDF; a continuous joint gets
+    `path` is the descriptor's file. `lower` and `upper` are the position limits of `descriptor.joints` (rad), from the URDF; a continuous joint gets
     +-2 pi. `hash` names this exact content: two services that show different hashes know different robots.
     """
 
     descriptor: RobotDescriptor
+    path: Path
     urdf: Urdf
     urdf_path: Path
     lower: tuple[float, ...]
@@ -251,6 +252,7 @@ def load_robot(name_or_path: str) -> Robot:
     limits = {joint.name: (joint.lower, joint.upper) for joint in urdf.joint_of_child.values()}
     return Robot(
         descriptor=descriptor,
+        path=document.path,
         urdf=urdf,
         urdf_path=urdf_path,
         lower=tuple(-math.tau if (low := limits[name][0]) is None else low for name in descriptor.joints),
