@@ -111,6 +111,7 @@ EXAMPLES: tuple[Message, ...] = (
         optimize_s=0.5,
         velocity_scale=0.5,
         acceleration_scale=0.25,
+        margin=0.03,
         seed=7,
     ),
     m.PlanRequest(goal=_JOINT_GOAL),

@@ -191,3 +191,12 @@ def test_a_margin_is_kept_on_the_way_and_a_goal_may_be_nearer(planner: Bus) -> N
         assert np.allclose(assert_sound(answer, BEHIND_POST, (near,)), HOME, atol=1e-6)
     finally:
         planner.call(KEYS.settings, SettingsChange(margin=0.005), PlannerSettings, timeout=PATIENCE)
+
+
+def test_a_request_may_state_the_margin_that_it_keeps(planner: Bus) -> None:
+    thick = POST.model_copy(update={"radius": POST.radius + 0.06})
+    load(planner, POST)
+    for margin, kept in ((0.08, (thick,)), (0.0, (POST,)), (0.08, (thick,))):
+        request = PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), margin=margin)
+        assert np.allclose(assert_sound(plan(planner, request), HOME, kept), BEHIND_POST, atol=1e-6)
+    assert planner.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE).margin == 0.005

@@ -52,6 +52,8 @@ log = logging.getLogger(__name__)
 
 _PLANNER: dict[str, PlannerKind] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
 """Which planner a kind of goal is for."""
+_MARGINS = 4
+"""How many margins a scene is kept ready with."""
 _BATCH_TIMEOUT = 60.0
 """Seconds that a batch of kinematics or checks may take."""
 
@@ -70,7 +72,7 @@ class Planner:
         self._running = Running(os.cpu_count() or 1)
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
-        self._snapshot: Snapshot | None = None
+        self._snapshots: dict[float, Snapshot] = {}  # by margin, the one used last at the end
 
     def warm_up(self, report: Callable[[str], None]) -> None:
         """Compile what plans run on, or load it; `report` is told what comes next."""
@@ -110,7 +112,7 @@ class Planner:
 
         def work(stop: Stop) -> tuple[Snapshot, tuple[Verified, PlanTimings]]:
             start = within_range(model, self._measured() if request.start is None else request.start, "start")
-            snapshot = self._look()
+            snapshot = self._look(request.margin)
             return snapshot, plan(snapshot, start, request.goal, options, stop)
 
         snapshot, (verified, timings) = self._running.run(work, request.timeout or settings.timeout, request.request_id)
@@ -227,19 +229,24 @@ class Planner:
             self._settings = self._settings.model_copy(update=change.model_dump(exclude_none=True))
             return self._settings
 
-    def _look(self) -> Snapshot:
-        """The present scene, made ready for planning once per revision and margin.
+    def _look(self, margin: float | None = None) -> Snapshot:
+        """The present scene, made ready for planning once per revision and margin (m, left out: that of the settings).
 
         Raises Unavailable while the file of one of its meshes is missing.
         """
         with self._lock:
-            scene, margin = self._store.scene, self._settings.margin
-            ready = self._snapshot
-            if ready is None or (ready.revision, ready.world.margin) != (scene.revision, margin):
+            scene, kept = self._store.scene, self._settings.margin if margin is None else margin
+            ready = self._snapshots.pop(kept, None)
+            if ready is None or ready.revision != scene.revision:
                 model = self._model.carrying(scene.attached, scene.ignored_links)
-                world = World(scene.objects, margin, self._store.meshes)
+                world = World(scene.objects, kept, self._store.meshes)
                 ready = Snapshot(scene.revision, model, world, ExactScene(model, world))
-                self._snapshot = ready
+                self._snapshots = {
+                    other: old for other, old in self._snapshots.items() if old.revision == scene.revision
+                }
+            self._snapshots[kept] = ready
+            if len(self._snapshots) > _MARGINS:
+                del self._snapshots[next(iter(self._snapshots))]
             return ready
 
     def _measured_or_home(self) -> Array:

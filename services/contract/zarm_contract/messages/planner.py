@@ -93,6 +93,7 @@ class PlanRequest(Message):
     optimize_s: OptimizeSeconds | None = None
     velocity_scale: Scale | None = None
     acceleration_scale: Scale | None = None
+    margin: Margin | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
 
