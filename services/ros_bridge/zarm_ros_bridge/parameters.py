@@ -62,7 +62,9 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     yield _Declared("base_link", descriptor.base_link, "The frame of all poses.", writable=False)
     # How commands reach it
     yield _Declared(
-        "control_strategy", descriptor.strategy, "How commands reach the robot; a change switches at once, or is refused."
+        "control_strategy",
+        descriptor.strategy,
+        "How commands reach the robot; a change switches at once, or is refused.",
     )
     yield _Declared(
         "robot_type",
@@ -99,6 +101,7 @@ class Parameters:
     def __init__(self, node: Node, engine: Engine) -> None:
         self._node = node
         self._effects: dict[str, Callable[[Any], None]] = {}
+        self._settled: dict[str, Callable[[], None]] = {}
         self._mine = threading.local()
         self._choices = {}
         for one in _declared(engine):
@@ -106,6 +109,7 @@ class Parameters:
             if one.choices:
                 self._choices[one.name] = one.choices
         node.add_on_set_parameters_callback(self._admit)
+        node.add_post_set_parameters_callback(self._settle)
 
     def value(self, name: str) -> Any:
         """The present value."""
@@ -121,20 +125,31 @@ class Parameters:
         if not result.successful:
             raise InvalidRequest(result.reason, field=name)
 
-    def on_change(self, name: str, effect: Callable[[Any], None]) -> None:
-        """Call `effect(value)` before a client's change of `name` is taken; a ZarmError of it refuses the change."""
+    def on_change(self, name: str, effect: Callable[[Any], None], settled: Callable[[], None] | None = None) -> None:
+        """Call `effect(value)` before a client's change of `name` is taken, whose ZarmError refuses it; `settled()` after."""
         self._effects[name] = effect
+        if settled is not None:
+            self._settled[name] = settled
 
     def _admit(self, changes: list[Parameter]) -> SetParametersResult:
         # Types, ranges and read-only parameters have been looked at by rclpy.
         try:
             for change in changes:
                 self._check(change)
-            if not getattr(self._mine, "showing", False):
+            if not self._is_mine():
                 self._apply(changes)
         except ZarmError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _settle(self, changes: list[Parameter]) -> None:
+        if not self._is_mine():
+            for change in changes:
+                if change.name in self._settled:
+                    self._settled[change.name]()
+
+    def _is_mine(self) -> bool:
+        return getattr(self._mine, "showing", False)
 
     def _check(self, change: Parameter) -> None:
         choices = self._choices.get(change.name)

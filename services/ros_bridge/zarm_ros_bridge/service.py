@@ -8,8 +8,10 @@ from contextlib import contextmanager
 
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.execution import Execution
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.strategies import StrategyServices
 
 NODE = "unified_planner"
 """The name of the node, as clients of the reference know it."""
@@ -27,10 +29,11 @@ def start(service: Service) -> Iterator[None]:
         Ros(f"{NODE}_v1", namespace, workers=1) as first,
     ):
         parameters = Parameters(ros.node, engine)
-        ros.spin()
-        first.spin()
-        service.ready()
-        yield
+        with StrategyServices(ros, first, engine, parameters), Execution(ros, engine, parameters):
+            ros.spin()
+            first.spin()
+            service.ready()
+            yield
 
 
 def _namespace(service: Service) -> str:

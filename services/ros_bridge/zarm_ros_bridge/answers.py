@@ -1,0 +1,48 @@
+"""How a service answers: what goes wrong becomes a sentence in its response, and nothing reaches rclpy."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from zarm_contract.errors import InternalError, ZarmError
+
+log = logging.getLogger(__name__)
+
+Handler = Callable[[Any, Any], str]
+"""`handler(request, response)` fills in the response and returns the message of a success, or raises ZarmError; what it has
+filled in by then stays."""
+
+
+def with_message(handler: Handler) -> Callable[[Any, Any], Any]:
+    """A service that answers `success` and `message`."""
+
+    def answer(request: Any, response: Any) -> Any:
+        response.success, response.message = _outcome(handler, request, response)
+        return response
+
+    return answer
+
+
+def with_error_msg(handler: Handler) -> Callable[[Any, Any], Any]:
+    """A service that answers in `error_msg` what went wrong, and `success` where its type has that; the message is not sent."""
+
+    def answer(request: Any, response: Any) -> Any:
+        success, text = _outcome(handler, request, response)
+        response.error_msg.data = "" if success else text
+        if hasattr(response, "success"):
+            response.success = success
+        return response
+
+    return answer
+
+
+def _outcome(handler: Handler, request: Any, response: Any) -> tuple[bool, str]:
+    try:
+        return True, handler(request, response)
+    except ZarmError as error:
+        return False, str(error)
+    except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
+        log.exception("handler failed request=%s", type(request).__name__)
+        return False, str(InternalError("the ROS bridge failed on this request; its log holds the trace"))

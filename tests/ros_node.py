@@ -1,0 +1,41 @@
+"""A ROS node in the process of the tests."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import rclpy
+from harness import eventually
+from rclpy.context import Context
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+
+
+@contextmanager
+def running_node(name: str) -> Iterator[Node]:
+    """A node of a participant of its own, whose callbacks run on threads of their own until the end."""
+    with ExitStack() as stack:
+        context = Context()
+        rclpy.init(context=context)
+        stack.callback(context.shutdown)
+        node = Node(name, context=context)
+        stack.callback(node.destroy_node)
+        executor = MultiThreadedExecutor(context=context)
+        executor.add_node(node)
+        stack.callback(executor.shutdown)
+        ended = Future()
+        thread = threading.Thread(target=executor.spin_until_future_complete, args=(ended,), name=f"node {name}")
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(ended.set_result, None)
+        yield node
+
+
+def answer(future: Future, what: str) -> Any:
+    """What the future comes to; fails the test when it does not in time."""
+    eventually(future.done, what)
+    return future.result()
