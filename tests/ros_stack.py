@@ -26,7 +26,7 @@ class RosClient:
     node: Node
     _clients: dict[str, Client] = field(default_factory=dict)
 
-    def call(self, kind: Any, name: str, **request: Any) -> Any:
+    def call(self, kind: Any, name: str, /, **request: Any) -> Any:
         """The response of a service of the node."""
         client = self._clients.get(name)
         if client is None:

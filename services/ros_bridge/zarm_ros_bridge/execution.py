@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
@@ -173,7 +174,8 @@ class Execution:
             return self._engine.ask(self._engine.keys.execute, Accepted, request).goal_id
         except Unavailable:
             if time.monotonic() - asked >= ANSWER_SECONDS:  # it may have got the request, and start yet
-                self._goals.cancel(None)
+                with suppress(ZarmError):
+                    self._goals.cancel(None)
             raise
 
 

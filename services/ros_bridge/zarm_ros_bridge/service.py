@@ -26,7 +26,7 @@ def start(service: Service) -> Iterator[None]:
     namespace = _namespace(service)
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
-        Ros(f"{NODE}_v1", namespace, workers=1) as first,
+        Ros(f"{NODE}_v1", namespace, workers=2) as first,
     ):
         parameters = Parameters(ros.node, engine)
         with StrategyServices(ros, first, engine, parameters), Execution(ros, engine, parameters):

@@ -82,18 +82,16 @@ class StrategyServices:
         return f"Active strategy: '{active}'" + ("" if known == active else f" (robot_type '{known}')")
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
-        """Those that can be switched to now; the number of each is its place among all that there are."""
+        """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""
         try:
             strategies = self._engine.strategies()
         except ZarmError as error:
             log.warning("strategies cannot be listed reason=%s", error)
             return response
-        for number, one in enumerate(strategies.strategies):
-            if one.available or one.name == strategies.active:
-                response.strategy_names.append(one.name)
-                response.strategy_ids.append(number)
-            if one.name == strategies.active:
-                response.current_strategy_name, response.current_strategy_id = one.name, number
+        names = [one.name for one in strategies.strategies]
+        response.strategy_names, response.strategy_ids = names, list(range(len(names)))
+        response.current_strategy_name = strategies.active
+        response.current_strategy_id = names.index(strategies.active)
         response.success = True
         return response
 
