@@ -6,9 +6,11 @@ from typing import Any
 
 from action_msgs.msg import GoalStatus
 from curobo_msgs.action import SendTrajectory
+from geometry_msgs.msg import Point, Pose, Quaternion
 from harness import PATIENCE, eventually
 from rclpy.action import ActionClient
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from ros_node import answer
 
 from zarm_contract.bus import Bus
@@ -17,6 +19,8 @@ from zarm_contract.messages import ExecutorState, JointGoal, JointState, Nothing
 from zarm_contract.robot import load_robot
 
 SUCCEEDED, CANCELED, ABORTED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED
+TARGET = Pose(position=Point(x=0.5, y=0.2, z=0.4), orientation=Quaternion(x=0.0, y=1.0, z=0.0, w=0.0))
+"""A pose within reach of the M1013."""
 HOME = load_robot("doosan_m1013").descriptor.home
 
 
@@ -58,7 +62,15 @@ class Actions:
 
     def __init__(self, node: Node, name: str = "execute_trajectory", kind: Any = SendTrajectory) -> None:
         self._kind = kind
-        self._client = ActionClient(node, kind, f"/unified_planner/{name}")
+        many = QoSProfile(depth=1000)  # of the default, 10, what comes on top is lost
+        self._client = ActionClient(
+            node,
+            kind,
+            f"/unified_planner/{name}",
+            goal_service_qos_profile=many,
+            result_service_qos_profile=many,
+            feedback_sub_qos_profile=many,
+        )
 
     def send(self, **goal: Any) -> Sent:
         """Send a goal with these fields."""

@@ -12,7 +12,7 @@ from harness import PATIENCE, eventually
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from ros_goals import ABORTED, CANCELED, SUCCEEDED, Actions, Robot
+from ros_goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
 from ros_node import answer
 from ros_stack import KEYS, Stack, stack
 
@@ -30,8 +30,6 @@ from zarm_contract.messages import (
     SceneEdited,
     Sphere,
 )
-
-TARGET = Pose(position=Point(x=0.5, y=0.2, z=0.4), orientation=Quaternion(x=0.0, y=1.0, z=0.0, w=0.0))
 
 
 @pytest.fixture(scope="module")
