@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from ros_node import answer
 from ros_stack import KEYS, Stack, stack
 
-from zarm_contract.messages import Strategies, StrategyRequest
+from zarm_contract.messages import Cuboid, Cylinder, Nothing, Scene, Sphere, Strategies, StrategyRequest
 from zarm_contract.robot import find_robot
 
 DEFAULTS: dict[str, Any] = {
@@ -189,3 +190,76 @@ def test_after_many_switches_at_once_the_parameters_say_what_is_active(running: 
     parameters.becomes("robot_type", active)
     switch(running, "emulator")
     parameters.becomes("control_strategy", "emulator")
+
+
+CUROBO_WORLD = """
+cuboid:
+  table:
+    dims: [1.0, 2, 0.1]
+    pose: [0.5, 0.0, -0.3, 1, 0, 0, 0.0]
+sphere:
+  ball:
+    radius: 0.1
+    position: [1, 2, 3]
+cylinder:
+  post:
+    radius: 0.05
+    height: 0.5
+    pose: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
+"""
+
+
+def test_a_world_file_of_curobo_becomes_the_scene(running: Stack, parameters: Node, tmp_path: Path) -> None:
+    file = tmp_path / "world.yml"
+    file.write_text(CUROBO_WORLD)
+    assert parameters.set("world_file", str(file)) is None
+    scene = running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    assert scene.objects == (
+        Cuboid(kind="cuboid", name="table", position=(0.5, 0.0, -0.3), size=(1.0, 2.0, 0.1)),
+        Sphere(kind="sphere", name="ball", position=(1.0, 2.0, 3.0), radius=0.1),
+        Cylinder(
+            kind="cylinder",
+            name="post",
+            position=(1.0, 0.0, 0.0),
+            orientation=(1.0, 0.0, 0.0, 0.0),
+            radius=0.05,
+            length=0.5,
+        ),
+    )
+    assert parameters.set("world_file", "") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("- 1", "no mapping"),
+        ("a: [", "not valid YAML"),
+        ("blox: {}", "no kind of obstacle"),
+        ("cuboid: {table: {dims: [1, 1, 1]}}", "the cuboid table"),
+        ("cuboid: {table: {dims: [1, 1, -1], pose: [0, 0, 0, 1, 0, 0, 0]}}", "objects.0.size.2"),
+        ("objects: [{kind: sphere, name: ball, position: [0, 0, 9], radius: .nan}]", "world.yml"),
+        ("objects: 3", "world.yml"),
+        ("cuboid: 3", "world.yml"),
+    ],
+)
+def test_a_world_file_that_cannot_be_read_is_refused_and_the_scene_stays(
+    running: Stack, parameters: Node, tmp_path: Path, text: str, reason: str
+) -> None:
+    file = tmp_path / "world.yml"
+    file.write_text(text)
+    before = running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    refusal = parameters.set("world_file", str(file))
+    assert refusal is not None
+    assert reason in refusal
+    assert parameters.get("world_file") == ""
+    assert running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10) == before
+
+
+def test_a_scene_of_zarm_is_loaded_as_it_is(running: Stack, parameters: Node, tmp_path: Path) -> None:
+    file = tmp_path / "world.yml"
+    file.write_text("objects: [{kind: sphere, name: ball, position: [0, 0, 9], radius: 0.1}]")
+    assert parameters.set("world_file", str(file)) is None
+    assert parameters.get("world_file") == str(file)
+    scene = running.bus.call(KEYS.scene, Nothing(), Scene, timeout=10)
+    assert scene.objects == (Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1),)
+    assert parameters.set("world_file", "") is None

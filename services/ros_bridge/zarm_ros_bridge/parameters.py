@@ -81,7 +81,9 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     yield _Declared("max_attempts", 1, "Searches after which planning gives up.", (1, 1000))
     yield _Declared("timeout", 5.0, "Deadline of planning (s).", (0.01, 60.0))
     yield _Declared("collision_activation_distance", 0.025, "Kept to objects on the way (m).", (0.0, 0.2))
-    yield _Declared("world_file", "", "A scene (YAML) of zarm; a change loads it in place of the present scene.")
+    yield _Declared(
+        "world_file", "", "A scene of zarm or a world of cuRobo (YAML); a change loads it in place of the objects."
+    )
     yield _Declared("voxel_size", 0.05, "Edge of a voxel of get_voxel_grid (m).", (0.005, 1.0))
     for kind, room in (("obb", 100), ("mesh", 100), ("blox", 10)):
         yield _Declared(f"{kind}_cache_size", room, f"Room for obstacles of the kind {kind}.", (0, MAX_OBJECTS))
@@ -140,6 +142,10 @@ class Parameters:
                 self._apply(changes)
         except ZarmError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
+            log.exception("parameters failed names=%s", ",".join(change.name for change in changes))
+            reason = "the ROS bridge failed on this change; its log holds the trace"
+            return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
     def _settle(self, changes: list[Parameter]) -> None:

@@ -12,6 +12,7 @@ from zarm_ros_bridge.execution import Execution
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.strategies import StrategyServices
+from zarm_ros_bridge.world_file import WorldFile
 
 NODE = "unified_planner"
 """The name of the node, as clients of the reference know it."""
@@ -29,6 +30,7 @@ def start(service: Service) -> Iterator[None]:
         Ros(f"{NODE}_v1", namespace, workers=2) as first,
     ):
         parameters = Parameters(ros.node, engine)
+        WorldFile(engine, parameters)
         with StrategyServices(ros, first, engine, parameters), Execution(ros, engine, parameters):
             ros.spin()
             first.spin()
