@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +27,9 @@ from zarm_contract.service import default_state
 from zarm_contract.session import DEFAULT_ENDPOINT, open_router
 
 SERVICES = ("planner", "executor")
-"""In the order in which they start; they stop the other way round, so that the robot comes to rest first."""
+"""What every robot needs, in the order in which they start; they stop the other way round, so that the robot comes to rest
+first."""
+_ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 
 class Driver(StrEnum):
@@ -42,6 +45,7 @@ class Stack:
     robot: Robot
     client: Client
     supervisor: Supervisor
+    services: Sequence[str]
 
     def health(self, service: str) -> Health | None:
         """How a service is, None while it does not answer."""
@@ -54,7 +58,7 @@ class Stack:
     def wait_ready(self, report: Callable[[str], None]) -> None:
         """Wait until every service is ready, reporting what they do. Raises Unavailable when one cannot start."""
         while not_ready := [
-            (name, health) for name in SERVICES if not ((health := self.health(name)) and health.ready)
+            (name, health) for name in self.services if not ((health := self.health(name)) and health.ready)
         ]:
             report(", ".join(f"{name}: {health.activity if health else 'starting'}" for name, health in not_ready))
             if fallen := self.supervisor.fallen():
@@ -77,6 +81,7 @@ def launch(
     name: str | None = None,
     strategy: str | None = None,
     driver: Driver | None = None,
+    ros: bool = False,
     connect: str | None = None,
     listen: str = DEFAULT_ENDPOINT,
     state: Path,
@@ -86,8 +91,10 @@ def launch(
     """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
 
     Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
-    is already up on that bus, Unavailable where the port is taken or no router answers.
+    is already up on that bus, Unavailable where the port is taken, no router answers, or ROS is asked for and not installed.
     """
+    if ros:
+        _require_ros()
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
     endpoint = connect or listen
@@ -95,8 +102,10 @@ def launch(
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
     simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", arguments)} if driver is Driver.sim else {}
+    bridge = {"ros_bridge": ("zarm_ros_bridge.service", arguments)} if ros else {}
     programs = {
-        **simulated,  # before the executor, which may wait for it
+        **simulated,  # this and the bridge before the executor, which may wait for a driver and brakes through it at the end
+        **bridge,
         "planner": ("zarm_planner.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
     }
@@ -110,7 +119,15 @@ def launch(
         _refuse_second(bus, keys, endpoint)
         with uninterrupted():
             supervisor = stack.enter_context(Supervisor(programs, environment))
-        yield Stack(loaded, Client(bus, keys, endpoint), supervisor)
+        yield Stack(loaded, Client(bus, keys, endpoint), supervisor, (*bridge, *SERVICES))
+
+
+def _require_ros() -> None:
+    if missing := [package for package in _ROS_PACKAGES if find_spec(package) is None]:
+        raise Unavailable(
+            f"ROS 2 cannot be bridged to, because {' and '.join(missing)} cannot be imported here; `make ros` installs what is "
+            "needed, and all else works without --ros"
+        )
 
 
 def _router(listen: str, keys: Keys) -> AbstractContextManager[object]:
@@ -143,6 +160,7 @@ def up(
     driver: Annotated[
         Driver | None, typer.Option(help="Start a simulated driver as well, for the strategies that need one.")
     ] = None,
+    ros: Annotated[bool, typer.Option("--ros", help="Start the bridge to ROS 2 as well.")] = False,
     connect: Annotated[
         str | None, typer.Option(envvar="ZARM_CONNECT", help="Join the router at this endpoint instead of running one.")
     ] = None,
@@ -159,7 +177,7 @@ def up(
         ),
     ] = None,
 ) -> None:
-    """Start router, planner and executor for one robot; Ctrl-C stops them, the robot first."""
+    """Start router, planner and executor for one robot, and with --ros its bridge; Ctrl-C stops them, the robot first."""
     if connect is not None and listen is not None:
         raise typer.BadParameter(
             "one joins a router, the other runs one (ZARM_CONNECT counts)", param_hint="--connect / --listen"
@@ -171,6 +189,7 @@ def up(
             name=name,
             strategy=strategy,
             driver=driver,
+            ros=ros,
             connect=connect,
             listen=listen or DEFAULT_ENDPOINT,
             state=state or default_state(),

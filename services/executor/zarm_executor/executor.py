@@ -7,6 +7,7 @@ import threading
 import time
 
 from zarm_contract.bus import Publisher
+from zarm_contract.errors import Busy
 from zarm_contract.messages import (
     Accepted,
     CancelRequest,

@@ -27,6 +27,8 @@ client waits for ever."""
 class Ros:
     """The node `name` under `namespace`, in a context of its own, served by `workers` threads from `spin` on.
 
+    With `parameters` it has the services of parameters, and tells its log on /rosout.
+
     Use it in `with`. Services and actions of `node` in `group` may wait, each in a thread. What arrives at a high rate goes to `listen`:
     a second node with a thread of its own, whose callbacks must return quickly; rclpy looks at every entity of a node for each
     message, so this one has nothing else. DDS refuses two types under one name in one participant; a second `Ros` is a second
@@ -85,5 +87,5 @@ class Ros:
             context=self._context,
             use_global_arguments=False,
             start_parameter_services=parameters,
-            enable_rosout=False,
+            enable_rosout=parameters,
         )

@@ -10,12 +10,15 @@ from zarm_contract.service import Service, run_service, service_parser
 from zarm_ros_bridge.convert_markers import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.execution import Execution
 from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.scene import SceneServices
+from zarm_ros_bridge.strategies import StrategyServices
 from zarm_ros_bridge.topics import Topics
+from zarm_ros_bridge.world_file import WorldFile
 
 NODE = "unified_planner"
 """The name of the node, as clients of the reference know it."""
@@ -30,7 +33,7 @@ def start(service: Service) -> Iterator[None]:
     namespace = _namespace(service)
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
-        Ros(f"{NODE}_v1", namespace, workers=1) as first,
+        Ros(f"{NODE}_v1", namespace, workers=2) as first,
     ):
         parameters = Parameters(ros.node, engine)
         colours: dict[str, Colour] = {}
@@ -41,10 +44,12 @@ def start(service: Service) -> Iterator[None]:
         params = service.robot.descriptor.strategy_params
         if params is not None:
             Drivers(ros, engine, params)
-        ros.spin()
-        first.spin()
-        service.ready()
-        yield
+        WorldFile(engine, parameters)
+        with StrategyServices(ros, first, engine, parameters), Execution(ros, engine, parameters):
+            ros.spin()
+            first.spin()
+            service.ready()
+            yield
 
 
 def _namespace(service: Service) -> str:

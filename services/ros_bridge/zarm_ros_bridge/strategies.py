@@ -1,0 +1,132 @@
+"""Which control strategy moves the robot: the services of both versions, and the two parameters that say the same."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from types import TracebackType
+from typing import Any, Self
+
+from pydantic import ValidationError
+from std_srvs.srv import Trigger
+
+from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
+from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.messages import Strategies, StrategyRequest
+from zarm_ros_bridge.answers import with_message
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.parameters import Parameters, robot_type
+from zarm_ros_bridge.ros import Ros
+
+log = logging.getLogger(__name__)
+
+SWITCH_SECONDS = 20.0
+"""Longest wait for a switch: the robot is brought to rest first."""
+
+
+class StrategyServices:
+    """set_robot_strategy by both of its types, get_robot_strategy, get_robot_strategies. Use it in `with`.
+
+    `first` is the participant of version 1. The parameters control_strategy and robot_type follow the executor, whoever
+    switches: after every change it is read anew, so that what is written last is what is.
+    """
+
+    def __init__(self, ros: Ros, first: Ros, engine: Engine, parameters: Parameters) -> None:
+        self._engine = engine
+        self._parameters = parameters
+        self._active = engine.robot.descriptor.strategy
+        self._showing = threading.Lock()
+        self._changed = threading.Event()
+        self._ended = False
+        self._follower = threading.Thread(target=self._follow, name="strategy parameters")
+        parameters.on_change("control_strategy", self._switch, self._changed.set)
+        ros.serve(SetRobotStrategy, "~/set_robot_strategy", with_message(self._set))
+        ros.serve(Trigger, "~/get_robot_strategy", with_message(self._get))
+        ros.serve(GetRobotStrategies, "~/get_robot_strategies", self._list)
+        first.serve(Trigger, f"{ros.node.get_name()}/set_robot_strategy", with_message(self._set_chosen))
+
+    def __enter__(self) -> Self:
+        self._changed.set()
+        self._follower.start()
+        self._engine.bus.watch(self._engine.keys.strategy, Strategies, lambda _key, _strategies: self._changed.set())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._changed.set()
+        self._follower.join()
+
+    def _set(self, request: SetRobotStrategy.Request, response: SetRobotStrategy.Response) -> str:
+        before = self._engine.strategies().active
+        response.previous_robot_strategy = response.current_robot_strategy = before
+        self._switch(request.robot_strategy)
+        response.current_robot_strategy = request.robot_strategy
+        return _switched(before, request.robot_strategy)
+
+    def _set_chosen(self, _: Any, __: Any) -> str:
+        """Version 1: apply what robot_type says. Where that fails, robot_type goes back to what is active."""
+        chosen = self._parameters.value("robot_type")
+        try:
+            before = self._type(self._engine.strategies().active)
+            self._switch("joint_trajectory" if chosen == self._engine.robot.descriptor.name else chosen)
+        except ZarmError:
+            self._parameters.set("robot_type", self._type(self._active))
+            raise
+        return _switched(before, chosen)
+
+    def _get(self, _: Any, __: Any) -> str:
+        active = self._engine.strategies().active
+        known = self._type(active)
+        return f"Active strategy: '{active}'" + ("" if known == active else f" (robot_type '{known}')")
+
+    def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
+        """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""
+        try:
+            strategies = self._engine.strategies()
+        except ZarmError as error:
+            log.warning("strategies cannot be listed reason=%s", error)
+            return response
+        names = [one.name for one in strategies.strategies]
+        response.strategy_names, response.strategy_ids = names, list(range(len(names)))
+        response.current_strategy_name = strategies.active
+        response.current_strategy_id = names.index(strategies.active)
+        response.success = True
+        return response
+
+    def _switch(self, strategy: str) -> None:
+        """Switch. Raises the ZarmError that says why not; then the one before is active."""
+        try:
+            request = StrategyRequest(strategy=strategy)
+        except ValidationError:
+            known = ", ".join(one.name for one in self._engine.strategies().strategies)
+            raise InvalidRequest(f"there is no strategy {strategy!r}; this robot has {known}") from None
+        self._engine.ask(self._engine.keys.strategy, Strategies, request, timeout=SWITCH_SECONDS)
+        self._show()
+
+    def _follow(self) -> None:
+        while not self._ended:
+            self._changed.wait()
+            self._changed.clear()
+            try:
+                self._show()
+            except ZarmError as error:  # the executor is away, and publishes its strategy when it is back
+                log.info("strategy unknown reason=%s", error)
+
+    def _show(self) -> None:
+        """Make the parameters what the executor says. A robot_type that was chosen and not applied yet stays till a switch."""
+        with self._showing:
+            active = self._engine.strategies().active
+            if self._parameters.value("control_strategy") != active:
+                self._parameters.set("control_strategy", active)
+            if self._active != active:
+                self._active = active
+                self._parameters.set("robot_type", self._type(active))
+
+    def _type(self, strategy: str) -> str:
+        return robot_type(self._engine, strategy)
+
+
+def _switched(before: str, after: str) -> str:
+    return f"Strategy switched from '{before}' to '{after}'" if before != after else f"Strategy is '{after}' already"

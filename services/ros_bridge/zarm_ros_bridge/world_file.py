@@ -1,0 +1,85 @@
+"""The parameter world_file: a scene that is read from a file on the bridge's machine."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from zarm_contract.codec import decode
+from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
+from zarm_contract.messages import SceneEdit, SceneEdited
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.parameters import Parameters
+
+_KINDS = ("cuboid", "sphere", "cylinder", "mesh")
+
+
+class WorldFile:
+    """Loads the file when world_file changes, in place of the objects in the scene; an empty name leaves the scene alone."""
+
+    def __init__(self, engine: Engine, parameters: Parameters) -> None:
+        self._engine = engine
+        parameters.on_change("world_file", self._load)
+
+    def _load(self, name: str) -> None:
+        if not name:
+            return
+        path = Path(name)
+        try:
+            load = {"edit": {"op": "load", "objects": list(_objects(_read(path)))}}
+            request = decode(SceneEdit, json.dumps(load, default=str).encode())
+            self._engine.ask(self._engine.keys.scene_edit, SceneEdited, request)
+        except ZarmError as error:
+            problem = error.problem
+            field = problem.field and problem.field.removeprefix("edit.")
+            raise from_problem(
+                problem.model_copy(update={"message": f"{path}: {problem.message}", "field": field})
+            ) from error
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidRequest(f"cannot be read: {error}") from error
+    except yaml.YAMLError as error:
+        raise InvalidRequest(f"is not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict):
+        raise InvalidRequest("is no mapping; a scene has the key objects, a world of cuRobo the kinds of its obstacles")
+    return data
+
+
+def _objects(data: Mapping[str, Any]) -> Iterator[Any]:
+    """The objects of a scene as `zarm scene save` writes it, or of a world of cuRobo."""
+    if set(data) == {"objects"}:
+        yield from data["objects"] or ()
+        return
+    for kind, named in data.items():
+        if kind not in _KINDS:
+            raise InvalidRequest(
+                f"{kind} is no kind of obstacle that is read from a file; those are {', '.join(_KINDS)}"
+            )
+        for name, obstacle in (named or {}).items():
+            try:
+                yield {"kind": kind, "name": name, **_obstacle(kind, obstacle)}
+            except (KeyError, TypeError, ValueError) as error:
+                raise InvalidRequest(
+                    f"the {kind} {name} is not as in a world of cuRobo: {error}; see services/ros_bridge/README.md"
+                ) from error
+
+
+def _obstacle(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """cuRobo's fields in zarm's names; there a pose is x, y, z and then the quaternion w, x, y, z."""
+    if kind == "sphere":
+        return {"position": (given.get("pose") or given["position"])[:3], "radius": given["radius"]}
+    x, y, z, qw, qx, qy, qz = given["pose"]
+    place = {"position": (x, y, z), "orientation": (qx, qy, qz, qw)}
+    if kind == "cuboid":
+        return place | {"size": given["dims"]}
+    if kind == "cylinder":
+        return place | {"radius": given["radius"], "length": given["height"]}
+    return place | {"file": given["file_path"], "scale": given.get("scale") or (1.0, 1.0, 1.0)}

@@ -1,0 +1,206 @@
+"""Goals of the actions, against real processes: what a client is told, and what the robot does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, Pose, Quaternion
+from harness import PATIENCE, eventually
+from rcl_interfaces.msg import Log
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from ros_goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
+from ros_node import answer
+from ros_stack import KEYS, Stack, stack
+
+from curobo_msgs.action import MpcMove
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import (
+    Accepted,
+    AddObjects,
+    CancelRequest,
+    ExecuteRequest,
+    ExecutorState,
+    GoalState,
+    Nothing,
+    RemoveObjects,
+    SceneEdit,
+    SceneEdited,
+    Sphere,
+)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    with stack(tmp_path_factory.mktemp("execution")) as started:
+        yield started
+
+
+@pytest.fixture
+def robot(running: Stack) -> Robot:
+    found = Robot(running.bus, KEYS)
+    found.wait_rest()
+    return found
+
+
+@pytest.fixture
+def actions(running: Stack) -> Actions:
+    return Actions(running.ros.node)
+
+
+@pytest.fixture
+def preempting(running: Stack) -> Iterator[None]:
+    client = AsyncParameterClient(running.ros.node, "/unified_planner")
+    assert client.wait_for_services(PATIENCE)
+    for value in (True, False):
+        response = answer(client.set_parameters([Parameter("preempt", value=value)]), "the parameter is set")
+        assert response.results[0].successful
+        if value:
+            yield
+
+
+def test_an_empty_goal_runs_the_last_plan_and_tells_how_far_it_is(robot: Robot, actions: Actions) -> None:
+    plan = robot.plan()
+    goal = actions.send()
+    status, result = goal.ended()
+    assert (status, result.success, result.message) == (SUCCEEDED, True, "Trajectory executed successfully")
+    assert np.allclose(robot.joints(), plan.trajectory.position[-1], atol=1e-3)
+    words = list(dict.fromkeys(told.state for told in goal.feedback))
+    assert words[-2:] == ["running", "succeeded"]
+    assert set(words) <= {"accepted", "running", "succeeded"}
+    shares = [told.step_progression for told in goal.feedback]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert len([share for share in shares if 0.0 < share < 1.0]) >= 5
+    assert all(tuple(told.joint_command.name) == plan.trajectory.joint_names for told in goal.feedback)
+    assert np.allclose(goal.feedback[-1].joint_command.position, plan.trajectory.position[-1], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["execute_trajectory", "send_trajectory"])
+def test_a_goal_with_a_target_is_planned_and_then_executed(running: Stack, robot: Robot, name: str) -> None:
+    robot.plan()
+    goal = Actions(running.ros.node, name).send(target_pose=TARGET)
+    status, result = goal.ended()
+    assert (status, result.message) == (SUCCEEDED, "Trajectory executed successfully")
+    assert goal.feedback[0].state == "planning"
+    assert goal.feedback[-1].state == "succeeded"
+
+
+def test_a_cancelled_goal_ends_as_canceled_with_the_robot_at_rest(robot: Robot, actions: Actions) -> None:
+    plan = robot.plan()
+    goal = actions.send()
+    goal.under_way()
+    goal.cancel()
+    status, result = goal.ended()
+    assert robot.rests()
+    assert (status, result.success) == (CANCELED, False)
+    assert result.message
+    assert goal.feedback[-1].state == "cancelled"
+    assert not np.allclose(robot.joints(), plan.trajectory.position[-1], atol=0.05)
+
+
+def test_a_goal_that_somebody_else_cancels_ends_as_aborted_and_says_so(robot: Robot, actions: Actions) -> None:
+    robot.plan()
+    goal = actions.send()
+    goal.under_way()
+    robot.bus.call(KEYS.cancel, CancelRequest(), ExecutorState, timeout=10)
+    status, result = goal.ended()
+    assert (status, result.message) == (ABORTED, "the goal was cancelled by a client")
+    assert robot.rests()
+
+
+def test_a_goal_that_is_refused_says_why_as_on_the_bus(robot: Robot, actions: Actions) -> None:
+    robot.plan()
+    ball = Sphere(kind="sphere", name="ball", position=(2.0, 2.0, 2.0), radius=0.1)
+    edits = (AddObjects(op="add", objects=(ball,)), RemoveObjects(op="remove", names=("ball",)))
+    for edit in edits:
+        robot.bus.call(KEYS.scene_edit, SceneEdit(edit=edit), SceneEdited, timeout=10)
+    with pytest.raises(ZarmError, match="plan") as refusal:
+        robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10)
+    status, result = actions.send().ended()
+    assert (status, result.success, result.message) == (ABORTED, False, str(refusal.value))
+
+
+def test_a_plan_is_not_run_a_second_time_from_where_it_ended(robot: Robot, actions: Actions) -> None:
+    robot.plan()
+    assert actions.send().ended()[0] == SUCCEEDED
+    before = robot.joints()
+    status, result = actions.send().ended()
+    assert status == ABORTED
+    assert "start" in result.message
+    assert robot.joints() == before
+
+
+def test_a_target_that_cannot_be_is_refused_with_its_field(robot: Robot, actions: Actions) -> None:
+    far = Pose(position=Point(x=9.0, y=0.0, z=0.0))
+    status, result = actions.send(target_pose=far).ended()
+    assert (status, result.success) == (ABORTED, False)
+    assert "reach" in result.message
+    crooked = Pose(position=TARGET.position, orientation=Quaternion(x=1.0, y=1.0, z=0.0, w=0.0))
+    status, result = actions.send(target_pose=crooked).ended()
+    assert status == ABORTED
+    assert "target_pose.orientation" in result.message
+    assert robot.rests()
+
+
+def test_a_second_goal_is_rejected_with_the_reason_in_the_log(running: Stack, robot: Robot, actions: Actions) -> None:
+    lines: list[Log] = []
+    subscription = running.ros.node.create_subscription(Log, "/rosout", lines.append, 100)
+    eventually(subscription.get_publisher_count, "somebody logs")
+    robot.plan()
+    first = actions.send()
+    first.under_way()
+    assert not Actions(running.ros.node, "send_trajectory").send().accepted
+    assert not actions.send(target_pose=TARGET).accepted
+    told = eventually(lambda: [line for line in lines if "rejected" in line.msg], "the rejection is in the log")
+    assert told[0].name == "unified_planner"
+    assert "cancel it first" in told[0].msg
+    assert first.ended()[0] == SUCCEEDED
+
+
+def test_a_goal_beside_one_of_another_client_is_aborted_as_busy(robot: Robot, actions: Actions) -> None:
+    robot.plan()
+    goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10).goal_id
+    status, result = actions.send().ended()
+    assert status == ABORTED
+    assert goal_id in result.message or "goal" in result.message
+    robot.wait_rest()
+    assert robot.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10).status == "succeeded"
+
+
+@pytest.mark.usefixtures("preempting")
+def test_a_second_goal_takes_the_place_of_the_first_where_that_is_configured(robot: Robot, actions: Actions) -> None:
+    robot.plan()
+    first = actions.send()
+    first.under_way()
+    second = actions.send(target_pose=TARGET)
+    status, result = first.ended()
+    assert status == ABORTED
+    assert "another goal" in result.message
+    assert second.ended()[0] == SUCCEEDED
+
+
+@pytest.mark.usefixtures("preempting")
+def test_a_preempting_goal_takes_the_place_of_another_clients_motion(robot: Robot, actions: Actions) -> None:
+    robot.plan()
+    goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10).goal_id
+    assert actions.send(target_pose=TARGET).ended()[0] == SUCCEEDED
+    assert robot.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10).status == "cancelled"
+
+
+def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Robot, actions: Actions) -> None:
+    robot.plan()
+    goals = [actions.send() for _ in range(50)]
+    statuses = [goal.ended()[0] for goal in goals if goal.accepted]
+    assert statuses.count(SUCCEEDED) == 1
+    assert set(statuses) <= {SUCCEEDED, ABORTED}
+    robot.plan()
+    assert actions.send().ended()[0] == SUCCEEDED
+
+
+def test_mpc_move_is_refused_in_a_sentence(running: Stack) -> None:
+    status, result = Actions(running.ros.node, "mpc_move", MpcMove).send(target_pose=TARGET).ended()
+    assert (status, result.success) == (ABORTED, False)
+    assert "not there yet" in result.message

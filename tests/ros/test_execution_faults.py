@@ -1,0 +1,213 @@
+"""Goals whose planner, executor, bridge or client is missing or dies: every client gets an answer, and nothing hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from action_msgs.srv import CancelGoal
+from harness import PATIENCE, ServiceProcess, eventually, router
+from rclpy.node import Node
+from ros_goals import ABORTED, SUCCEEDED, TARGET, Actions, Robot, Sent
+from ros_node import answer, running_node
+from ros_stack import KEYS
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import GoalState, Nothing
+from zarm_ros_bridge.goals import SILENCE
+
+CLIENT = """
+import sys
+import rclpy
+from curobo_msgs.action import SendTrajectory
+from rclpy.action import ActionClient
+
+rclpy.init()
+node = rclpy.create_node("short_lived")
+client = ActionClient(node, SendTrajectory, "/unified_planner/execute_trajectory")
+client.wait_for_server()
+sent = client.send_goal_async(SendTrajectory.Goal(), feedback_callback=lambda told: print(told.feedback.state, flush=True))
+rclpy.spin_until_future_complete(node, sent)
+rclpy.spin(node)
+"""
+
+
+@dataclass
+class Zarm:
+    """Processes of one robot, each started when a test asks for it; the planner is there from the start."""
+
+    bus: Bus
+    node: Node
+    folder: Path
+    endpoint: str
+    _stack: ExitStack = field(default_factory=ExitStack)
+
+    def start(self, *services: str) -> list[ServiceProcess]:
+        """Start these services and wait until they are ready; they end with the test."""
+        processes = [ServiceProcess(service, self.endpoint, self.folder, name=KEYS.robot) for service in services]
+        for process in processes:
+            self._stack.enter_context(process)
+        for process in processes:
+            process.wait_ready(self.bus, KEYS)
+        return processes
+
+    @property
+    def robot(self) -> Robot:
+        return Robot(self.bus, KEYS)
+
+    def goal_under_way(self) -> Sent:
+        """A goal in the middle of its motion."""
+        self.robot.plan(speed=0.15)
+        goal = Actions(self.node).send()
+        goal.under_way()
+        return goal
+
+    def executor_goal(self) -> str:
+        """The goal of the executor that runs."""
+        return eventually(lambda: self.robot.state().goal_id, "a goal runs")
+
+    def outcome(self, goal_id: str) -> GoalState:
+        """The end of a goal of the executor's."""
+
+        def last() -> GoalState | None:
+            state = self.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10)
+            return state if state.done else None
+
+        return eventually(last, f"{goal_id} ends")
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Zarm]:
+    folder = tmp_path_factory.mktemp("faults")
+    with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
+        zarm = Zarm(bus, node, folder, endpoint)
+        with zarm._stack:
+            zarm.start("planner")
+            yield zarm
+
+
+@pytest.fixture
+def zarm(planned: Zarm) -> Iterator[Zarm]:
+    one = Zarm(planned.bus, planned.node, planned.folder, planned.endpoint)
+    with one._stack:
+        yield one
+
+
+def test_without_a_planner_a_target_is_refused_and_says_who_is_missing(tmp_path: Path) -> None:
+    with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
+        zarm = Zarm(bus, node, tmp_path, endpoint)
+        with zarm._stack:
+            zarm.start("executor", "ros_bridge")
+            goal = Actions(node).send()
+            status, result = goal.ended()
+            assert (status, result.message) == (
+                ABORTED,
+                "there is no plan to execute yet; plan first (planner/plan), or send a trajectory",
+            )
+            goal = Actions(node).send(target_pose=TARGET)
+            status, result = goal.ended()
+            assert (status, result.success) == (ABORTED, False)
+            assert KEYS.plan in result.message
+
+
+def test_without_an_executor_a_goal_is_refused_and_says_who_is_missing(zarm: Zarm) -> None:
+    zarm.start("ros_bridge")
+    status, result = Actions(zarm.node).send().ended()
+    assert (status, result.success) == (ABORTED, False)
+    assert KEYS.execute in result.message
+
+
+def test_a_goal_whose_executor_is_killed_is_aborted(zarm: Zarm) -> None:
+    executor, _ = zarm.start("executor", "ros_bridge")
+    goal = zarm.goal_under_way()
+    executor.kill()
+    status, result = goal.ended()
+    assert status == ABORTED
+    assert f"for {SILENCE:g} s" in result.message
+
+
+def test_a_goal_whose_executor_is_started_again_is_aborted_with_its_word(zarm: Zarm) -> None:
+    executor, _ = zarm.start("executor", "ros_bridge")
+    goal = zarm.goal_under_way()
+    executor_goal = zarm.executor_goal()
+    executor.kill()
+    zarm.start("executor")
+    problem = zarm.outcome(executor_goal).problem
+    assert problem is not None
+    status, result = goal.ended()
+    assert status == ABORTED
+    assert result.message == problem.message or f"for {SILENCE:g} s" in result.message
+    zarm.robot.plan()
+    assert Actions(zarm.node).send().ended()[0] == SUCCEEDED
+
+
+def test_a_goal_whose_executor_stands_still_is_aborted_and_what_it_asked_for_is_withdrawn(zarm: Zarm) -> None:
+    executor, _ = zarm.start("executor", "ros_bridge")
+    zarm.robot.plan()
+    before = zarm.robot.joints()
+    os.kill(executor.process.pid, signal.SIGSTOP)
+    status, result = Actions(zarm.node).send().ended()
+    os.kill(executor.process.pid, signal.SIGCONT)
+    assert status == ABORTED
+    assert KEYS.execute in result.message
+    zarm.robot.wait_rest()
+    assert max(abs(a - b) for a, b in zip(zarm.robot.joints(), before, strict=True)) < 0.05
+
+
+def test_a_bridge_that_is_told_to_end_aborts_its_goal_and_the_robot_goes_on(zarm: Zarm) -> None:
+    _, bridge = zarm.start("executor", "ros_bridge")
+    goal = zarm.goal_under_way()
+    executor_goal = zarm.executor_goal()
+    bridge.process.terminate()
+    status, result = goal.ended()
+    assert status == ABORTED
+    assert f"{executor_goal} of {KEYS.robot} goes on" in result.message
+    assert bridge.process.wait(PATIENCE) == 0, bridge.output()
+    assert "Traceback" not in bridge.output()
+    assert zarm.outcome(executor_goal).status == "succeeded"
+
+
+def test_a_bridge_that_is_killed_leaves_the_robot_to_its_motion_and_the_next_one_serves(zarm: Zarm) -> None:
+    _, bridge = zarm.start("executor", "ros_bridge")
+    zarm.goal_under_way()
+    executor_goal = zarm.executor_goal()
+    bridge.kill()
+    zarm.start("ros_bridge")
+    assert zarm.outcome(executor_goal).status == "succeeded"
+    zarm.robot.plan()
+    with running_node("later") as node:  # DDS tells those that knew the dead one of its end 20 s later
+        assert Actions(node).send().ended()[0] == SUCCEEDED
+
+
+def test_a_goal_whose_client_is_killed_goes_on_and_anybody_can_cancel_it(zarm: Zarm) -> None:
+    zarm.start("executor", "ros_bridge")
+    zarm.robot.plan(speed=0.15)
+    with subprocess.Popen([sys.executable, "-c", CLIENT], stdout=subprocess.PIPE, text=True) as client:
+        assert client.stdout is not None
+        assert any(line.strip() == "running" for line in client.stdout)
+        client.kill()
+    executor_goal = zarm.executor_goal()
+    cancel = zarm.node.create_client(CancelGoal, "/unified_planner/execute_trajectory/_action/cancel_goal")
+    assert cancel.wait_for_service(PATIENCE)
+    response = answer(cancel.call_async(CancelGoal.Request()), "the cancel is answered")  # of every goal
+    assert len(response.goals_canceling) == 1
+    assert zarm.outcome(executor_goal).status == "cancelled"
+    zarm.robot.plan()
+    assert Actions(zarm.node).send().ended()[0] == SUCCEEDED
+
+
+def test_a_second_bridge_for_a_robot_refuses_to_start(zarm: Zarm) -> None:
+    _, first = zarm.start("executor", "ros_bridge")
+    with ServiceProcess("ros_bridge", zarm.endpoint, zarm.folder, name=KEYS.robot) as second:
+        assert second.process.wait(PATIENCE) == 1
+        assert "already on this bus" in second.output()
+    assert first.process.poll() is None
+    zarm.robot.plan()
+    assert Actions(zarm.node).send().ended()[0] == SUCCEEDED

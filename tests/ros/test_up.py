@@ -1,0 +1,73 @@
+"""`zarm up --ros`, and a bridge that joins by itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from harness import PATIENCE, ServiceProcess, free_endpoint
+from launched import KEYS, ROBOT, Up, environment, health, pid, wait_replaced, zarm
+from rclpy.node import Node
+from ros_stack import RosClient
+from std_srvs.srv import Trigger
+
+from zarm_contract.bus import Bus
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+    with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--ros") as started:
+        yield started
+
+
+def test_up_starts_the_bridge_and_status_shows_it(up: Up, node: Node) -> None:
+    answered = RosClient(node).call(Trigger, "get_robot_strategy")
+    assert (answered.success, answered.message) == (True, "Active strategy: 'emulator'")
+    status = zarm("status", "--json", ZARM_CONNECT=up.endpoint)
+    assert json.loads(status.stdout)["services"]["ros_bridge"]["ready"]
+
+
+def test_a_second_bridge_beside_it_is_refused(up: Up, tmp_path: Path) -> None:
+    with ServiceProcess("ros_bridge", up.endpoint, tmp_path, robot=ROBOT) as second:
+        assert second.process.wait(PATIENCE) == 1
+        assert "already on this bus" in second.output()
+
+
+def test_a_bridge_that_dies_is_started_again(up: Up, node: Node) -> None:
+    with Bus(up.endpoint) as bus:
+        old = pid(bus, "ros_bridge")
+        os.kill(old, signal.SIGKILL)
+        wait_replaced(bus, "ros_bridge", old)
+
+
+def test_the_bridge_ends_with_the_rest(tmp_path: Path) -> None:
+    with Up(free_endpoint(), tmp_path, "--ros") as up:
+        up.interrupt()
+        assert up.end() == 0
+        assert not up.family()
+        assert "Traceback" not in up.errors()
+
+
+def test_a_bridge_joins_a_bus_that_runs(tmp_path: Path, node: Node) -> None:
+    with Up(free_endpoint(), tmp_path) as up, Bus(up.endpoint) as bus:
+        assert health(bus, "ros_bridge") is None
+        with ServiceProcess("ros_bridge", up.endpoint, tmp_path, robot=ROBOT) as bridge:
+            bridge.wait_ready(bus, KEYS)
+            assert RosClient(node).call(Trigger, "get_robot_strategy").success
+        assert bridge.process.returncode == 0
+
+
+def test_without_ros_up_says_how_to_get_it(tmp_path: Path) -> None:
+    hidden = (
+        "import sys; sys.modules['curobo_msgs'] = None; sys.argv[0] = 'zarm'; from zarm_cli.app import main; main()"
+    )
+    command = [sys.executable, "-c", hidden, "up", "--ros", "--listen", free_endpoint(), "--state", str(tmp_path)]
+    ended = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=PATIENCE)
+    assert ended.returncode == 3, ended.stderr
+    assert "curobo_msgs cannot be imported here; `make ros`" in ended.stderr

@@ -1,0 +1,111 @@
+"""A client of the actions of /unified_planner, and motions for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import Point, Pose, Quaternion
+from harness import PATIENCE, eventually
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from ros_node import answer
+
+from curobo_msgs.action import SendTrajectory
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
+from zarm_contract.messages import ExecutorState, JointGoal, JointState, Nothing, Plan, PlanRequest
+from zarm_contract.robot import load_robot
+
+SUCCEEDED, CANCELED, ABORTED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED
+TARGET = Pose(position=Point(x=0.5, y=0.2, z=0.4), orientation=Quaternion(x=0.0, y=1.0, z=0.0, w=0.0))
+"""A pose within reach of the M1013."""
+HOME = load_robot("doosan_m1013").descriptor.home
+
+
+class Sent:
+    """A goal and all that its client is told of it."""
+
+    def __init__(self, client: ActionClient, goal: Any) -> None:
+        self.feedback: list[Any] = []
+        self._answer = client.send_goal_async(goal, feedback_callback=lambda told: self.feedback.append(told.feedback))
+        self._result: Any = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the goal was accepted; waits for the answer."""
+        self.handle = answer(self._answer, "the goal is answered")
+        return bool(self.handle.accepted)
+
+    def under_way(self) -> None:
+        """Wait until the robot is in the middle of the motion."""
+        assert self.accepted
+        eventually(lambda: any(0.1 < told.step_progression < 0.9 for told in self.feedback), "the robot moves")
+
+    def ended(self) -> tuple[int, Any]:
+        """The status at the end, and the result."""
+        assert self.accepted
+        if self._result is None:
+            self._result = self.handle.get_result_async()
+        response = answer(self._result, "the goal ends")
+        return response.status, response.result
+
+    def cancel(self) -> None:
+        """Ask for its end, which is granted."""
+        response = answer(self.handle.cancel_goal_async(), "the cancel is answered")
+        assert len(response.goals_canceling) == 1
+
+
+class Actions:
+    """Sends goals of one action."""
+
+    def __init__(self, node: Node, name: str = "execute_trajectory", kind: Any = SendTrajectory) -> None:
+        self._kind = kind
+        many = QoSProfile(depth=1000)  # of the default, 10, what comes on top is lost
+        self._client = ActionClient(
+            node,
+            kind,
+            f"/unified_planner/{name}",
+            goal_service_qos_profile=many,
+            result_service_qos_profile=many,
+            feedback_sub_qos_profile=many,
+        )
+
+    def send(self, **goal: Any) -> Sent:
+        """Send a goal with these fields."""
+        assert self._client.wait_for_server(PATIENCE)
+        return Sent(self._client, self._kind.Goal(**goal))
+
+
+class Robot:
+    """What a client on the bus knows of the robot."""
+
+    def __init__(self, bus: Bus, keys: Keys) -> None:
+        self.bus = bus
+        self.keys = keys
+        self._measured = bus.latest(keys.joint_states, JointState)
+
+    def joints(self) -> tuple[float, ...]:
+        """Where it is (rad)."""
+        return eventually(lambda: self._measured.get(max_age=0.5), "the joints are measured").position
+
+    def state(self) -> ExecutorState:
+        """What its executor does."""
+        return self.bus.call(self.keys.executor_state, Nothing(), ExecutorState, timeout=10)
+
+    def rests(self) -> bool:
+        """Whether it has no goal and its joints stand."""
+        velocity = eventually(lambda: self._measured.get(max_age=0.5), "the joints are measured").velocity
+        return self.state().goal_id is None and not any(velocity)
+
+    def wait_rest(self) -> None:
+        """Wait until it rests."""
+        eventually(self.rests, "the robot rests")
+
+    def plan(self, *, speed: float = 0.3) -> Plan:
+        """A plan of about 0.8 rad of the first joint, at this share of the speed: seconds of motion."""
+        self.wait_rest()
+        goal = (-0.4 if self.joints()[0] > 0.0 else 0.4, *HOME[1:])
+        request = PlanRequest(goal=JointGoal(kind="joints", position=goal), velocity_scale=speed)
+        return self.bus.call(self.keys.plan, request, Plan, timeout=PATIENCE)
