@@ -227,9 +227,10 @@ def service_parser(name: str, *, several: bool = False) -> argparse.ArgumentPars
     """The command line that every service has; a service adds its own options. `several`: one process may serve several robots."""
     parser = argparse.ArgumentParser(f"zarm-{name.replace('_', '-')}", description=f"The zarm {name} of one robot.")
     count = "+" if several else None
+    robot = os.environ.get("ZARM_ROBOT", "doosan_m1013")
     parser.add_argument(
         "--robot",
-        default=os.environ.get("ZARM_ROBOT", "doosan_m1013"),
+        default=[robot] if several else robot,
         help="descriptor: a name or a .yaml",
         nargs=count,
     )
