@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from curobo_msgs.action import SendTrajectory
-from curobo_msgs.srv import SetPlanner, SetRobotStrategy, TrajectoryGeneration
 from harness import ServiceProcess, eventually, router
 from motions import HOME, KEYS, ROBOT, moved
 from rclpy.action import ActionClient
 from ros_client import RosClient
 from sensor_msgs.msg import JointState
 
+from curobo_msgs.action import SendTrajectory
+from curobo_msgs.srv import SetPlanner, SetRobotStrategy, TrajectoryGeneration
 from zarm_contract.bus import Bus
+from zarm_contract.messages import JointState as BusJointState
 
 NODE = "/unified_planner"
 FAR = moved(0.9, -0.4, 0.2)
@@ -86,6 +87,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
             stack.enter_context(service)
         for service in services:
             service.wait_ready(bus, KEYS)
+        carried = bus.latest(KEYS.driver_joint_states, BusJointState)
+        eventually(carried.get, "the joints of the driver have reached the bus")
         ros = stack.enter_context(RosClient())
         action = ActionClient(ros.node, SendTrajectory, f"{NODE}/execute_trajectory")
         assert action.wait_for_server(60)
