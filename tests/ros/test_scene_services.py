@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -200,32 +199,6 @@ def test_voxels_have_the_size_of_the_parameter_and_too_many_are_refused(arm: Sta
         assert refused.voxel_grid.width == 0
     finally:
         assert edge(0.05)
-
-
-def test_a_world_file_takes_the_place_of_the_scene_and_one_with_faults_leaves_it(arm: Stack, tmp_path: Path) -> None:
-    def load(content: str | None) -> Any:
-        file = tmp_path / "world.yaml"
-        file.unlink(missing_ok=True)
-        if content is not None:
-            file.write_text(content)
-        name = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(file))
-        return set_parameter(arm, "world_file", name)
-
-    add(arm, Request.SPHERE, "there", at(0.6, 0.3, 0.1), 0.05)
-    for content, named in (
-        (None, "No such file"),
-        ("objects: [", "no YAML"),
-        ("cuboid: {}", "objects"),
-        ("objects: [{kind: sphere, name: ball, position: [1, 1, 1]}]", "radius"),
-        ("objects: [{kind: sphere, name: ball, position: [1, 1, .nan], radius: 0.1}]", "position"),
-    ):
-        refused = load(content)
-        assert not refused.successful
-        assert named in refused.reason
-        assert "world.yaml" in refused.reason
-        assert [item.name for item in scene(arm).objects] == ["there"]
-    assert load("objects: [{kind: sphere, name: ball, position: [1, 1, 1], radius: 0.1}]").successful
-    assert scene(arm).objects == (Sphere(kind="sphere", name="ball", position=(1.0, 1.0, 1.0), radius=0.1),)
 
 
 def test_the_cache_keeps_the_numbers_it_is_told(arm: Stack) -> None:

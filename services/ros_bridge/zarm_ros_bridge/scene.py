@@ -20,7 +20,6 @@ from zarm_contract.messages import (
     CheckRequest,
     CheckResults,
     ClearScene,
-    LoadScene,
     Occupancy,
     OccupancyRequest,
     RemoveObjects,
@@ -35,7 +34,6 @@ from zarm_ros_bridge.convert_scene import FIELDS, Colour, colour_of, name_of, ob
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
-from zarm_ros_bridge.world_file import read_world
 
 _EDIT_SECONDS = 30.0
 """Longest wait for an edit: a large mesh takes seconds to read."""
@@ -45,14 +43,13 @@ _SECONDS = 65.0
 
 class SceneServices:
     """add_object, remove_object, remove_all_objects, get_obstacles, get_voxel_grid, get_collision_distance, set_collision_cache
-    and set_link_collision, and the parameter world_file. `colours` are those of objects by name, for whoever shows them; the scene knows none.
+    and set_link_collision. `colours` are those of objects by name, for whoever shows them; the scene knows none.
     """
 
     def __init__(self, ros: Ros, engine: Engine, parameters: Parameters, colours: MutableMapping[str, Colour]) -> None:
         self._engine = engine
         self._parameters = parameters
         self._colours = colours
-        parameters.on_change("world_file", self._load)
         ros.serve(AddObject, "~/add_object", with_message(self._add))
         ros.serve(RemoveObject, "~/remove_object", with_message(self._remove))
         ros.serve(Trigger, "~/remove_all_objects", with_message(self._remove_all))
@@ -62,7 +59,7 @@ class SceneServices:
         ros.serve(SetCollisionCache, "~/set_collision_cache", with_message(self._cache))
         ros.serve(RosSetLinkCollision, "~/set_link_collision", with_message(self._links))
 
-    def _edit(self, edit: AddObjects | RemoveObjects | ClearScene | LoadScene | SetLinkCollision) -> SceneEdited:
+    def _edit(self, edit: AddObjects | RemoveObjects | ClearScene | SetLinkCollision) -> SceneEdited:
         request = SceneEdit(edit=edit)
         return self._engine.ask(self._engine.keys.scene_edit, SceneEdited, request, timeout=_EDIT_SECONDS)
 
@@ -82,12 +79,6 @@ class SceneServices:
                 self._colours[item.name] = before
             raise in_terms_of(error, FIELDS) from error
         return f"Object '{item.name}' added; the scene has {edited.count}"
-
-    def _load(self, file: str) -> None:
-        """Make the scene that of a file; no name leaves it as it is."""
-        if file:
-            self._edit(read_world(file))
-            self._colours.clear()
 
     def _remove(self, request: RemoveObject.Request, _: RemoveObject.Response) -> str:
         name = name_of(request.name)
