@@ -20,7 +20,11 @@ def every_key(robot: str) -> dict[str, str]:
     of_services = {
         f"{kind}({service})": key
         for service in SERVICES
-        for kind, key in (("health", keys.health(service)), ("alive", keys.alive(service, "*")))
+        for kind, key in (
+            ("health", keys.health(service)),
+            ("reread", keys.reread(service)),
+            ("alive", keys.alive(service, "*")),
+        )
     }
     return plain | families | of_services
 

@@ -185,8 +185,7 @@ def test_a_distance_with_the_joints_of_another_robot_is_refused(arm: Stack) -> N
 def test_voxels_have_the_size_of_the_parameter_and_too_many_are_refused(arm: Stack) -> None:
     def edge(value: float) -> bool:
         size = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-        changed = [Parameter(name="voxel_size", value=size)]
-        return bool(arm.ros.call(SetParameters, "set_parameters", parameters=changed).results[0].successful)
+        return bool(set_parameter(arm, "voxel_size", size).successful)
 
     assert len(voxels(arm)) == 0
     add(arm, Request.CUBOID, "floor", at(0.0, 0.0, -1.0), 3.84, 3.84, 0.04)
@@ -233,3 +232,8 @@ def test_links_are_looked_at_or_not_and_unknown_ones_are_named(arm: Stack) -> No
     assert not none.success
     every = arm.ros.call(SetLinkCollision, "set_link_collision", link_names=["base_link", *links], enabled=False)
     assert (every.success, list(every.applied_links)) == (False, [])
+
+
+def set_parameter(arm: Stack, name: str, value: ParameterValue) -> Any:
+    changed = [Parameter(name=name, value=value)]
+    return arm.ros.call(SetParameters, "set_parameters", parameters=changed).results[0]

@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Sequence
 
 from sensor_msgs.msg import JointState as RosJointState
+from std_msgs.msg import Header
 
 from curobo_msgs.srv import TrajectoryGeneration
 from zarm_contract.errors import InvalidRequest
@@ -116,11 +117,16 @@ def held_of(request: TrajectoryGeneration.Request, target: str) -> HeldAxes | No
 
 
 def ros_trajectory(trajectory: Trajectory, dt: float) -> list[RosJointState]:
-    """Positions and velocities every `dt` s from the start of a motion to its end, where it rests."""
-    names = list(trajectory.joint_names)
+    """Positions and velocities every `dt` s from the start of a motion to its end, where it rests.
+
+    What is the same in all of them they share: to make it anew for each takes as long as all the rest.
+    """
+    header, names, none = Header(), list(trajectory.joint_names), array("d")
     positions, velocities = sampled(trajectory, dt)
     return [
-        RosJointState(name=names, position=array("d", position), velocity=array("d", velocity))
+        RosJointState(
+            header=header, name=names, position=array("d", position), velocity=array("d", velocity), effort=none
+        )
         for position, velocity in zip(positions.tolist(), velocities.tolist(), strict=True)
     ]
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 from std_srvs.srv import Trigger
 
 from curobo_msgs.srv import GetPlanners, SetPlanner, TrajectoryGeneration
-from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed, Unavailable, ZarmError
+from zarm_contract.errors import Busy, DeadlineExceeded, InvalidRequest, PlanningFailed, Unavailable, ZarmError
 from zarm_contract.messages import (
     Goal,
     HeldAxes,
@@ -39,6 +40,7 @@ class Planning:
     def __init__(self, ros: Ros, engine: Engine, parameters: Parameters) -> None:
         self._engine = engine
         self._parameters = parameters
+        self._updating = threading.Lock()
         parameters.on_change("planner_type", _choosable)
         ros.serve(TrajectoryGeneration, "~/generate_trajectory", with_message(self._generate))
         ros.serve(SetPlanner, "~/set_planner", with_message(self._set_planner))
@@ -131,7 +133,14 @@ class Planning:
         return response
 
     def _update(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        changed = reread_robot(self._engine)
+        if not self._updating.acquire(blocking=False):
+            raise Busy(
+                "the robot's file is being read again for another client; call again when that has been answered"
+            )
+        try:
+            changed = reread_robot(self._engine)
+        finally:
+            self._updating.release()
         file = self._engine.robot.path
         return f"{file} has changed, and {changed}" if changed else f"{file} is as every service has it"
 

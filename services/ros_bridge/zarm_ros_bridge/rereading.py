@@ -25,11 +25,12 @@ def reread_robot(engine: Engine) -> str:
     Unavailable where a service does not come back in time, or where the file has changed in what the bridge is built on.
     """
     robot = load_robot(str(engine.robot.path))
-    for name in _FIXED:
-        if getattr(robot.descriptor, name) != getattr(engine.robot.descriptor, name):
-            raise Unavailable(
-                f"{name} has changed in {robot.path}, which the services on ROS are built on; restart zarm to take it"
-            )
+    changed = [name for name in _FIXED if getattr(robot.descriptor, name) != getattr(engine.robot.descriptor, name)]
+    if changed or robot.urdf != engine.robot.urdf:
+        raise Unavailable(
+            f"{changed[0] if changed else 'urdf'} has changed in {robot.path}, which what is served on ROS is built on; restart "
+            "zarm to take it"
+        )
     strategy = engine.strategies().active
     renewed = []
     for service in _SERVICES:
