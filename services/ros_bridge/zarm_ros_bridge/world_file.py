@@ -44,7 +44,7 @@ class WorldFile:
 def _read(path: Path) -> Mapping[str, Any]:
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # a null character in the path, too
         raise InvalidRequest(f"cannot be read: {error}") from error
     except yaml.YAMLError as error:
         raise InvalidRequest(f"is not valid YAML: {' '.join(str(error).split())}") from error
@@ -56,14 +56,18 @@ def _read(path: Path) -> Mapping[str, Any]:
 def _objects(data: Mapping[str, Any]) -> Iterator[Any]:
     """The objects of a scene as `zarm scene save` writes it, or of a world of cuRobo."""
     if set(data) == {"objects"}:
-        yield from data["objects"] or ()
+        if not isinstance(data["objects"], list):
+            raise InvalidRequest("is no list", field="objects")
+        yield from data["objects"]
         return
     for kind, named in data.items():
         if kind not in _KINDS:
             raise InvalidRequest(
                 f"{kind} is no kind of obstacle that is read from a file; those are {', '.join(_KINDS)}"
             )
-        for name, obstacle in (named or {}).items():
+        if not isinstance(named, dict):
+            raise InvalidRequest("is no mapping of names to obstacles", field=str(kind))
+        for name, obstacle in named.items():
             try:
                 yield {"kind": kind, "name": name, **_obstacle(kind, obstacle)}
             except (KeyError, TypeError, ValueError) as error:

@@ -1,0 +1,165 @@
+"""Both tutorials of the reference, command by command, each in a process of its own: the replies are those shown there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from harness import PATIENCE, ServiceProcess, router
+from ros_stack import KEYS
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import JointState
+
+TUTORIALS = Path(__file__).parents[3] / "shared" / "reference"
+NODE = "/unified_planner"
+PLAN = f"ros2 service call {NODE}/generate_trajectory curobo_msgs/srv/TrajectoryGeneration "
+PLAN_1 = PLAN + '"{target_pose: {position: {x: 0.5, y: 0.2, z: 0.3}, orientation: {w: 1.0}}}"'
+PLAN_2 = PLAN + '"{target_pose: {position: {x: 0.5, y: 0.0, z: 0.4}, orientation: {w: 1.0}}}"'
+EXECUTE = f'ros2 action send_goal {NODE}/execute_trajectory curobo_msgs/action/SendTrajectory "{{}}"'
+EXECUTE_TARGET = (
+    f"ros2 action send_goal {NODE}/execute_trajectory curobo_msgs/action/SendTrajectory "
+    '"{target_pose: {position: {x: 0.5, y: 0.2, z: 0.4}, orientation: {x: 0.0, y: 1.0, z: 0.0, w: 0.0}}}" --feedback'
+)
+APPLY = f"ros2 service call {NODE}/set_robot_strategy std_srvs/srv/Trigger"
+ACTIVE = f"ros2 service call {NODE}/get_robot_strategy std_srvs/srv/Trigger"
+LISTED = f"ros2 service call {NODE}/get_robot_strategies curobo_msgs/srv/GetRobotStrategies"
+SWITCH = (
+    f"ros2 service call {NODE}/set_robot_strategy curobo_msgs/srv/SetRobotStrategy \"{{robot_strategy: 'emulator'}}\""
+)
+CHOOSE = {kind: f'ros2 param set {NODE} robot_type "{kind}"' for kind in ("ghost", "emulator", "doosan_m1013", "")}
+DRIVER_HZ, EMULATOR_HZ = "ros2 topic hz /dsr01/joint_states", "ros2 topic hz /emulator/joint_states"
+TOPICS, COMMAND_INFO = "ros2 topic list", "ros2 topic info /leeloo/execute_trajectory"
+COMMANDS = (
+    *(PLAN_1, PLAN_2, EXECUTE, EXECUTE_TARGET, APPLY, ACTIVE, LISTED, SWITCH),
+    *CHOOSE.values(),
+    *(DRIVER_HZ, EMULATOR_HZ, TOPICS, COMMAND_INFO),
+)
+
+
+def ros2(command: str) -> str:
+    """What a command prints: that of ROS where this machine has it, else the same calls by rclpy."""
+    assert command in COMMANDS
+    words = shlex.split(command)
+    if shutil.which("ros2") is None:
+        words = [sys.executable, str(Path(__file__).parents[1] / "ros2_command.py"), *words[1:]]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=2 * PATIENCE)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+@pytest.fixture(scope="module")
+def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+    """The whole of zarm, and the driver of the robot on the side of ROS."""
+    folder = tmp_path_factory.mktemp("tutorials")
+    with router() as endpoint, Bus(endpoint) as session:
+        processes = [
+            ServiceProcess(name, endpoint, folder, name=KEYS.robot, arguments=arguments)
+            for name, arguments in (("leeloo_sim", ("--ros",)), ("planner", ()), ("executor", ()), ("ros_bridge", ()))
+        ]
+        with processes[0], processes[1], processes[2], processes[3]:
+            for process in processes[1:]:
+                process.wait_ready(session, KEYS)
+            yield session
+            for process in processes:
+                assert process.process.poll() is None, process.output()
+
+
+def test_every_command_of_the_tutorials_is_run_here() -> None:
+    texts = [TUTORIALS / name for name in ("robot-execution-v1.txt", "robot-execution-v2.txt")]
+    if not all(text.exists() for text in texts):
+        pytest.skip("the tutorials are not here")
+    for text in texts:
+        plain = " ".join(text.read_text().replace("\\", " ").split())
+        found = [match.start() for match in re.finditer(r"ros2 (param|service|action|topic) ", plain)]
+        assert found
+        for start in found:
+            assert any(plain.startswith(command, start) for command in COMMANDS), plain[start : start + 120]
+
+
+def test_version_1_ghost(bus: Bus) -> None:
+    assert "Set parameter successful" in ros2(CHOOSE["ghost"])
+    assert "success: true" in ros2(APPLY)
+    planned = ros2(PLAN_1)
+    assert "success: true" in planned
+    assert "dt: " in planned
+    assert "ghost" in ros2(ACTIVE)
+
+
+def test_version_1_emulator(bus: Bus) -> None:
+    ros2(CHOOSE["ghost"])
+    ros2(APPLY)
+    assert "Set parameter successful" in ros2(CHOOSE["emulator"])
+    answered = yaml.safe_load(ros2(APPLY))
+    assert answered == {"success": True, "message": "Strategy switched from 'ghost' to 'emulator'"}
+    assert rate(ros2(EMULATOR_HZ)) > 10
+    planned = yaml.safe_load(ros2(PLAN_1))
+    assert planned["success"], planned["message"]
+    assert_executed(ros2(EXECUTE))
+    end = planned["trajectory"][-1]
+    assert np.allclose(measured(bus), end["position"], atol=1e-3)
+
+
+def test_version_1_doosan(bus: Bus) -> None:
+    assert rate(ros2(DRIVER_HZ)) > 20
+    assert "/leeloo/execute_trajectory" in ros2(TOPICS).splitlines()
+    assert "Subscription count: 1" in ros2(COMMAND_INFO)
+    ros2(CHOOSE["emulator"])
+    ros2(APPLY)
+    ros2(CHOOSE["doosan_m1013"])
+    answered = yaml.safe_load(ros2(APPLY))
+    assert answered == {"success": True, "message": "Strategy switched from 'emulator' to 'doosan_m1013'"}
+    planned = yaml.safe_load(ros2(PLAN_2))
+    assert planned["success"], planned["message"]
+    assert_executed(ros2(EXECUTE))
+    assert np.allclose(measured(bus), planned["trajectory"][-1]["position"], atol=0.02)
+
+
+def test_version_1_refuses_a_robot_type_that_is_none(bus: Bus) -> None:
+    told = ros2(CHOOSE[""])
+    assert "Setting parameter failed" in told
+    assert "choose one of ghost, emulator, doosan_m1013" in told
+
+
+def test_version_2(bus: Bus) -> None:
+    ros2(CHOOSE["ghost"])
+    ros2(APPLY)
+    listed = yaml.safe_load(ros2(LISTED))
+    assert listed["success"]
+    assert {"emulator", "joint_speed", "joint_pose"} <= set(listed["strategy_names"])
+    assert listed["current_strategy_name"] == "ghost"
+    switched = yaml.safe_load(ros2(SWITCH))
+    assert switched["success"]
+    assert (switched["previous_robot_strategy"], switched["current_robot_strategy"]) == ("ghost", "emulator")
+    assert "emulator" in ros2(ACTIVE)
+    told = ros2(EXECUTE_TARGET)
+    assert_executed(told)
+    for name in ("state: running", "step_progression: ", "joint_command:"):
+        assert name in told
+
+
+def assert_executed(printed: str) -> None:
+    assert "success: true" in printed
+    assert "message: Trajectory executed successfully" in printed.replace("'", "")
+    assert "Goal finished with status: SUCCEEDED" in printed
+
+
+def rate(printed: str) -> float:
+    found = re.search(r"average rate: ([0-9.]+)", printed)
+    assert found, printed
+    return float(found[1])
+
+
+def measured(bus: Bus) -> tuple[float, ...]:
+    latest = bus.latest(KEYS.joint_states, JointState)
+    while (state := latest.get(max_age=1.0)) is None:
+        pass
+    return state.position
