@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState as RosJointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from zarm_contract.messages import ExecutorState, JointState, Plan, Scene
+from zarm_contract.messages import ExecutorState, JointState, Message, Plan, Scene
+from zarm_contract.publications import deliver
 from zarm_ros_bridge.convert import ros_joint_state
 from zarm_ros_bridge.convert_drivers import ros_joint_trajectory
 from zarm_ros_bridge.convert_markers import Colour, obstacle_markers, sphere_markers
@@ -19,6 +24,8 @@ from zarm_ros_bridge.ros import Ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The last message is there for whoever comes late."""
 DEPTH = 10
+
+M = TypeVar("M", bound=Message)
 
 
 class Topics:
@@ -51,9 +58,9 @@ class Topics:
         self._spheres.publish(sphere_markers(engine.robot.descriptor))
         bus.watch(keys.executor_state, ExecutorState, self._state)
         bus.watch(keys.scene, Scene, self._scene)
-        bus.subscribe(keys.plans, Plan, self._plan)
-        bus.subscribe(keys.joint_states, JointState, self._measured)
-        bus.subscribe(keys.preview_joint_states, JointState, self._previewed)
+        self._relay(keys.plans, Plan, lambda plan: ros_joint_trajectory(plan.trajectory), self._trajectory)
+        self._relay(keys.joint_states, JointState, ros_joint_state, self._joint_states, self._emulator)
+        self._relay(keys.preview_joint_states, JointState, ros_joint_state, self._ghost)
 
     def _state(self, _key: str, state: ExecutorState) -> None:
         self._emulated = state.strategy == "emulator"
@@ -62,15 +69,22 @@ class Topics:
         descriptor = self._engine.robot.descriptor
         self._obstacles.publish(obstacle_markers(scene, descriptor.base_link, descriptor.tip_link, self._colours))
 
-    def _plan(self, _key: str, plan: Plan) -> None:
-        self._trajectory.publish(ros_joint_trajectory(plan.trajectory))
+    def _relay(self, key: str, model: type[M], convert: Callable[[M], Any], *publishers: Publisher | None) -> None:
+        """Publish what comes on a key of the bus. What nobody listens to is not even read: joints come at a high rate."""
 
-    def _measured(self, _key: str, state: JointState) -> None:
-        message = ros_joint_state(state)
-        if self._joint_states is not None:
-            self._joint_states.publish(message)
-        if self._emulated:
-            self._emulator.publish(message)
+        def receive(key: str, payload: bytes) -> None:
+            heard = [
+                publisher
+                for publisher in publishers
+                if publisher is not None
+                and publisher.get_subscription_count()
+                and (self._emulated or publisher is not self._emulator)
+            ]
+            if heard:
+                deliver(key, payload, model, lambda _, message: publish(convert(message), heard))
 
-    def _previewed(self, _key: str, state: JointState) -> None:
-        self._ghost.publish(ros_joint_state(state))
+        def publish(message: Any, heard: list[Publisher]) -> None:
+            for publisher in heard:
+                publisher.publish(message)
+
+        self._engine.bus.listen(key, receive)
