@@ -56,6 +56,8 @@ def execute(
     request = message(ExecuteRequest, plan_id=plan_id) if plan is None else _saved(plan)
     with connected(connect, name) as client:
         if goal is not None:
+            if preempt:
+                _bring_to_rest(client)
             request = ExecuteRequest(plan_id=request_plan(client, goal, velocity_scale=velocity_scale).plan_id)
         last = run_goal(client, request.model_copy(update={"preempt": preempt}))
     if as_json:
@@ -69,6 +71,14 @@ def _saved(file: Path) -> ExecuteRequest:
     """The request to move along a saved plan. It carries the motion itself: no service need remember that plan."""
     plan = read_plan(file)
     return ExecuteRequest(trajectory=plan.trajectory, scene_revision=plan.scene_revision)
+
+
+def _bring_to_rest(client: Client) -> None:
+    """Cancel the goal that runs, if any, and wait for its end: a motion is planned from where the robot rests."""
+    instances = _executors(client)
+    goal_id = client.ask(client.keys.cancel, ExecutorState).goal_id
+    if goal_id is not None:
+        _Goal(client, goal_id, instances).follow(lambda _: None, _STOP_SECONDS)
 
 
 def demand_success(last: GoalState) -> None:
