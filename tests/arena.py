@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from driven import FAR, Driven
+from driven import FAR, THERE, Driven
 from harness import ServiceProcess, eventually, free_endpoint
 from link import Link, link
-from motions import HOME, rest_to_rest
+from motions import HOME, plan, rest_to_rest
 from wall_clock import WallClock
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import ExecutorState, Trajectory
+from zarm_contract.messages import ExecutorState, JointState, Plan, Trajectory
 from zarm_contract.session import open_router
 
 STEP = 0.01
@@ -105,6 +105,14 @@ class Arena(Driven):
         seen = len(self.told)
         eventually(lambda: len(self.told) > seen, "the driver is heard")
         self.heard()
+
+    def ghost(self) -> list[JointState]:
+        """What the ghost shows, which the executor stamps with its own clock: it has a plan to play by now."""
+        shown: list[JointState] = []
+        self.bus.subscribe(self.keys.preview_joint_states, JointState, lambda _, state: shown.append(state))
+        plans = self.bus.publisher(self.keys.plans, Plan)
+        eventually(lambda: plans.put(plan("seen", THERE)) or shown, "the ghost plays")
+        return shown
 
     # -- the arm --
 

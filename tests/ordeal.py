@@ -63,7 +63,7 @@ def endure(place: Arena, fault: Fault, promise: Promise) -> Figure:
         return [goal for goal in place.client.goals if goal.goal_id == goal_id and goal.done]
 
     eventually(lambda: over() or place.speed() > IN_MOTION, "the arm is in motion")
-    assert not over()
+    assert not over(), over()
     struck = place.samples()
     next(steps)
     place.wait_to_stand()

@@ -21,6 +21,8 @@ log = logging.getLogger(__name__)
 _STILL = 5e-4
 _STANDING = 0.1
 """A robot stands that has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
+_CLOCK_PATIENCE = 1.0
+"""How long (s) after a silence joints are held to be old ones by their stamps; what was held up comes within milliseconds."""
 
 
 class DriverLink:
@@ -45,6 +47,7 @@ class DriverLink:
         self._sequence = 0
         self._measured: Measured | None = None
         self._stamp: float | None = None
+        self._held_up_since: float | None = None
         self._stood: Measured | None = None
         self._orders: dict[tuple[str, ...], list[int] | None] = {}
 
@@ -89,12 +92,29 @@ class DriverLink:
             return self._measured
         state, at = received
         order = self._order(state.joint_names)
-        if order is not None and state.stamp != self._stamp:
+        if order is not None and state.stamp != self._stamp and not self._held_up(state.stamp, at):
             self._stamp = state.stamp
             self._measured = Measured(np.array(state.position)[order], np.array(state.velocity)[order], at, state.stamp)
             if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
                 self._stood = self._measured
         return self._measured
+
+    def _held_up(self, stamp: float, at: float) -> bool:
+        """Whether joints received `at` were told long before: after a silence comes first what was on its way meanwhile.
+
+        By it a robot that has come to rest would seem to move. Since the joints before, the driver's clock must have gone on
+        as far as this one; if it still has not after `_CLOCK_PATIENCE`, that clock was stepped.
+        """
+        before, patience = self._measured, self.execution.joint_state_timeout
+        if before is None or before.stamp is None:
+            return False
+        silence = at - before.time
+        if silence <= patience or stamp - before.stamp >= silence - patience:
+            self._held_up_since = None
+            return False
+        if self._held_up_since is None:
+            self._held_up_since = at
+        return at - self._held_up_since <= _CLOCK_PATIENCE
 
     def velocity(self) -> Array:
         """The measured velocities (J,), whatever the driver tells never outside those that it is sent.
