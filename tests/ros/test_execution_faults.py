@@ -96,22 +96,22 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Zarm]:
     folder = tmp_path_factory.mktemp("faults")
     with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
         zarm = Zarm(bus, node, folder, endpoint)
-        with zarm._stack:
+        with closing(zarm):
             zarm.start("planner")
             yield zarm
 
 
 @pytest.fixture
-def zarm(planned: Zarm) -> Iterator[Zarm]:
-    one = Zarm(planned.bus, planned.node, planned.folder, planned.endpoint)
-    with one._stack:
+def zarm(planned: Zarm, node: Node) -> Iterator[Zarm]:
+    """With a node of the test's own: one that knew a bridge that was killed goes on asking it for 20 s."""
+    with closing(Zarm(planned.bus, node, planned.folder, planned.endpoint)) as one:
         yield one
 
 
 def test_without_a_planner_a_target_is_refused_and_says_who_is_missing(tmp_path: Path) -> None:
     with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
         zarm = Zarm(bus, node, tmp_path, endpoint)
-        with zarm._stack:
+        with closing(zarm):
             zarm.start("executor", "ros_bridge")
             goal = Actions(node).send()
             status, result = goal.ended()
