@@ -120,6 +120,8 @@ def topic(node: Node, verb: str, name: str = "") -> None:
             say("\n".join(known))
             return
     if verb == "info":
+        while not (node.count_publishers(name) and node.count_subscribers(name)) and time.monotonic() < deadline:
+            rclpy.spin_once(node, timeout_sec=0.1)  # each is discovered by itself; `ros2` asks a daemon that knows all
         say(f"Type: {known[name][0]}\nPublisher count: {node.count_publishers(name)}")
         say(f"Subscription count: {node.count_subscribers(name)}")
         return

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion
 from harness import PATIENCE, eventually
+from planner_client import BEHIND_POST, POST
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
@@ -23,13 +24,19 @@ from zarm_contract.messages import (
     CancelRequest,
     ExecuteRequest,
     ExecutorState,
+    FkPoses,
+    FkRequest,
     GoalState,
+    LoadScene,
     Nothing,
+    PlannerSettings,
     RemoveObjects,
     SceneEdit,
     SceneEdited,
+    SettingsChange,
     Sphere,
 )
+from zarm_ros_bridge.convert import ros_pose
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +57,33 @@ def actions(running: Stack) -> Actions:
     return Actions(running.ros.node)
 
 
-@pytest.fixture
-def preempting(running: Stack) -> Iterator[None]:
+def configure(running: Stack, **values: bool | int | float) -> None:
     client = AsyncParameterClient(running.ros.node, "/unified_planner")
     assert client.wait_for_services(PATIENCE)
-    for value in (True, False):
-        response = answer(client.set_parameters([Parameter("preempt", value=value)]), "the parameter is set")
-        assert response.results[0].successful
-        if value:
-            yield
+    changes = [Parameter(name, value=value) for name, value in values.items()]
+    response = answer(client.set_parameters(changes), "the parameters are set")
+    assert all(result.successful for result in response.results)
+
+
+@pytest.fixture
+def preempting(running: Stack) -> Iterator[None]:
+    configure(running, preempt=True)
+    yield
+    configure(running, preempt=False)
+
+
+@pytest.fixture
+def long_planned(running: Stack, robot: Robot) -> Iterator[Pose]:
+    """A target behind a post, to which the planner looks for faster motions for half a minute."""
+    tip = robot.bus.call(KEYS.fk, FkRequest(joints=(BEHIND_POST,)), FkPoses, timeout=PATIENCE).poses[0]
+    before = robot.bus.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE).optimize_s
+    for objects, optimize_s in (((POST,), 30.0), ((), before)):
+        configure(running, timeout=60.0 if objects else 5.0)
+        edit = SceneEdit(edit=LoadScene(op="load", objects=objects))
+        robot.bus.call(KEYS.scene_edit, edit, SceneEdited, timeout=PATIENCE)
+        robot.bus.call(KEYS.settings, SettingsChange(optimize_s=optimize_s), PlannerSettings, timeout=PATIENCE)
+        if objects:
+            yield ros_pose(tip)
 
 
 def test_an_empty_goal_runs_the_last_plan_and_tells_how_far_it_is(robot: Robot, actions: Actions) -> None:
@@ -99,6 +124,21 @@ def test_a_cancelled_goal_ends_as_canceled_with_the_robot_at_rest(robot: Robot, 
     assert result.message
     assert goal.feedback[-1].state == "cancelled"
     assert not np.allclose(robot.joints(), plan.trajectory.position[-1], atol=0.05)
+
+
+def test_a_goal_that_is_cancelled_while_it_is_planned_ends_as_canceled_at_once(
+    running: Stack, robot: Robot, actions: Actions, long_planned: Pose
+) -> None:
+    before = robot.joints()
+    for _ in range(5):
+        goal = actions.send(target_pose=long_planned)
+        assert goal.accepted
+        eventually(lambda goal=goal: goal.feedback, "it is planned")
+        goal.cancel()
+        status, result = goal.ended()
+        assert (status, result.success) == (CANCELED, False)
+        assert {told.state for told in goal.feedback} == {"planning"}
+    assert robot.joints() == before
 
 
 def test_a_goal_that_somebody_else_cancels_ends_as_aborted_and_says_so(robot: Robot, actions: Actions) -> None:

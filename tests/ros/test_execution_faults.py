@@ -7,20 +7,24 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 from action_msgs.srv import CancelGoal
-from harness import PATIENCE, ServiceProcess, eventually, router
+from harness import PATIENCE, ServiceProcess, eventually, free_endpoint, router
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from ros_goals import ABORTED, SUCCEEDED, TARGET, Actions, Robot, Sent
 from ros_node import answer, running_node
-from ros_stack import KEYS
+from ros_stack import KEYS, RosClient
+from std_srvs.srv import Trigger
 
 from zarm_contract.bus import Bus
-from zarm_contract.messages import GoalState, Nothing
+from zarm_contract.messages import GoalState, Nothing, Strategies, StrategyRequest
+from zarm_contract.session import open_router
 from zarm_ros_bridge.goals import SILENCE
 
 CLIENT = """
@@ -58,6 +62,10 @@ class Zarm:
             process.wait_ready(self.bus, KEYS)
         return processes
 
+    def close(self) -> None:
+        """End what was started."""
+        self._stack.close()
+
     @property
     def robot(self) -> Robot:
         return Robot(self.bus, KEYS)
@@ -88,22 +96,22 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Zarm]:
     folder = tmp_path_factory.mktemp("faults")
     with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
         zarm = Zarm(bus, node, folder, endpoint)
-        with zarm._stack:
+        with closing(zarm):
             zarm.start("planner")
             yield zarm
 
 
 @pytest.fixture
-def zarm(planned: Zarm) -> Iterator[Zarm]:
-    one = Zarm(planned.bus, planned.node, planned.folder, planned.endpoint)
-    with one._stack:
+def zarm(planned: Zarm, node: Node) -> Iterator[Zarm]:
+    """With a node of the test's own: one that knew a bridge that was killed goes on asking it for 20 s."""
+    with closing(Zarm(planned.bus, node, planned.folder, planned.endpoint)) as one:
         yield one
 
 
 def test_without_a_planner_a_target_is_refused_and_says_who_is_missing(tmp_path: Path) -> None:
     with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
         zarm = Zarm(bus, node, tmp_path, endpoint)
-        with zarm._stack:
+        with closing(zarm):
             zarm.start("executor", "ros_bridge")
             goal = Actions(node).send()
             status, result = goal.ended()
@@ -211,3 +219,49 @@ def test_a_second_bridge_for_a_robot_refuses_to_start(zarm: Zarm) -> None:
     assert first.process.poll() is None
     zarm.robot.plan()
     assert Actions(zarm.node).send().ended()[0] == SUCCEEDED
+
+
+def test_without_an_executor_version_1_fails_and_robot_type_is_as_before(zarm: Zarm) -> None:
+    zarm.start("ros_bridge")
+    parameters = AsyncParameterClient(zarm.node, "/unified_planner")
+    assert parameters.wait_for_services(PATIENCE)
+    change = parameters.set_parameters([Parameter("robot_type", value="ghost")])
+    assert answer(change, "the parameter is set").results[0].successful
+    answered = RosClient(zarm.node).call(Trigger, "set_robot_strategy")
+    assert not answered.success
+    assert KEYS.strategy in answered.message
+    value = answer(parameters.get_parameters(["robot_type"]), "the parameter is told").values[0]
+    assert value.string_value == "emulator"
+
+
+def test_the_parameters_follow_an_executor_that_starts_with_another_strategy(zarm: Zarm) -> None:
+    _, executor = zarm.start("ros_bridge", "executor")
+    parameters = AsyncParameterClient(zarm.node, "/unified_planner")
+    assert parameters.wait_for_services(PATIENCE)
+
+    def strategy() -> str:
+        told = answer(parameters.get_parameters(["control_strategy"]), "the parameter is told")
+        return str(told.values[0].string_value)
+
+    zarm.bus.call(KEYS.strategy, StrategyRequest(strategy="ghost"), Strategies, timeout=10)
+    eventually(lambda: strategy() == "ghost", "the parameter follows")
+    executor.kill()
+    zarm.start("executor")
+    eventually(lambda: strategy() == "emulator", "the parameter follows")
+
+
+def test_a_router_that_is_started_again_in_motion_does_not_end_the_goal(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with ExitStack() as first, ExitStack() as stack:
+        first.enter_context(open_router(endpoint))
+        bus = stack.enter_context(Bus(endpoint))
+        node = stack.enter_context(running_node("client"))
+        zarm = stack.enter_context(closing(Zarm(bus, node, tmp_path, endpoint)))
+        zarm.start("planner", "executor", "ros_bridge")
+        goal = zarm.goal_under_way()
+        first.close()
+        stack.enter_context(open_router(endpoint))
+        status, result = goal.ended()
+        assert (status, result.message) == (SUCCEEDED, "Trajectory executed successfully")
+        zarm.robot.plan()
+        assert Actions(node).send().ended()[0] == SUCCEEDED

@@ -106,7 +106,7 @@ class Execution:
         except ZarmError as error:
             return self._failed(run, error)
         except Exception:  # as on the bus: one goal fails, and the service goes on
-            log.exception("goal failed request=%s", run.request_id)
+            log.exception("goal failed")
             return self._failed(run, InternalError("the ROS bridge failed on this goal; its log holds the trace"))
         else:
             handle.succeed()
@@ -115,7 +115,7 @@ class Execution:
             run.ended.set()
 
     def _failed(self, run: Run, error: ZarmError) -> SendTrajectory.Result:
-        log.info("goal request=%s reason=%s: %s", run.request_id, error.code, error)
+        log.info("goal not reached reason=%s: %s", error.code, error)
         if error.code == "cancelled" and run.cancelled():
             run.handle.canceled()
         else:
@@ -160,13 +160,11 @@ class Execution:
         request = PlanRequest(
             goal=PoseGoal(kind="pose", position=target.position, orientation=target.orientation),
             planner="auto",
-            request_id=run.request_id,
             timeout=timeout,
             max_attempts=value("max_attempts"),
             margin=value("collision_activation_distance"),
         )
-        run.go_on()
-        return self._engine.ask(self._engine.keys.plan, Plan, request, timeout=timeout + ANSWER_SECONDS)
+        return run.plan(request, timeout + ANSWER_SECONDS)
 
     def _start(self, request: ExecuteRequest) -> str:
         asked = time.monotonic()

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from rclpy.action.server import ServerGoalHandle
 
 from zarm_contract.errors import Cancelled, Unavailable, ZarmError
-from zarm_contract.messages import CancelledPlan, CancelPlan, CancelRequest, ExecutorState, GoalState
+from zarm_contract.messages import CancelledPlan, CancelPlan, CancelRequest, ExecutorState, GoalState, Plan, PlanRequest
 from zarm_ros_bridge.engine import Engine
 
 log = logging.getLogger(__name__)
@@ -23,6 +23,8 @@ _ASK_AFTER = 1.0  # s without a publication after which the executor is asked; i
 _ASK_SECONDS = 1.0
 _WAKE = 0.1  # s
 _AGAIN = 1.0  # s after which a cancel that has had no effect is sent again
+_PLAN_ON_ITS_WAY = 1.0  # s from being asked for to being planned, at most
+_NOTED = 5.0  # s from being told of a cancel to rclpy's note of it, at most: two questions are asked in between
 _REMEMBERED = 64
 
 
@@ -102,16 +104,17 @@ class Goals:
 class Run:
     """One goal of a client, from its turn to its result. Safe from any thread.
 
-    `request_id` names its planning. `ended` is set when its outcome is certain; `preempted` says that another goal ended it.
+    `ended` is set when its outcome is certain; `preempted` says that another goal ended it.
     """
 
     def __init__(self, handle: ServerGoalHandle, engine: Engine, goals: Goals) -> None:
         self.handle = handle
-        self.request_id = f"ros-{secrets.token_hex(4)}"
         self.ended = threading.Event()
         self.preempted = False
         self._engine = engine
         self._goals = goals
+        self._request_id = f"ros-{secrets.token_hex(4)}"
+        self._planning = False
         self._goal_id: str | None = None
         self._cancelled = False
         self._stopped: float | None = None  # when it was told to last
@@ -133,7 +136,7 @@ class Run:
 
     def cancelled(self) -> bool:
         """Whether its client wanted it to end; if so, rclpy has noted it by the time that this returns."""
-        deadline = time.monotonic() + 1.0
+        deadline = time.monotonic() + _NOTED
         while self._cancelled and not self.handle.is_cancel_requested and time.monotonic() < deadline:
             time.sleep(0.005)
         return bool(self.handle.is_cancel_requested)
@@ -142,6 +145,16 @@ class Run:
         """Raises Cancelled where somebody wants it to end."""
         if self._stopped is not None or self.handle.is_cancel_requested:
             raise Cancelled("the goal was cancelled before the robot moved")
+
+    def plan(self, request: PlanRequest, timeout: float) -> Plan:
+        """The planner's answer. Raises what it answers, Cancelled where somebody wants the goal to end."""
+        self._planning = True
+        try:
+            self.go_on()
+            named = request.model_copy(update={"request_id": self._request_id})
+            return self._engine.ask(self._engine.keys.plan, Plan, named, timeout=timeout)
+        finally:
+            self._planning = False
 
     def follow(self, goal_id: str) -> Iterator[GoalState]:
         """The states of the executor's goal that it has become. Raises Unavailable as `Goals.states` does."""
@@ -156,10 +169,16 @@ class Run:
     def _stop(self) -> None:
         self._stopped = time.monotonic()
         try:
+            self._end_planning()
             if self._goal_id is not None:
                 self._goals.cancel(self._goal_id)
-            else:
-                request = CancelPlan(request_id=self.request_id)
-                self._engine.ask(self._engine.keys.plan_cancel, CancelledPlan, request, timeout=1.0)
         except ZarmError as error:  # sent again by `follow`, which gives up when the executor is gone
-            log.warning("not cancelled request=%s reason=%s", self.request_id, error)
+            log.warning("not cancelled goal_id=%s reason=%s", self._goal_id, error)
+
+    def _end_planning(self) -> None:
+        """Until it has ended, because the request to plan may still be on its way to the planner."""
+        request, deadline = CancelPlan(request_id=self._request_id), time.monotonic() + _PLAN_ON_ITS_WAY
+        while self._planning and time.monotonic() < deadline:
+            if self._engine.ask(self._engine.keys.plan_cancel, CancelledPlan, request, timeout=1.0).was_running:
+                return
+            time.sleep(0.02)
