@@ -6,6 +6,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from zarm_contract.bus import Bus
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_ros_bridge.convert_markers import Colour
 from zarm_ros_bridge.drivers import Drivers
@@ -29,12 +31,13 @@ WORKERS = 16
 @contextmanager
 def start(service: Service) -> Iterator[None]:
     """The node of one robot, and beside it the one that serves `set_robot_strategy` by its first type."""
-    engine = Engine(service.bus, service.keys, service.robot)
     namespace = _namespace(service)
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"{NODE}_v1", namespace, workers=2) as first,
+        Bus(service.options.connect) as bus,  # closed first: nothing comes from it for nodes that are gone
     ):
+        engine = Engine(bus, service.keys, service.robot)
         parameters = Parameters(ros.node, engine)
         colours: dict[str, Colour] = {}
         Planning(ros, engine, parameters)
@@ -55,9 +58,10 @@ def start(service: Service) -> Iterator[None]:
 def _namespace(service: Service) -> str:
     """Names are those of the reference while there is one robot, and under the robot's name where there are several."""
     given: str | None = service.options.namespace
-    if given is not None:
-        return given
-    return "" if len(service.options.robot) == 1 else service.keys.robot
+    several = len(service.options.robot) > 1
+    if given is not None and several:
+        raise InvalidRequest("several robots have their names as namespaces; leave it out", field="--namespace")
+    return service.keys.robot if several else given or ""
 
 
 def main() -> int:
