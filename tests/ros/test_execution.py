@@ -244,3 +244,13 @@ def test_mpc_move_is_refused_in_a_sentence(running: Stack) -> None:
     status, result = Actions(running.ros.node, "mpc_move", MpcMove).send(target_pose=TARGET).ended()
     assert (status, result.success) == (ABORTED, False)
     assert "not there yet" in result.message
+
+
+def test_a_pose_for_mpc_move_moves_nothing_and_is_said_to(running: Stack) -> None:
+    said: list[str] = []
+    listener = running.ros.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
+    publisher = running.ros.node.create_publisher(Pose, "/unified_planner/mpc_goal", 1)
+    eventually(lambda: publisher.publish(TARGET) or any("mpc_goal moves nothing" in line for line in said), "it is said")
+    assert running.bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=10).mode == "idle"
+    running.ros.node.destroy_publisher(publisher)
+    running.ros.node.destroy_subscription(listener)

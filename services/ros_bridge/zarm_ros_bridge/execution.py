@@ -9,6 +9,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
+from geometry_msgs.msg import Pose
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
@@ -29,6 +30,9 @@ REST_SECONDS = 15.0
 """Longest wait for the rest of a robot whose goal is preempted."""
 RESULT_SECONDS = 60
 """How long a result can be asked for."""
+_NO_MPC = (
+    "mpc_move is not there yet, because zarm has no closed-loop planner; use execute_trajectory with a target_pose"
+)
 _END_SECONDS = 3.0
 _JITTER = 0.05  # s by which a state of the executor may be early
 
@@ -46,6 +50,7 @@ class Execution:
         self._serve(SendTrajectory, "execute_trajectory", self._execute, self._admit)
         self._serve(SendTrajectory, "send_trajectory", self._execute, self._admit)
         self._serve(MpcMove, "mpc_move", self._refuse, lambda _: GoalResponse.ACCEPT)
+        ros.node.create_subscription(Pose, "~/mpc_goal", self._ignore, 1, callback_group=ros.group)
 
     def __enter__(self) -> Self:
         return self
@@ -91,9 +96,11 @@ class Execution:
         handle.abort()
         return MpcMove.Result(
             success=False,
-            message="mpc_move is not there yet, because zarm has no closed-loop planner; use execute_trajectory with a "
-            "target_pose",
+            message=_NO_MPC,
         )
+
+    def _ignore(self, _: Pose) -> None:
+        self._ros.node.get_logger().warning(f"mpc_goal moves nothing: {_NO_MPC}.", once=True)
 
     def _execute(self, handle: ServerGoalHandle) -> SendTrajectory.Result:
         run = Run(handle, self._engine, self._goals)
