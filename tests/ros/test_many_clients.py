@@ -55,9 +55,7 @@ def test_fifty_clients_at_once_are_all_answered_and_leave_nothing_behind(running
                 answers = clients.ask()
                 assert [one for one in answers if not one.success] == []
                 told = Counter(one.service for one in answers)
-                assert told == dict.fromkeys(
-                    ("generate_trajectory", "get_robot_strategies", "fk"), PROCESSES * NODES
-                )
+                assert told == dict.fromkeys(("generate_trajectory", "get_robot_strategies", "fk"), PROCESSES * NODES)
 
     crowd(1)  # which starts every thread and fills every pool
     before = burden(bridge)

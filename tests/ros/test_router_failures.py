@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from harness import ServiceProcess, eventually, free_endpoint
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_goals import ABORTED, HOME, SUCCEEDED, TARGET, Actions, Robot
