@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from burden import favour
 from executor_client import Client
 from harness import ServiceProcess, eventually
 from ros_goals import ABORTED, HOME, SUCCEEDED, Actions, Robot, Sent
@@ -49,6 +50,7 @@ class Lab:
         options = ("--ros", "--at", *map(str, at))
         driver = ServiceProcess("leeloo_sim", self._endpoint, self._folder, name=KEYS.robot, arguments=options)
         self.drivers.enter_context(driver).wait_ready(self.bus, KEYS)
+        favour(driver)
         return driver
 
     def switch(self, strategy: str) -> None:
@@ -92,6 +94,7 @@ class Lab:
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     with stack(tmp_path_factory.mktemp("drivers")) as started:
+        favour(started.processes["executor"], started.processes["ros_bridge"])
         yield started
         assert "Traceback" not in started.processes["ros_bridge"].output()
 
