@@ -10,6 +10,9 @@ from zarm_contract.errors import InternalError, ZarmError
 
 log = logging.getLogger(__name__)
 
+MOST = 2000
+"""Characters of a message; what a client sent stands in it, however long that was."""
+
 Handler = Callable[[Any, Any], str]
 """`handler(request, response)` fills in the response and returns the message of a success, or raises ZarmError; what it has
 filled in by then stays."""
@@ -42,7 +45,12 @@ def _outcome(handler: Handler, request: Any, response: Any) -> tuple[bool, str]:
     try:
         return True, handler(request, response)
     except ZarmError as error:
-        return False, str(error)
+        return False, shortened(str(error))
     except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
         log.exception("handler failed request=%s", type(request).__name__)
         return False, str(InternalError("the ROS bridge failed on this request; its log holds the trace"))
+
+
+def shortened(text: str) -> str:
+    """The text, of a longer one than MOST its beginning and its end, where the remedy stands and the field."""
+    return text if len(text) <= MOST else f"{text[: MOST // 2]} ... {text[-MOST // 2 :]}"

@@ -14,6 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import StrategyParams
+from zarm_ros_bridge.answers import shortened
 from zarm_ros_bridge.convert_drivers import driver_joint_state, ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
 from zarm_ros_bridge.engine import Engine
@@ -74,4 +75,6 @@ class Drivers:
     def _complain(self, fault: str) -> None:
         if fault not in self._complaints and len(self._complaints) < 100:
             self._complaints.add(fault)
-            log.warning("the driver cannot be read topic=%s reason=%s", self._topic, fault.replace("\n", " "))
+            log.warning(
+                "the driver cannot be read topic=%s reason=%s", self._topic, shortened(fault.replace("\n", " "))
+            )

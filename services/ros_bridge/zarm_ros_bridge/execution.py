@@ -14,7 +14,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from curobo_msgs.action import MpcMove, SendTrajectory
-from zarm_contract.errors import Busy, InternalError, Unavailable, ZarmError, from_problem
+from zarm_contract.errors import Busy, Cancelled, InternalError, Unavailable, ZarmError, from_problem
 from zarm_contract.messages import Accepted, ExecuteRequest, GoalState, Plan, PlanRequest, PoseGoal
 from zarm_ros_bridge.convert import is_given, pose_of, ros_positions, ros_time
 from zarm_ros_bridge.engine import ANSWER_SECONDS, Engine
@@ -45,8 +45,9 @@ class Execution:
         self._engine = engine
         self._parameters = parameters
         self._goals = Goals(engine)
-        self._turn = threading.Lock()
+        self._turn = threading.Condition()
         self._running: Run | None = None
+        self._newest: Run | None = None  # of those that run, or wait for their turn
         self._serve(SendTrajectory, "execute_trajectory", self._execute, self._admit)
         self._serve(SendTrajectory, "send_trajectory", self._execute, self._admit)
         self._serve(MpcMove, "mpc_move", self._refuse, lambda _: GoalResponse.ACCEPT)
@@ -106,10 +107,7 @@ class Execution:
         run = Run(handle, self._engine, self._goals)
         try:
             self._take_turn(run)
-            try:
-                self._move(run)
-            finally:
-                self._running = None
+            self._move(run)
         except ZarmError as error:
             return self._failed(run, error)
         except Exception:  # as on the bus: one goal fails, and the service goes on
@@ -119,6 +117,7 @@ class Execution:
             handle.succeed()
             return SendTrajectory.Result(success=True, message="Trajectory executed successfully")
         finally:
+            self._pass_turn(run)
             run.ended.set()
 
     def _failed(self, run: Run, error: ZarmError) -> SendTrajectory.Result:
@@ -131,23 +130,42 @@ class Execution:
         return SendTrajectory.Result(success=False, message=message or str(error))
 
     def _take_turn(self, run: Run) -> None:
-        """Wait for the goal that runs where this one preempts it. Raises Busy where it does not."""
-        deadline = time.monotonic() + REST_SECONDS
+        """Wait for the goal that runs where this one preempts it; of several that wait the newest has the turn.
+
+        Raises Busy where it does not preempt, or where the robot does not come to rest, and Cancelled for a newer goal.
+        """
         preempt = self._parameters.value("preempt")
-        while True:
-            with self._turn:
-                other = self._running
-                if other is None:
-                    self._running = run
-                    break
-            if not preempt or time.monotonic() > deadline:
+        with self._turn:
+            other = self._running
+            if other is not None and not preempt:
                 raise Busy(_busy())
+            self._newest = run
+            if other is None:
+                self._running = run
+            self._turn.notify_all()
+        if other is not None:
             other.preempt()
-            other.ended.wait(max(0.0, deadline - time.monotonic()))
+            self._wait_for_turn(run)
         if preempt and (goal_id := self._engine.executor_state().goal_id) is not None:  # of a client elsewhere
             self._goals.cancel(goal_id)
             for _ in self._goals.states(goal_id):
                 run.go_on()
+
+    def _wait_for_turn(self, run: Run) -> None:
+        with self._turn:
+            free = self._turn.wait_for(lambda: self._newest is not run or self._running is None, REST_SECONDS)
+            if self._newest is not run:
+                run.preempted = True
+                raise Cancelled("another goal came before this one had begun")
+            if not free:
+                raise Busy(_busy())
+            self._running = run
+
+    def _pass_turn(self, run: Run) -> None:
+        with self._turn:
+            if self._running is run:
+                self._running = None
+                self._turn.notify_all()
 
     def _move(self, run: Run) -> None:
         """Plan where there is a target, and execute. Raises what the planner or the executor answers."""

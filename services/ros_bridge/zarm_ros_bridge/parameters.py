@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 
 from zarm_contract.errors import InvalidRequest, ZarmError
 from zarm_contract.messages import MAX_OBJECTS
+from zarm_ros_bridge.answers import shortened
 from zarm_ros_bridge.engine import Engine
 
 log = logging.getLogger(__name__)
@@ -141,7 +142,7 @@ class Parameters:
             if not self._is_mine():
                 self._apply(changes)
         except ZarmError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=shortened(str(error)))
         except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
             log.exception("parameters failed names=%s", ",".join(change.name for change in changes))
             reason = "the ROS bridge failed on this change; its log holds the trace"

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Any, Self
 
 import rclpy
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+log = logging.getLogger(__name__)
 
 REQUESTS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -47,7 +53,8 @@ class Ros:
         ]
         self._executors = executors
         self._threads = [
-            threading.Thread(target=executor.spin, name=f"ros {node.get_name()}") for executor, node in executors
+            threading.Thread(target=_spin, args=(executor,), name=f"ros {node.get_name()}")
+            for executor, node in executors
         ]
 
     def serve(self, kind: type[Any], name: str, answer: Callable[[Any, Any], Any]) -> None:
@@ -81,11 +88,51 @@ class Ros:
         self._context.shutdown()
 
     def _node(self, name: str, namespace: str, *, parameters: bool) -> Node:
-        return Node(
+        node = Node(
             name,
             namespace=namespace,
             context=self._context,
             use_global_arguments=False,
-            start_parameter_services=parameters,
+            start_parameter_services=False,
             enable_rosout=parameters,
         )
+        if parameters:
+            _ParameterServices(node)  # which the node keeps
+        return node
+
+
+def _spin(executor: Executor) -> None:
+    """Until the executor is shut down: rclpy ends with the first callback that raises, and a node would be deaf from then on."""
+    while True:
+        try:
+            executor.spin()
+        except Exception:
+            log.exception("a callback of ROS failed")
+        else:
+            return
+
+
+class _ParameterServices(ParameterService):  # type: ignore[misc] # rclpy is not followed
+    """Those of rclpy, which raise where a type of a parameter is none, and leave the client without an answer."""
+
+    def _set_parameters_callback(self, request: Any, response: Any) -> Any:
+        if (fault := _fault(request.parameters)) is None:
+            return super()._set_parameters_callback(request, response)
+        response.results = [fault for _ in request.parameters]
+        return response
+
+    def _set_parameters_atomically_callback(self, request: Any, response: Any) -> Any:
+        if (fault := _fault(request.parameters)) is None:
+            return super()._set_parameters_atomically_callback(request, response)
+        response.result = fault
+        return response
+
+
+def _fault(parameters: Iterable[Any]) -> SetParametersResult | None:
+    known = {kind.value for kind in Parameter.Type}
+    for parameter in parameters:
+        if (kind := parameter.value.type) not in known:
+            return SetParametersResult(
+                successful=False, reason=f"{parameter.name} is given with the type {kind}, and there is none such"
+            )
+    return None

@@ -13,6 +13,7 @@ from zarm_ros_bridge.convert_markers import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.execution import Execution
+from zarm_ros_bridge.faults import Faults
 from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.planning import Planning
@@ -42,6 +43,7 @@ def start(service: Service) -> Iterator[None]:
         colours: dict[str, Colour] = {}
         Planning(ros, engine, parameters)
         Kinematics(ros, engine)
+        Faults(ros, engine)
         SceneServices(ros, engine, parameters, colours)
         Topics(ros, engine, colours)
         params = service.robot.descriptor.strategy_params

@@ -1,0 +1,27 @@
+"""How a client on ROS goes on after a fault: by saying so."""
+
+from __future__ import annotations
+
+from std_srvs.srv import Trigger
+
+from zarm_contract.messages import ExecutorState
+from zarm_ros_bridge.answers import with_message
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.ros import Ros
+
+
+class Faults:
+    """reset_fault, which the reference does not have: it knows no faults.
+
+    Nothing else on ROS leaves a fault, a switch of the strategy neither: a script that switches before every goal would move a
+    robot that somebody has yet to look at.
+    """
+
+    def __init__(self, ros: Ros, engine: Engine) -> None:
+        self._engine = engine
+        ros.serve(Trigger, "~/reset_fault", with_message(self._reset))
+
+    def _reset(self, _: Trigger.Request, __: Trigger.Response) -> str:
+        problem = self._engine.executor_state().problem
+        self._engine.ask(self._engine.keys.reset, ExecutorState)
+        return f"reset; what was wrong: {problem.message}" if problem is not None else "nothing was wrong"

@@ -1,0 +1,141 @@
+"""A driver on ROS that vanishes or talks nonsense while the robot moves: the goal ends with the reason, and the lab can go on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from burden import favour
+from executor_client import Client
+from harness import ServiceProcess, eventually
+from ros_goals import ABORTED, HOME, SUCCEEDED, Actions, Robot, Sent
+from ros_stack import KEYS, Stack, stack
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from curobo_msgs.srv import SetRobotStrategy
+from zarm_contract.messages import DriverFault, Nothing
+from zarm_contract.robot import load_robot
+
+M1013 = load_robot("doosan_m1013").descriptor
+JOINTS = list(M1013.joints)
+NONSENSE = {
+    "name: joint_6 missing among": JointState(name=[*JOINTS[:-1], "wrist"], position=list(HOME)),
+    "name: joint_1, joint_2, joint_3, joint_4, joint_5, joint_6 missing": JointState(
+        name=[""] * 6, position=list(HOME)
+    ),
+    "position: a position is not finite": JointState(name=JOINTS, position=[*HOME[:-1], math.nan]),
+    "position: 0 values for 6 joints": JointState(name=JOINTS),
+    "position: 7 values for 6 joints": JointState(name=JOINTS, position=[*HOME, 0.0]),
+    "velocity: 1 values for 6 joints": JointState(name=JOINTS, position=list(HOME), velocity=[0.0]),
+}
+
+
+class Lab:
+    """A robot with a driver on ROS, and who moves it: `ros` and `actions` on ROS, `client` on the bus."""
+
+    def __init__(self, running: Stack, folder: Path) -> None:
+        self._folder = folder
+        self._endpoint = running.processes["executor"].endpoint
+        self.bus, self.ros, self.bridge = running.bus, running.ros, running.processes["ros_bridge"]
+        self.client, self.robot, self.actions = Client(self.bus, KEYS), Robot(self.bus, KEYS), Actions(self.ros.node)
+        self.drivers = ExitStack()
+
+    def new_driver(self, at: tuple[float, ...]) -> ServiceProcess:
+        """A driver with its arm at `at`: the real arm is where it was when its driver comes again."""
+        options = ("--ros", "--at", *map(str, at))
+        driver = ServiceProcess("leeloo_sim", self._endpoint, self._folder, name=KEYS.robot, arguments=options)
+        self.drivers.enter_context(driver).wait_ready(self.bus, KEYS)
+        favour(driver)
+        return driver
+
+    def switch(self, strategy: str) -> None:
+        """Switch as soon as the driver is heard."""
+
+        def switched() -> bool:
+            return self.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy=strategy).success
+
+        eventually(switched, f"{strategy} is active")
+
+    def under_way(self) -> Sent:
+        self.robot.plan(speed=0.15)
+        goal = self.actions.send()
+        goal.under_way()
+        return goal
+
+    def stopped(self, goal: Sent) -> None:
+        """Wait until the goal has ended with the executor's word, which is in fault."""
+        status, result = goal.ended()
+        problem = self.client.mode("fault").problem
+        assert problem is not None
+        assert (status, result.success, problem.code) == (ABORTED, False, "driver_stalled")
+        assert result.message == problem.message
+
+    def goes_on(self) -> None:
+        """Until somebody resets the fault nothing moves the robot; then the next goal does."""
+        why = self.client.state().problem
+        assert why is not None
+        self.robot.plan()
+        status, result = self.actions.send().ended()
+        assert status == ABORTED
+        assert "the executor is in fault" in result.message
+        reset = self.ros.call(Trigger, "reset_fault")
+        assert (reset.success, reset.message) == (True, f"reset; what was wrong: {why.message}")
+        plan = self.robot.plan()
+        status, result = self.actions.send().ended()
+        assert status == SUCCEEDED, result.message
+        np.testing.assert_allclose(self.robot.joints(), plan.trajectory.position[-1], atol=0.005)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    with stack(tmp_path_factory.mktemp("drivers")) as started:
+        favour(started.processes["executor"], started.processes["ros_bridge"])
+        yield started
+        assert "Traceback" not in started.processes["ros_bridge"].output()
+
+
+@pytest.fixture
+def lab(running: Stack, tmp_path: Path) -> Iterator[Lab]:
+    one = Lab(running, tmp_path)
+    with one.drivers:
+        yield one
+        one.switch("emulator")
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_robot_after_a_reset(
+    lab: Lab, strategy: str
+) -> None:
+    driver = lab.new_driver(HOME)
+    lab.switch(strategy)
+    goal = lab.under_way()
+    driver.kill()
+    lab.stopped(goal)
+    lab.new_driver(lab.client.measured[-1].position)
+    lab.goes_on()
+
+
+def test_a_robot_whose_driver_tells_only_what_cannot_be_read_is_stopped(lab: Lab) -> None:
+    lab.new_driver(HOME)
+    lab.switch("joint_speed")
+    told = lab.ros.node.create_publisher(JointState, M1013.strategy_params.joint_states_topic, 10)
+    eventually(told.get_subscription_count, "the bridge listens")
+    goal = lab.under_way()
+    lab.bus.call(KEYS.simulated_fault, DriverFault(silent=True), Nothing, timeout=10)
+
+    def in_fault() -> bool:
+        for message in NONSENSE.values():
+            told.publish(message)
+        return lab.client.state().mode == "fault"
+
+    eventually(in_fault, "the executor has noticed")
+    lab.stopped(goal)
+    for fault in NONSENSE:
+        assert lab.bridge.output().count(fault) == 1, lab.bridge.output()
+    lab.bus.call(KEYS.simulated_fault, DriverFault(), Nothing, timeout=10)
+    lab.goes_on()

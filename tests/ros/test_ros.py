@@ -1,0 +1,43 @@
+"""A participant of the bridge outlives what goes wrong in its callbacks."""
+
+from __future__ import annotations
+
+import pytest
+from harness import PATIENCE, eventually
+from rclpy.node import Node
+from ros_node import answer
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from zarm_ros_bridge.ros import Ros
+
+
+def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
+    node: Node, caplog: pytest.LogCaptureFixture
+) -> None:
+    heard: list[bool] = []
+
+    def hear(message: Bool) -> None:
+        heard.append(message.data)
+        raise ValueError("a listener fails")
+
+    def fail(_: Trigger.Request, __: Trigger.Response) -> Trigger.Response:
+        raise ValueError("a service fails")
+
+    with Ros("fragile", workers=2) as ros:
+        ros.serve(Trigger, "~/fail", fail)
+        ros.serve(Trigger, "~/work", lambda _, response: response)
+        ros.listen(Bool, "told", hear, 10)
+        ros.spin()
+        failing, working = (node.create_client(Trigger, f"/fragile/{name}") for name in ("fail", "work"))
+        assert failing.wait_for_service(PATIENCE)
+        assert working.wait_for_service(PATIENCE)
+        failing.call_async(Trigger.Request())
+        eventually(lambda: "a service fails" in caplog.text, "the failure is logged")
+        answer(working.call_async(Trigger.Request()), "the next request is answered")
+        told = node.create_publisher(Bool, "told", 10)
+        eventually(told.get_subscription_count, "the node listens")
+        for count in (1, 2):
+            told.publish(Bool(data=True))
+            eventually(lambda at=count: len(heard) == at, "the message is heard")
+        eventually(lambda: caplog.text.count("ValueError: a listener fails") == 2, "both failures are logged")
