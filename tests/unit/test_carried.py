@@ -64,7 +64,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
 # -- balls around it --
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.sampled_from(KINDS), st.floats(0.01, 0.6), st.integers(0, 2**32 - 1))
 def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -78,7 +78,7 @@ def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> N
     assert len(balls) <= MOST
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.sampled_from(KINDS), st.floats(0.01, 0.6), st.integers(0, 2**32 - 1))
 def test_the_balls_stand_out_by_little(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
