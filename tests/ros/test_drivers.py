@@ -15,6 +15,7 @@ import ros_controller
 from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually
 from motions import rest_to_rest
+from rclpy.node import Node
 from ros_client import RosClient, one
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32
@@ -45,9 +46,8 @@ def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.fixture
-def ros() -> Iterator[RosClient]:
-    with RosClient() as client:
-        yield client
+def ros(node: Node) -> RosClient:
+    return RosClient(node)
 
 
 @pytest.fixture
