@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -33,6 +33,11 @@ def running_node(name: str) -> Iterator[Node]:
         stack.callback(thread.join)
         stack.callback(ended.set_result, None)
         yield node
+
+
+def on_its_thread(node: Node, ask: Callable[[], Future]) -> Future:
+    """What `ask` returns, called where the node's callbacks run: an ActionClient knows what it waits for only after it asked."""
+    return answer(node.executor.create_task(ask), "the node's thread has asked")
 
 
 def answer(future: Future, what: str) -> Any:

@@ -229,6 +229,13 @@ class Machine:
                 missed_ticks=self._missed_ticks,
             )
 
+    def news(self) -> tuple[tuple[GoalState, ...], ExecutorState]:
+        """What is left in `changes`, taken out, and the robot's state that came of it."""
+        with self._lock:
+            changes = tuple(self.changes)
+            self.changes.clear()
+            return changes, self.state()
+
     def goal_state(self) -> GoalState | None:
         """The state of the goal that has not ended, if there is one."""
         with self._lock:
