@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -37,18 +36,6 @@ from zarm_executor.service import JOINT_STATES_PERIOD
 
 FAR = rest_to_rest(moved(1.5, -0.5))
 SHORT = rest_to_rest(moved(0.01))
-
-
-@pytest.fixture
-def executor(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[ServiceProcess]:
-    with ServiceProcess("executor", endpoint, tmp_path) as process:
-        process.wait_ready(bus, KEYS)
-        yield process
-
-
-@pytest.fixture
-def client(executor: ServiceProcess, bus: Bus) -> Client:
-    return Client(bus)
 
 
 # --- motion ---
