@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-import psutil
+from burden import ahead_of_others, burden
 from driven import FAR, THERE, Driven
 from harness import ServiceProcess, eventually, free_endpoint
 from link import Link, link
@@ -25,21 +24,6 @@ from zarm_contract.session import open_router
 STEP = 0.01
 """Period of the simulated arm, s: what counts samples of it counts time as the arm has it."""
 _JOINTS = len(HOME)
-
-
-@contextmanager
-def ahead_of_others() -> Iterator[None]:
-    """Threads and processes begun in the block go before every ordinary one, where the system lets them.
-
-    So that what else this machine does is not among the faults.
-    """
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    with suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, policy, parameters)
 
 
 class Arena(Driven):
@@ -192,8 +176,8 @@ class Arena(Driven):
 
     def burden(self) -> tuple[int, int]:
         """How many threads and how many file descriptors the executor has."""
-        process = psutil.Process(self.executor.process.pid)
-        return process.num_threads(), process.num_fds()
+        now = burden(self.executor)
+        return now.threads, now.descriptors
 
 
 @contextmanager

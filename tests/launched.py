@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -9,7 +10,7 @@ import sys
 import uuid
 from contextlib import suppress
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import psutil
 from harness import PATIENCE, eventually
@@ -44,6 +45,30 @@ def the_one_line(text: str) -> str:
     lines = text.splitlines()
     assert len(lines) == 1, text
     return lines[0]
+
+
+def done(up: Up, *arguments: str) -> str:
+    """Standard output of a command that must succeed."""
+    result = zarm(*arguments, ZARM_CONNECT=up.endpoint)
+    assert result.returncode == 0, f"{arguments}: {result.stderr}"
+    return result.stdout
+
+
+def data(up: Up, *arguments: str) -> Any:
+    """What a command prints with --json."""
+    return json.loads(the_one_line(done(up, *arguments, "--json")))
+
+
+def refused(up: Up, *arguments: str, code: int = 1) -> str:
+    """The one line of a command that must fail with this exit code."""
+    result = zarm(*arguments, ZARM_CONNECT=up.endpoint)
+    assert result.returncode == code, f"{arguments}: {result.stdout}{result.stderr}"
+    return the_one_line(result.stderr)
+
+
+def vector(values: tuple[float, ...]) -> str:
+    """Numbers as a command takes them."""
+    return ",".join(f"{value:.6f}" for value in values)
 
 
 class Command:

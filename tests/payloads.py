@@ -114,7 +114,6 @@ def _drawn(strategy: st.SearchStrategy[tuple[str, bytes]], count: int, label: st
     @settings(
         max_examples=count,
         database=None,
-        deadline=None,
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from harness import PATIENCE
+from motions import KEYS, ROBOT
 from second_opinion import Collisions
 
 from zarm_contract.bus import Bus
-from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     Cuboid,
     Cylinder,
@@ -21,11 +21,8 @@ from zarm_contract.messages import (
     SceneEdited,
     SceneObject,
 )
-from zarm_contract.robot import load_robot
 from zarm_executor.checks import executable
 
-ROBOT = load_robot("doosan_m1013")
-KEYS = Keys("doosan_m1013")
 HOME = ROBOT.descriptor.home
 
 TABLE = Cuboid(kind="cuboid", name="table", position=(0.6, 0.0, -0.1), size=(1.0, 1.6, 0.1))

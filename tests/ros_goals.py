@@ -10,7 +10,7 @@ from harness import PATIENCE, eventually
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from ros_node import answer
+from ros_node import answer, on_its_thread
 
 from curobo_msgs.action import SendTrajectory
 from zarm_contract.bus import Bus
@@ -27,9 +27,13 @@ HOME = load_robot("doosan_m1013").descriptor.home
 class Sent:
     """A goal and all that its client is told of it."""
 
-    def __init__(self, client: ActionClient, goal: Any) -> None:
+    def __init__(self, node: Node, client: ActionClient, goal: Any) -> None:
         self.feedback: list[Any] = []
-        self._answer = client.send_goal_async(goal, feedback_callback=lambda told: self.feedback.append(told.feedback))
+        self._node = node
+        self._answer = on_its_thread(
+            node,
+            lambda: client.send_goal_async(goal, feedback_callback=lambda told: self.feedback.append(told.feedback)),
+        )
         self._result: Any = None
 
     @property
@@ -47,13 +51,13 @@ class Sent:
         """The status at the end, and the result."""
         assert self.accepted
         if self._result is None:
-            self._result = self.handle.get_result_async()
+            self._result = on_its_thread(self._node, self.handle.get_result_async)
         response = answer(self._result, "the goal ends")
         return response.status, response.result
 
     def cancel(self) -> None:
         """Ask for its end, which is granted."""
-        response = answer(self.handle.cancel_goal_async(), "the cancel is answered")
+        response = answer(on_its_thread(self._node, self.handle.cancel_goal_async), "the cancel is answered")
         assert len(response.goals_canceling) == 1
 
 
@@ -61,6 +65,7 @@ class Actions:
     """Sends goals of one action."""
 
     def __init__(self, node: Node, name: str = "execute_trajectory", kind: Any = SendTrajectory) -> None:
+        self._node = node
         self._kind = kind
         many = QoSProfile(depth=1000)  # of the default, 10, what comes on top is lost
         self._client = ActionClient(
@@ -75,7 +80,7 @@ class Actions:
     def send(self, **goal: Any) -> Sent:
         """Send a goal with these fields."""
         assert self._client.wait_for_server(PATIENCE)
-        return Sent(self._client, self._kind.Goal(**goal))
+        return Sent(self._node, self._client, self._kind.Goal(**goal))
 
 
 class Robot:

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import rclpy
-from harness import eventually
+from harness import PATIENCE
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
 
 @contextmanager
 def running_node(name: str) -> Iterator[Node]:
-    """A node of a participant of its own, whose callbacks run on threads of their own until the end."""
+    """A node of a participant of its own, whose callbacks run on a thread of their own, one by one, until the end."""
     with ExitStack() as stack:
         context = Context()
-        rclpy.init(context=context)
+        rclpy.init(args=[], context=context)
         stack.callback(context.shutdown)
         node = Node(name, context=context)
         stack.callback(node.destroy_node)
-        executor = MultiThreadedExecutor(context=context)
+        executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         stack.callback(executor.shutdown)
         ended = Future()
@@ -35,7 +35,14 @@ def running_node(name: str) -> Iterator[Node]:
         yield node
 
 
+def on_its_thread(node: Node, ask: Callable[[], Future]) -> Future:
+    """What `ask` returns, called where the node's callbacks run: an ActionClient knows what it waits for only after it asked."""
+    return answer(node.executor.create_task(ask), "the node's thread has asked")
+
+
 def answer(future: Future, what: str) -> Any:
     """What the future comes to; fails the test when it does not in time."""
-    eventually(future.done, what)
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    assert done.wait(PATIENCE), f"waited {PATIENCE:g} s in vain until {what}"
     return future.result()

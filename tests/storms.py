@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import zenoh
+from harness import PATIENCE
 
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import Problem
 from zarm_contract.messages import Message
 from zarm_contract.session import open_client
-
-PATIENCE = 60.0
-"""Seconds after which a request counts as not answered; no promise about speed."""
 
 
 @dataclass(frozen=True)

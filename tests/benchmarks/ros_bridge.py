@@ -12,7 +12,6 @@ import argparse
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +23,11 @@ from sensor_msgs.msg import JointState as RosJointState
 from curobo_msgs.srv import SetPlanner, TrajectoryGeneration
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import ServiceProcess, eventually, router
-from motions import HOME, KEYS, ROBOT, moved
+from harness import eventually
+from motions import HOME, ROBOT, moved
 from ros_client import RosClient
 from ros_domain import isolate
+from ros_stack import KEYS, stack
 
 from zarm_contract import messages as m
 from zarm_contract.bus import Bus
@@ -37,11 +37,7 @@ GOALS = [moved(0.6, 0.2), moved(-0.5, 0.3, -0.2), moved(0.2, -0.3, 0.4, 0.5), mo
 
 def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float]]:
     """Seconds of the same plans over Zenoh and over ROS, in turn."""
-    ros.call(
-        SetPlanner, "/unified_planner/set_planner", SetPlanner.Request(planner_type=SetPlanner.Request.JOINT_SPACE)
-    )
-    client = ros.node.create_client(TrajectoryGeneration, "/unified_planner/generate_trajectory")
-    client.wait_for_service()
+    ros.call(SetPlanner, "set_planner", planner_type=SetPlanner.Request.JOINT_SPACE)
     start = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist())
     over_zenoh, over_ros = [], []
     for index in range(count):
@@ -55,8 +51,7 @@ def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float
         began = time.perf_counter()
         bus.call(KEYS.plan, request, m.Plan, timeout=30)
         between = time.perf_counter()
-        asked = TrajectoryGeneration.Request(start_pose=start, target_joint_positions=goal)
-        answer = ros.wait(client.call_async(asked))
+        answer = ros.call(TrajectoryGeneration, "generate_trajectory", start_pose=start, target_joint_positions=goal)
         over_ros.append(time.perf_counter() - between)
         over_zenoh.append(between - began)
         if not answer.success:
@@ -104,18 +99,9 @@ def main() -> None:
     options = parser.parse_args()
     isolate()
     table = Table("what", "median ms", "p99 ms", "max ms", "", title="ROS bridge")
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        endpoint = stack.enter_context(router())
-        bus = stack.enter_context(Bus(endpoint))
-        services = [
-            stack.enter_context(ServiceProcess(name, endpoint, folder))
-            for name in ("planner", "executor", "ros_bridge")
-        ]
-        for service in services:
-            service.wait_ready(bus, KEYS)
-        ros = stack.enter_context(RosClient())
-        bridge = psutil.Process(services[2].process.pid)
+    with tempfile.TemporaryDirectory() as folder, stack(Path(folder)) as running:
+        bus, ros = running.bus, running.ros
+        bridge = psutil.Process(running.processes["ros_bridge"].process.pid)
         plans(bus, ros, 10)
         over_zenoh, over_ros = plans(bus, ros, options.plans)
         table.add_row("plan over Zenoh", *milliseconds(over_zenoh), "")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from contract.examples import EXAMPLES, by_class
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from zarm_contract import messages as m
@@ -37,19 +37,16 @@ def read_or_refuse(cls: type[Message], payload: bytes) -> None:
     assert decode(cls, encode(message)) == message
 
 
-@settings(deadline=None)
 @given(cls=st.sampled_from(CLASSES), payload=st.binary(max_size=200))
 def test_arbitrary_bytes_are_read_or_refused(cls: type[Message], payload: bytes) -> None:
     read_or_refuse(cls, payload)
 
 
-@settings(deadline=None)
 @given(cls=st.sampled_from(CLASSES), value=json_values)
 def test_arbitrary_json_is_read_or_refused(cls: type[Message], value: Any) -> None:
     read_or_refuse(cls, json.dumps(value).encode())
 
 
-@settings(deadline=None)
 @given(data=st.data(), example=st.sampled_from(EXAMPLES), value=json_values)
 def test_a_message_with_one_value_replaced_is_read_or_refused(
     data: st.DataObject, example: Message, value: Any
@@ -66,7 +63,6 @@ def test_a_message_with_one_value_replaced_is_read_or_refused(
     read_or_refuse(type(example), json.dumps(payload).encode())
 
 
-@settings(deadline=None)
 @given(data=st.data(), example=st.sampled_from(EXAMPLES))
 def test_a_message_cut_short_is_refused(data: st.DataObject, example: Message) -> None:
     payload = encode(example)
@@ -184,7 +180,6 @@ scene_objects = st.one_of(
 scenes = st.builds(m.Scene, revision=st.integers(min_value=0), objects=st.lists(scene_objects, max_size=5).map(tuple))
 
 
-@settings(deadline=None)
 @given(message=st.one_of(trajectories(), poses, scenes))
 def test_every_number_survives_the_wire_to_the_last_bit(message: Message) -> None:
     arrived = decode(type(message), encode(message))
@@ -192,7 +187,6 @@ def test_every_number_survives_the_wire_to_the_last_bit(message: Message) -> Non
     assert encode(arrived) == encode(message)  # == takes -0.0 for 0.0; the bytes do not
 
 
-@settings(deadline=None)
 @given(
     parts=st.tuples(*[st.floats(min_value=-1, max_value=1)] * 4).filter(lambda q: math.hypot(*q) > 0.1),
     error=st.floats(-9e-4, 9e-4),

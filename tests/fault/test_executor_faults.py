@@ -6,7 +6,6 @@ import itertools
 import os
 import signal
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -28,18 +27,6 @@ from zarm_executor.path import Path as Motion
 SLOW = rest_to_rest(moved(1.5, -0.5), slower=2.0)
 PATH = Motion.of(SLOW, ROBOT.descriptor.joints)
 SPEED = float(np.max(ROBOT.descriptor.cspace.velocity))
-
-
-@pytest.fixture
-def executor(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[ServiceProcess]:
-    with ServiceProcess("executor", endpoint, tmp_path) as process:
-        process.wait_ready(bus, KEYS)
-        yield process
-
-
-@pytest.fixture
-def client(executor: ServiceProcess, bus: Bus) -> Client:
-    return Client(bus)
 
 
 def test_killed_in_motion_it_comes_back_at_rest_where_it_was_and_reports_the_goal_as_aborted(

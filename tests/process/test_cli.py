@@ -8,63 +8,20 @@ import os
 import pty
 import signal
 import subprocess
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
-from harness import PATIENCE, eventually, free_endpoint
-from launched import HOME, KEYS, ROBOT, ZARM, Command, Up, environment, the_one_line, zarm
+from harness import PATIENCE, eventually
+from launched import HOME, KEYS, ROBOT, ZARM, Command, Up, data, done, environment, refused, the_one_line, vector, zarm
 
 from zarm_contract.bus import Bus
-from zarm_contract.messages import ClearScene, ExecutorState, GoalState, JointState, Nothing, SceneEdit, SceneEdited
+from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing
 
 DOWN = "0,1,0,0"
 """The orientation (x, y, z, w) of a tool that points down."""
 SLOWLY = ("--velocity-scale", "0.12")
 """For motions that must not be over before a test has done something to them."""
-
-
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
-        yield stack
-
-
-@pytest.fixture(scope="module")
-def observer(up: Up) -> Iterator[Bus]:
-    with Bus(up.endpoint) as session:
-        yield session
-
-
-@pytest.fixture
-def empty_scene(observer: Bus) -> None:
-    observer.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), SceneEdited, timeout=5)
-
-
-def done(up: Up, *arguments: str) -> str:
-    """Standard output of a command that must succeed."""
-    result = zarm(*arguments, ZARM_CONNECT=up.endpoint)
-    assert result.returncode == 0, f"{arguments}: {result.stderr}"
-    return result.stdout
-
-
-def data(up: Up, *arguments: str) -> Any:
-    """What a command prints with --json."""
-    return json.loads(the_one_line(done(up, *arguments, "--json")))
-
-
-def refused(up: Up, *arguments: str, code: int = 1) -> str:
-    """The one line of a command that must fail with this exit code."""
-    result = zarm(*arguments, ZARM_CONNECT=up.endpoint)
-    assert result.returncode == code, f"{arguments}: {result.stdout}{result.stderr}"
-    return the_one_line(result.stderr)
-
-
-def vector(values: tuple[float, ...]) -> str:
-    return ",".join(f"{value:.6f}" for value in values)
 
 
 def near_home(first: float) -> str:
@@ -246,121 +203,6 @@ def test_strategy_shows_and_switches(up: Up) -> None:
     assert data(up, "strategy", "emulator")["active"] == "emulator"
     assert "* emulator" in done(up, "strategy")
     assert "telepathy" in refused(up, "strategy", "telepathy")
-
-
-# -- the scene --
-
-
-def test_every_kind_of_object_can_be_added_listed_and_removed(up: Up, empty_scene: None) -> None:
-    done(up, "scene", "add", "cuboid", "table", "--at", "0.9,-0.1,-0.3", "--size", "1,1,0.02")
-    done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1")
-    done(up, "scene", "add", "capsule", "pill", "--at", "0,1,0.2,0,1,0,0", "--radius", "0.1", "--length", "0.2")
-    added = data(up, "scene", "add", "cylinder", "post", "--at", "-1,0,0.2", "--radius", "0.1", "--length", "0.2")
-    assert added["count"] == 4
-    listed = data(up, "scene", "list")
-    assert {one["name"]: one["kind"] for one in listed["objects"]} == {
-        "table": "cuboid",
-        "ball": "sphere",
-        "pill": "capsule",
-        "post": "cylinder",
-    }
-    assert listed["revision"] == added["revision"]
-    assert "table" in done(up, "scene", "list")
-    done(up, "scene", "remove", "ball", "pill")
-    assert {one["name"] for one in data(up, "scene", "list")["objects"]} == {"table", "post"}
-    assert data(up, "scene", "clear")["count"] == 0
-    assert "empty" in done(up, "scene", "list")
-
-
-def test_a_name_that_exists_is_taken_only_with_replace(up: Up, empty_scene: None) -> None:
-    ball = ("scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius")
-    assert "the scene holds 1 object (" in done(up, *ball, "0.1")
-    assert "1 object, revision" in done(up, "status")
-    assert "ball" in refused(up, *ball, "0.2")
-    done(up, *ball, "0.3", "--replace")
-    assert data(up, "scene", "list")["objects"][0]["radius"] == 0.3
-
-
-def test_a_saved_scene_loads_as_it_was(up: Up, empty_scene: None, tmp_path: Path) -> None:
-    done(up, "scene", "add", "cuboid", "table", "--at", "0.9,-0.1,-0.3", "--size", "1,1,0.02")
-    done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1")
-    before = data(up, "scene", "list")["objects"]
-    file = tmp_path / "scene.yaml"
-    done(up, "scene", "save", str(file))
-    done(up, "scene", "clear")
-    assert data(up, "scene", "load", str(file))["count"] == 2
-    assert data(up, "scene", "list")["objects"] == before
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("objects: [a, b\n", "scene.yaml:2"),
-        ("- a\n", "objects"),
-        (yaml.safe_dump({"objects": [{"kind": "sphere", "name": "s", "position": [0, 0, 1]}]}), "objects.0.radius"),
-    ],
-)
-def test_a_scene_file_that_is_wrong_changes_nothing(
-    up: Up, empty_scene: None, tmp_path: Path, content: str, said: str
-) -> None:
-    before = data(up, "scene", "list")
-    file = tmp_path / "scene.yaml"
-    file.write_text(content)
-    line = refused(up, "scene", "load", str(file))
-    assert str(file) in line
-    assert said in line
-    assert data(up, "scene", "list") == before
-
-
-def test_an_object_without_its_dimensions_is_refused_by_field(up: Up) -> None:
-    assert "size" in refused(up, "scene", "add", "cuboid", "box", "--at", "1,0,0")
-    assert "radius" in refused(up, "scene", "add", "cuboid", "box", "--at", "1,0,0", "--size", "1,1,1", "--radius", "1")
-    assert "ghost" in refused(up, "scene", "remove", "ghost")
-
-
-def test_the_robot_picks_up_and_puts_down(up: Up, empty_scene: None) -> None:
-    done(up, "scene", "add", "sphere", "ball", "--at", "0.559,0.034,0.551", "--radius", "0.03")
-    assert data(up, "scene", "attach", "ball", "--touch", "link_5", "--touch", "link_4")["count"] == 0
-    carried = data(up, "scene", "list")["attached"][0]
-    assert (carried["object"]["name"], carried["touch_links"]) == ("ball", ["link_5", "link_4"])
-    assert "carries ball" in done(up, "scene", "list")
-    assert "link_9" in refused(up, "scene", "attach", "ball", "--touch", "link_9")
-    assert data(up, "scene", "detach", "ball", "--joints", vector(HOME))["count"] == 1
-    assert "does not carry ball" in refused(up, "scene", "detach", "ball")
-
-
-def test_links_are_switched_off_and_on(up: Up, empty_scene: None) -> None:
-    done(up, "scene", "links", "link_6", "link_5", "--off")
-    assert data(up, "scene", "list")["ignored_links"] == ["link_6", "link_5"]
-    assert "not looked at: link_6, link_5" in done(up, "scene", "list")
-    done(up, "scene", "links", "link_5", "link_6", "--on")
-    assert data(up, "scene", "list")["ignored_links"] == []
-
-
-# -- kinematics --
-
-
-def test_fk_and_ik_agree(up: Up, empty_scene: None) -> None:
-    tip = data(up, "fk", "--joints", vector(HOME))["poses"][0]
-    assert tip["position"] == pytest.approx([0.559, 0.0345, 0.651], abs=0.002)
-    pose = vector((*tip["position"], *tip["orientation"]))
-    solutions = data(up, "ik", "--to", pose, "--near", vector(HOME))["solutions"][0]
-    assert solutions[0] == pytest.approx(HOME, abs=1e-3)
-    assert len(done(up, "ik", "--to", pose, "--max-solutions", "2").splitlines()) <= 2
-    assert "0.559" in done(up, "fk", "--joints", vector(HOME))
-    assert "unreachable" in refused(up, "ik", "--to", f"5,0,0,{DOWN}")
-
-
-def test_check_tells_what_a_configuration_would_hit(up: Up, empty_scene: None) -> None:
-    assert data(up, "check", "--joints", vector(HOME))["results"][0]["in_collision"] is False
-    done(up, "scene", "add", "sphere", "ball", "--at", "0.559,0.034,0.651", "--radius", "0.1")
-    result = data(up, "check", "--joints", vector(HOME))["results"][0]
-    assert result["in_collision"] is True
-    assert "ball" in result["pair"]
-    assert "ball" in done(up, "check", "--joints", vector(HOME))
-    assert "spheres" not in done(up, "check", "--joints", vector(HOME))
-    assert "spheres" in done(up, "check", "--joints", vector(HOME), "--spheres")
-    assert min(data(up, "check", "--joints", vector(HOME), "--spheres")["results"][0]["spheres"]) < 0.0
 
 
 # -- looking --

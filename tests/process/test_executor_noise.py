@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 import zenoh
 from executor_client import Client
-from harness import ServiceProcess
 from motions import KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import MAX_BYTES, decode
 from zarm_contract.errors import InvalidRequest, Problem
 from zarm_contract.session import open_client
 
 SHORT = rest_to_rest(moved(0.01))
-
-
-@pytest.fixture
-def client(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[Client]:
-    with ServiceProcess("executor", endpoint, tmp_path) as process:
-        process.wait_ready(bus, KEYS)
-        yield Client(bus)
 
 
 NOISE = [

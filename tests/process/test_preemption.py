@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 from executor_client import Client
-from harness import ServiceProcess, eventually
+from harness import eventually
 from motions import HOME, KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, ExecutionRefused
 
 FAR = rest_to_rest(moved(1.5, -0.5))
-
-
-@pytest.fixture
-def client(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[Client]:
-    with ServiceProcess("executor", endpoint, tmp_path) as process:
-        process.wait_ready(bus, KEYS)
-        yield Client(bus)
 
 
 def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(client: Client) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import resource
 import signal
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -23,14 +22,6 @@ from zarm_contract.record import RecordFile, read_record
 from zarm_contract.session import open_router
 
 OTHER = Keys("replayed")
-
-
-@pytest.fixture
-def client(bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[Client]:
-    """A client of an executor with an emulated robot."""
-    with ServiceProcess("executor", endpoint, tmp_path) as executor:
-        executor.wait_ready(bus, KEYS)
-        yield Client(bus)
 
 
 def recording(endpoint: str, folder: Path, *arguments: str) -> Command:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -28,18 +28,6 @@ def run_example(endpoint: str, seconds: float) -> subprocess.Popen[bytes]:
     command = [sys.executable, str(EXAMPLE), "--connect", endpoint, "--seconds", str(seconds)]
     command += ["--deadline", "1"]  # on a busy machine the client may have to wait for its turn
     return subprocess.Popen([*command, "--joints", *ROBOT.descriptor.joints])
-
-
-@pytest.fixture
-def executor(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[ServiceProcess]:
-    with ServiceProcess("executor", endpoint, tmp_path) as process:
-        process.wait_ready(bus, KEYS)
-        yield process
-
-
-@pytest.fixture
-def client(executor: ServiceProcess, bus: Bus) -> Client:
-    return Client(bus)
 
 
 @pytest.fixture

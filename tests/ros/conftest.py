@@ -31,7 +31,7 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 @pytest.fixture
 def node() -> Iterator[Node]:
-    """A node of this process, whose callbacks run on threads of their own."""
+    """A node of this process, whose callbacks run on a thread of their own."""
     from ros_node import running_node
 
     with ExitStack() as stack:

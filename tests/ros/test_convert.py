@@ -32,24 +32,19 @@ from zarm_contract.messages import (
     WaypointsGoal,
 )
 from zarm_executor.path import Path
-from zarm_ros_bridge.convert import (
-    in_terms_of,
-    is_empty,
-    is_given,
-    pose_of,
-    positions_of,
-    ros_joint_state,
-    ros_pose,
-    ros_positions,
-    ros_time,
-)
-from zarm_ros_bridge.convert_plans import goal_of, held_of, ros_trajectory, target_of
-from zarm_ros_bridge.convert_scene import colour_of, object_of, ros_cloud
+from zarm_ros_bridge.convert.colours import colour_of
+from zarm_ros_bridge.convert.fields import in_terms_of
+from zarm_ros_bridge.convert.joints import is_empty, positions_of, ros_joint_state, ros_positions
+from zarm_ros_bridge.convert.plans import goal_of, held_of, target_of
+from zarm_ros_bridge.convert.poses import is_given, pose_of, ros_pose
+from zarm_ros_bridge.convert.scene import object_of, ros_cloud
+from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.convert.trajectories import ros_joint_states
 
 
 def promised(*values: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Of all of these values, however long a loaded machine takes for one."""
-    return lambda test: settings(deadline=None, max_examples=50)(given(*values)(test))
+    """For fifty of these values."""
+    return lambda test: settings(max_examples=50)(given(*values)(test))
 
 
 JOINTS = ("joint_1", "joint_2", "joint_3")
@@ -301,7 +296,7 @@ def test_a_trajectory_is_sampled_along_its_quintics_at_equal_steps(step: list[fl
         velocity=tuple(map(tuple, velocity.tolist())),
         acceleration=tuple(map(tuple, acceleration.tolist())),
     )
-    states = ros_trajectory(trajectory, dt)
+    states = ros_joint_states(trajectory, dt)
     path = Path.of(trajectory, JOINTS)
     assert trajectory.duration <= (len(states) - 1) * dt + 1e-9 < trajectory.duration + dt + 1e-8
     for k, state in enumerate(states):

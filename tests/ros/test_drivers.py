@@ -15,6 +15,7 @@ import ros_controller
 from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually
 from motions import rest_to_rest
+from rclpy.node import Node
 from ros_client import RosClient, one
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32
@@ -45,9 +46,8 @@ def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.fixture
-def ros() -> Iterator[RosClient]:
-    with RosClient() as client:
-        yield client
+def ros(node: Node) -> RosClient:
+    return RosClient(node)
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def test_joint_states_that_cannot_be_read_go_no_further_and_are_complained_of_on
     eventually(publisher.get_subscription_count, "the bridge listens")
     bad = {
         "name: joint_6 missing": _state(HUMBLE[:-1] + ["wrist"], VALUES),
-        "name: a name stands twice": _state([*HUMBLE, "joint_1"], [*VALUES, 1.0]),
+        "name.6: the joint joint_1 stands twice": _state([*HUMBLE, "joint_1"], [*VALUES, 1.0]),
         "position: 5 values for 6 joints": _state(HUMBLE, VALUES[:-1]),
         "velocity: 2 values for 6 joints": _state(HUMBLE, VALUES, [0.0, 0.0]),
         "position: a position is not finite": _state(HUMBLE, [*VALUES[:-1], math.nan]),

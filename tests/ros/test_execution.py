@@ -36,7 +36,7 @@ from zarm_contract.messages import (
     SettingsChange,
     Sphere,
 )
-from zarm_ros_bridge.convert import ros_pose
+from zarm_ros_bridge.convert.poses import ros_pose
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +250,9 @@ def test_a_pose_for_mpc_move_moves_nothing_and_is_said_to(running: Stack) -> Non
     said: list[str] = []
     listener = running.ros.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
     publisher = running.ros.node.create_publisher(Pose, "/unified_planner/mpc_goal", 1)
-    eventually(lambda: publisher.publish(TARGET) or any("mpc_goal moves nothing" in line for line in said), "it is said")
+    eventually(
+        lambda: publisher.publish(TARGET) or any("mpc_goal moves nothing" in line for line in said), "it is said"
+    )
     assert running.bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=10).mode == "idle"
     running.ros.node.destroy_publisher(publisher)
     running.ros.node.destroy_subscription(listener)

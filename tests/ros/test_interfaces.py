@@ -11,7 +11,7 @@ from harness import eventually
 from rclpy.action import ActionClient, ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
-from ros_node import answer
+from ros_node import answer, on_its_thread, running_node
 from sensor_msgs.msg import JointState
 
 from curobo_msgs import action, srv
@@ -202,10 +202,12 @@ def test_an_action_takes_its_goal_and_gives_feedback_and_a_result(node: Node) ->
         goal.succeed()
         return ended
 
-    ActionServer(node, action.SendTrajectory, "execute_trajectory", execute)
-    client = ActionClient(node, action.SendTrajectory, "execute_trajectory")
-    eventually(client.server_is_ready, "the action is found")
-    goal = answer(client.send_goal_async(asked, told.append), "the goal is accepted")
-    result = answer(goal.get_result_async(), "the goal ends")
+    with running_node("server") as server:
+        ActionServer(server, action.SendTrajectory, "execute_trajectory", execute)
+        client = ActionClient(node, action.SendTrajectory, "execute_trajectory")
+        eventually(client.server_is_ready, "the action is found")
+        sent = on_its_thread(node, lambda: client.send_goal_async(asked, told.append))
+        goal = answer(sent, "the goal is accepted")
+        result = answer(on_its_thread(node, goal.get_result_async), "the goal ends")
     assert (result.status, result.result) == (GoalStatus.STATUS_SUCCEEDED, ended)
     assert [message.feedback for message in told] == [halfway]

@@ -3,62 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from executor_client import Client
-from harness import ServiceProcess, eventually, router
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+from harness import eventually
+from motions import HOME, ROBOT, moved, rest_to_rest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import RosClient, one
+from ros_stack import KEYS, Stack, stack
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
 from zarm_contract import messages as m
-from zarm_contract.bus import Bus
 from zarm_ros_bridge.description import shown_description
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-@dataclass
-class Stack:
-    client: Client
-    ros: RosClient
-    executor: ServiceProcess
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    with stack(tmp_path_factory.mktemp("topics")) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """Router, planner, executor on the emulator and bridge, and a client on either side."""
-    folder: Path = tmp_path_factory.mktemp("stack")
-    with ExitStack() as inside:
-        endpoint = inside.enter_context(router())
-        bus = inside.enter_context(Bus(endpoint))
-        services = [
-            inside.enter_context(ServiceProcess(name, endpoint, folder))
-            for name in ("planner", "executor", "ros_bridge")
-        ]
-        for service in services:
-            service.wait_ready(bus, KEYS)
-        yield Stack(Client(bus), inside.enter_context(RosClient()), services[1])
+def ros(running: Stack) -> RosClient:
+    return running.ros
 
 
-def _plan(stack: Stack, *distances: float) -> m.Plan:
+@pytest.fixture(scope="module")
+def client(running: Stack) -> Client:
+    return Client(running.bus, KEYS)
+
+
+def _plan(client: Client, *distances: float) -> m.Plan:
     goal = m.JointGoal(kind="joints", position=tuple(moved(*distances).tolist()))
-    return stack.client.bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), m.Plan, timeout=30)
+    return client.bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), m.Plan, timeout=30)
 
 
-def test_every_plan_is_on_trajectory_and_replayed_by_the_ghost(stack: Stack) -> None:
-    trajectories = stack.ros.heard(JointTrajectory, "/trajectory")
-    ghost = stack.ros.heard(JointState, "/preview/joint_states")
-    plan = _plan(stack, 0.5)
+def test_every_plan_is_on_trajectory_and_replayed_by_the_ghost(client: Client, ros: RosClient) -> None:
+    trajectories = ros.heard(JointTrajectory, "/trajectory")
+    ghost = ros.heard(JointState, "/preview/joint_states")
+    plan = _plan(client, 0.5)
     message = one(trajectories, "the plan has come")
     assert list(message.joint_names) == list(plan.trajectory.joint_names)
     for point, at, position, velocity in zip(
@@ -73,18 +63,20 @@ def test_every_plan_is_on_trajectory_and_replayed_by_the_ghost(stack: Stack) -> 
     assert list(ghost[-1].name) == list(ROBOT.descriptor.joints)
 
 
-def test_the_robot_is_on_joint_states_whatever_the_strategy_and_the_emulator_on_its_own_topic(stack: Stack) -> None:
-    robot = stack.ros.heard(JointState, "/joint_states")
-    emulator = stack.ros.heard(JointState, "/emulator/joint_states")
-    stack.client.ended(stack.client.execute(rest_to_rest(moved(0.3))))
+def test_the_robot_is_on_joint_states_whatever_the_strategy_and_the_emulator_on_its_own_topic(
+    client: Client, ros: RosClient
+) -> None:
+    robot = ros.heard(JointState, "/joint_states")
+    emulator = ros.heard(JointState, "/emulator/joint_states")
+    client.ended(client.execute(rest_to_rest(moved(0.3))))
     eventually(lambda: robot and robot[-1].position[0] == pytest.approx(HOME[0] + 0.3), "the robot is there")
     eventually(lambda: emulator and emulator[-1].position[0] == pytest.approx(HOME[0] + 0.3), "the emulated robot too")
     assert any(any(state.velocity) for state in robot)
     stamps = [state.header.stamp.sec + state.header.stamp.nanosec * 1e-9 for state in robot]
     assert stamps == sorted(stamps)
-    stack.client.strategy("ghost")
+    client.strategy("ghost")
     try:
-        eventually(lambda: stack.client.state().strategy == "ghost", "the ghost alone is active")
+        eventually(lambda: client.state().strategy == "ghost", "the ghost alone is active")
         seen = len(robot)
         eventually(lambda: len(robot) > seen + 5, "the robot is still told")
         before = len(emulator)
@@ -92,10 +84,10 @@ def test_the_robot_is_on_joint_states_whatever_the_strategy_and_the_emulator_on_
         eventually(lambda: len(robot) > seen + 20, "the robot is still told")
         assert len(emulator) == before
     finally:
-        stack.client.strategy("emulator")
+        client.strategy("emulator")
 
 
-def test_the_scene_is_there_as_markers_for_whoever_comes_late(stack: Stack) -> None:
+def test_the_scene_is_there_as_markers_for_whoever_comes_late(client: Client, ros: RosClient) -> None:
     objects = (
         m.Cuboid(kind="cuboid", name="table", position=(0.9, 0.0, -0.2), size=(0.4, 1.0, 0.1)),
         m.Sphere(kind="sphere", name="ball", position=(0.9, 0.0, 0.5), radius=0.1),
@@ -104,8 +96,8 @@ def test_the_scene_is_there_as_markers_for_whoever_comes_late(stack: Stack) -> N
         m.Voxels(kind="voxels", name="bin", position=(-0.9, 0.0, 0.5), resolution=0.05, cells=((0, 0, 0), (1, 0, 2))),
     )
     edit = m.SceneEdit(edit=m.AddObjects(op="add", objects=objects))
-    stack.client.bus.call(KEYS.scene_edit, edit, m.SceneEdited, timeout=30)
-    shown = stack.ros.heard(MarkerArray, "/unified_planner/obstacles", LATCHED)
+    client.bus.call(KEYS.scene_edit, edit, m.SceneEdited, timeout=30)
+    shown = ros.heard(MarkerArray, "/unified_planner/obstacles", LATCHED)
     eventually(
         lambda: (
             shown
@@ -127,14 +119,12 @@ def test_the_scene_is_there_as_markers_for_whoever_comes_late(stack: Stack) -> N
         [(0, 0, 0), (0.05, 0, 0.1)],
     )
     assert [marker.type for marker in of["pipe"]] == [Marker.CYLINDER, Marker.SPHERE_LIST, Marker.SPHERE_LIST]
-    stack.client.bus.call(KEYS.scene_edit, m.SceneEdit(edit=m.ClearScene(op="clear")), m.SceneEdited, timeout=30)
+    client.bus.call(KEYS.scene_edit, m.SceneEdit(edit=m.ClearScene(op="clear")), m.SceneEdited, timeout=30)
     eventually(lambda: len(shown[-1].markers) == 1, "nothing is shown any more")
 
 
-def test_the_spheres_of_the_robot_are_in_the_frames_of_its_links(stack: Stack) -> None:
-    (marker, *others) = one(
-        stack.ros.heard(MarkerArray, "/unified_planner/collision_spheres", LATCHED), "spheres"
-    ).markers
+def test_the_spheres_of_the_robot_are_in_the_frames_of_its_links(ros: RosClient) -> None:
+    (marker, *others) = one(ros.heard(MarkerArray, "/unified_planner/collision_spheres", LATCHED), "spheres").markers
     spheres = [(link, sphere) for link, spheres in ROBOT.descriptor.spheres.items() for sphere in spheres]
     assert len(others) + 1 == len(spheres)
     link, sphere = spheres[0]
@@ -145,9 +135,9 @@ def test_the_spheres_of_the_robot_are_in_the_frames_of_its_links(stack: Stack) -
 
 @pytest.mark.parametrize("topic", ["/robot_description", "/preview/robot_description"])
 def test_the_description_of_the_robot_is_there_for_whoever_comes_late_with_a_shape_for_each_link(
-    stack: Stack, topic: str
+    ros: RosClient, topic: str
 ) -> None:
-    description = ElementTree.fromstring(one(stack.ros.heard(String, topic, LATCHED), "the description").data)
+    description = ElementTree.fromstring(one(ros.heard(String, topic, LATCHED), "the description").data)
     own = ElementTree.parse(ROBOT.urdf_path).getroot()
     assert [ElementTree.tostring(joint).split() for joint in description.iter("joint")] == [
         ElementTree.tostring(joint).split() for joint in own.iter("joint")

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from second_opinion import Collisions, link_pose
 from small_arm import small_arm
 from sphere_model import distance, random_joints, random_object, random_objects
@@ -37,15 +35,12 @@ from zarm_contract.messages import (
     Voxels,
 )
 from zarm_planner import carrying
-from zarm_planner.cover import MOST, STANDS_OUT, cover
 from zarm_planner.exact import ExactScene
 from zarm_planner.frames import matrix
 from zarm_planner.planner import Planner
 from zarm_planner.robot_model import RobotModel
-from zarm_planner.rows import primitives
 from zarm_planner.scene import SceneStore
 from zarm_planner.search import is_free
-from zarm_planner.shapes import obstacle_shape
 from zarm_planner.sphere_distances import sphere_distances
 from zarm_planner.world import World
 
@@ -59,35 +54,6 @@ ROD = Capsule(kind="capsule", name="pole", position=(0.0, 0.0, 0.25), radius=0.0
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     return RobotModel.of(small_arm(tmp_path_factory.mktemp("robot")))
-
-
-# -- balls around it --
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.sampled_from(KINDS), st.floats(0.01, 0.6), st.integers(0, 2**32 - 1))
-def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    item = random_object(kind, "thing", rng.normal(size=3), size, rng)
-    balls = cover(obstacle_shape(item.name, primitives([item])[0]))
-    around = rng.uniform(-size, size, (20_000, 3)) + item.position
-    inside = around[distance(item, around) == 0.0]
-    deepest = (np.linalg.norm(inside[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1)
-    assert len(inside) > 5
-    assert deepest.max() < 1e-9
-    assert len(balls) <= MOST
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.sampled_from(KINDS), st.floats(0.01, 0.6), st.integers(0, 2**32 - 1))
-def test_the_balls_stand_out_by_little(kind: str, size: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    item = random_object(kind, "thing", np.zeros(3), size, rng)
-    balls = cover(obstacle_shape(item.name, primitives([item])[0]))
-    directions = rng.normal(size=(500, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    surface = balls[:, :3] + balls[:, 3:] * directions[:, None]
-    assert distance(item, surface.reshape(-1, 3)).max() < max(1.01 * STANDS_OUT, 0.16 * size)
 
 
 # -- a part of the robot --

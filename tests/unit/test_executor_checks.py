@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from motions import HOME, ROBOT, moved, rest_to_rest
 
@@ -59,7 +59,6 @@ def test_what_happens_between_the_samples_counts() -> None:
     assert refusal.value.problem.code == "limit_violated"
 
 
-@settings(deadline=None)
 @given(
     distance=st.floats(-3.0, 3.0),
     start_velocity=st.floats(-0.5, 0.5),

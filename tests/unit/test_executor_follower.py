@@ -62,7 +62,7 @@ def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
         np.testing.assert_allclose(follower.velocity, path.at(tick * TICK)[1], atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), when=st.floats(0.0, 1.0))
 def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_path(seed: int, when: float) -> None:
     path = curved_path(seed)
@@ -104,7 +104,7 @@ def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
     assert np.all(np.abs(accelerations(np.array(positions))) <= LIMIT * ROUNDING)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1),
     targets=st.lists(

@@ -24,7 +24,7 @@ def swing(*distances: float, start: Array = HOME, slower: float = 1.5) -> Path:
     return Path.of(rest_to_rest(moved(*distances, start=start), start, slower=slower), JOINTS)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     first=st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3),  # both together inside the range of joint 3
     second=st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3),

@@ -42,7 +42,7 @@ def primitives(count: int, seed: int) -> list[Primitive]:
     return items
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.05, 0.3]))
 def test_no_point_of_an_object_is_outside_and_no_cell_is_empty(seed: int, resolution: float) -> None:
     world = World(primitives(1, seed), 0.0)

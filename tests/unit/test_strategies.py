@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path as Folder
 
 import numpy as np
 import pytest
+from driven import FAR, LIMIT
 from driver_bench import MOVING, Case, DriverBench, distance_from
-from motions import HOME, moved
+from motions import HOME
 from waves import target
 
 from zarm_contract.errors import Unavailable
 from zarm_executor.machine import STALL_LIMIT
-
-FAR = moved(1.0, -0.5, 0.3)
-LIMIT = 1.2
-"""What the driver of the tests' robot may be commanded, rad/s^2 (strategy_params.acceleration)."""
-
 
 at_every_rate = pytest.mark.parametrize("rate", [100.0, 130.0, 250.0, 500.0])
 """Of the control loop, Hz; at 130 no period of chunks or of points is one of ticks."""
@@ -297,100 +292,6 @@ def test_a_strategy_that_hands_motions_over_as_a_whole_refuses_a_stream(case: Ca
     with pytest.raises(Unavailable, match="joint_speed or joint_pose"):
         bench.stream(0.05)
     assert bench.machine.state().mode == "idle"
-
-
-# --- what is sent ---
-
-
-def test_what_a_velocity_driver_is_sent_never_breaks_the_bounds_however_far_the_robot_is_off(tmp_path: Folder) -> None:
-    bench = DriverBench(Case("joint_speed"), tmp_path)
-    bench.execute()
-    for push in (0.1, -0.15, 0.12, -0.1):
-        bench.run(0.3)
-        bench.arm.position = bench.arm.position + push * np.array([1, -1, 1, -1, 1, -1])
-    bench.until("idle")
-    assert bench.last().status == "succeeded"
-    assert bench.commanded_acceleration() <= LIMIT * 1.001
-    assert max(np.abs(command.velocity).max() for _, command in bench.commands if command.time) <= 1.2
-
-
-def test_what_is_sent_is_what_is_published_and_agrees_from_one_chunk_to_the_next(tmp_path: Folder) -> None:
-    bench = DriverBench(Case("joint_speed"), tmp_path)
-    bench.execute()
-    bench.until("idle")
-    chunks = [(at, command) for at, command in bench.commands if command.time]
-    for (at, before), (later, after) in itertools.pairwise(chunks):
-        assert after.sequence == before.sequence + 1
-        played = round((later - at) / 0.02)
-        if played <= len(before.velocity):
-            step = np.subtract(after.velocity[0], before.velocity[played - 1])
-            assert np.max(np.abs(step)) <= LIMIT * 0.02 + 1e-9
-            np.testing.assert_allclose(after.acceleration[0], step / 0.02, atol=1e-9)
-        inside = np.diff(after.velocity, axis=0)
-        assert np.max(np.abs(inside)) <= LIMIT * 0.02 + 1e-9
-        np.testing.assert_allclose(after.acceleration[1:], inside / 0.02, atol=1e-9)
-
-
-def test_after_a_chunk_that_came_too_late_the_next_begins_at_the_velocity_that_the_robot_has(tmp_path: Folder) -> None:
-    bench = DriverBench(Case("joint_speed"), tmp_path)
-    bench.execute()
-    bench.run(1.2)
-    bench.freeze(0.25)
-    sent, velocity = len(bench.commands), bench.arm.velocity
-    assert velocity[0] > 0.1
-    bench.tick()
-    (_, command) = bench.commands[sent]
-    assert np.max(np.abs(np.subtract(command.velocity[0], velocity))) <= LIMIT * 0.031
-    bench.until("idle")
-    assert bench.last().status == "succeeded"
-    assert bench.rests()
-    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
-
-
-def test_positions_alone_are_streamed_by_joint_pose(tmp_path: Folder) -> None:
-    bench = DriverBench(MOVING[2], tmp_path)
-    bench.execute()
-    bench.until("idle")
-    chunks = [command for _, command in bench.commands if command.time]
-    assert len(chunks) > 20
-    assert all(not command.velocity and not command.acceleration for command in chunks)
-
-
-def test_a_streamed_robot_whose_chunks_stop_coming_comes_to_rest_by_itself(tmp_path: Folder) -> None:
-    bench = DriverBench(Case("joint_speed"), tmp_path)
-    bench.execute()
-    bench.run(1.2)
-    bench.freeze(2.0)
-    assert not bench.arm.velocity.any()
-
-
-def test_after_a_pause_joints_from_before_it_move_nothing(tmp_path: Folder) -> None:
-    bench = DriverBench(Case("joint_speed"), tmp_path)
-    bench.execute()
-    bench.run(1.2)
-    bench.silent = True
-    bench.freeze(STALL_LIMIT + 1.0)
-    stood = bench.arm.position
-    bench.run(0.05)
-    bench.silent = False
-    bench.until("fault")
-    np.testing.assert_array_equal(bench.arm.position, stood)
-
-
-def test_drift_does_not_add_up_when_the_measured_joints_close_the_loop(tmp_path: Folder) -> None:
-    """A driver that is 5 % too slow is corrected by joint_speed; joint_trajectory, open loop, ends beside the goal."""
-    ends = {}
-    for name in ("joint_speed", "joint_trajectory"):
-        bench = DriverBench(Case(name), tmp_path)
-        play = bench.arm.play
-        bench.arm.play = lambda positions, velocities, play=play: play(positions, velocities * 0.95)  # type: ignore[method-assign]
-        bench.execute()
-        while bench.machine.state().mode == "running":
-            bench.tick()
-        bench.run(1.0)
-        ends[name] = float(np.max(np.abs(bench.arm.position - FAR)))
-    assert ends["joint_speed"] < 0.005
-    assert ends["joint_trajectory"] > 0.03
 
 
 def test_a_driver_that_cannot_play_a_strategy_rules_it_out_with_the_reason(tmp_path: Folder) -> None:

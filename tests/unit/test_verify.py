@@ -58,7 +58,7 @@ def test_what_stands_in_the_way_between_two_samples_is_met(model: RobotModel) ->
         clearance(model, motion, sheet)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_nothing_moves_further_between_two_samples_than_its_travel(seed: int) -> None:
     rng = np.random.default_rng(seed)

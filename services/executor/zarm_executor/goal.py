@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from zarm_contract.errors import Problem
+from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.messages import GoalState, GoalStatus
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Path
@@ -18,6 +18,11 @@ class Outcome:
     status: GoalStatus
     problem: Problem | None = None
     fault: bool = False
+
+    @classmethod
+    def fault_of(cls, failure: ExecutionFailed) -> Outcome:
+        """What a check during motion found, or the control loop."""
+        return cls("aborted", failure.problem, fault=True)
 
 
 @dataclass(frozen=True)

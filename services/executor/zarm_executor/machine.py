@@ -1,4 +1,4 @@
-"""The state machine that owns the robot: one goal at a time, and what becomes of it.
+"""The state machine that owns the robot: who may move it, one goal at a time.
 
 mode      idle -> running -> idle                      a goal that succeeds
           running -> stopping -> paused -> running     pause and resume
@@ -18,11 +18,11 @@ import threading
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
-from zarm_contract.messages import ExecutorState, GoalState, GoalStatus, RobotMode
+from zarm_contract.messages import ExecutorState, GoalState, RobotMode
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.limits import Limits
-from zarm_executor.splice import spliced
-from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
+from zarm_executor.motion import Motion
+from zarm_executor.strategies.base import Measured, Strategy
 
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
@@ -40,7 +40,7 @@ class Machine:
         self._period = period
         self._speed_scale = speed_scale
         self._strategy, self._open = strategy, True
-        self._goal: Goal | None = None
+        self._motion: Motion | None = None
         self._successor: str | None = None
         self._problem: Problem | None = None
         self._switching = False
@@ -63,8 +63,8 @@ class Machine:
                 raise Unavailable(
                     f"the executor is in fault: {self._problem.message}; when that is put right, reset it (executor/reset)"
                 )
-            if self._goal is not None and not preempt:
-                raise Busy(f"{self._goal.goal_id} is not at its end; cancel it or wait, then execute again")
+            if self._motion is not None and not preempt:
+                raise Busy(f"{self._motion.goal.goal_id} is not at its end; cancel it or wait, then execute again")
             if self._switching:
                 raise Busy("the strategy is being switched; execute again in a moment")
             self._strategy.admit()
@@ -78,11 +78,9 @@ class Machine:
             self._successor = None
             self._demand_no_stop(stops)
             self.admit()
-            if goal.chunk is not None:
-                self._steerable()
-            self._strategy.start(goal.path, self._speed_scale)
-            self._goal = goal
-            self._note(goal)
+            motion = Motion(goal, self._strategy, self.changes)
+            motion.start(self._speed_scale)
+            self._motion = motion
 
     def preempt(self, goal_id: str, stops: int, patience: float) -> None:
         """End the goal that there is, if any, as cancelled, so that `goal_id` can start where the robot rests then.
@@ -92,8 +90,7 @@ class Machine:
         """
         with self._lock:
             self._successor = goal_id
-            if self._goal is not None:
-                self._cancel(self._goal, f"{goal_id} was executed instead, which was to preempt this goal")
+            self._end(None, _cancelled(f"{goal_id} was executed instead, which was to preempt this goal"))
         if not self.wait_for_rest(patience):
             raise Unavailable("the robot does not come to rest; see why (executor/state), then execute again")
         self._demand_no_stop(stops)
@@ -106,8 +103,7 @@ class Machine:
         """End this goal, or whichever there is, as cancelled; nothing where it is unknown or at its end."""
         with self._lock:
             self.stops += goal_id in (None, self._successor)
-            if self._goal is not None and goal_id in (None, self._goal.goal_id):
-                self._cancel(self._goal, why)
+            self._end(goal_id, _cancelled(why))
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> None:
         """Lead the robot over to this chunk of the stream `goal_id`; nothing where it is not under way or has its last one.
@@ -115,53 +111,43 @@ class Machine:
         Raises what `spliced` raises.
         """
         with self._lock:
-            goal = self._goal
-            if goal is None or goal.goal_id != goal_id or goal.chunk is None or goal.outcome is not None:
-                return
-            if not goal.chunk.last:
-                strategy = self._steerable()
-                path = spliced(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
-                goal.steer(path, chunk)
-                strategy.steer(path)
+            motion = self._motion_of(goal_id)
+            if motion is not None:
+                motion.steer(chunk, limits)
 
     def abort(self, goal_id: str, problem: Problem) -> None:
         """End the stream `goal_id`, whose client did wrong, as aborted; that is no fault of the robot."""
         with self._lock:
-            if self._goal is not None and self._goal.goal_id == goal_id and self._goal.outcome is None:
-                self._end(self._goal, Outcome("aborted", problem))
+            self._end(goal_id, Outcome("aborted", problem))
 
-    def _steerable(self) -> Steerable:
-        if not isinstance(self._strategy, Steerable):
-            raise Unavailable(
-                f"under {self._strategy.name} a motion is handed over as a whole and cannot be streamed; switch to emulator, "
-                "joint_speed or joint_pose first (executor/strategy)"
-            )
-        return self._strategy
+    def _end(self, goal_id: str | None, outcome: Outcome) -> None:
+        motion = self._motion_of(goal_id)
+        if motion is not None and motion.goal.outcome is None:
+            motion.end(outcome)
+
+    def _motion_of(self, goal_id: str | None) -> Motion | None:
+        """The motion of this goal, or of whichever there is."""
+        motion = self._motion
+        return motion if motion is not None and goal_id in (None, motion.goal.goal_id) else None
 
     def pause(self) -> None:
         """Bring the running goal to rest and hold it."""
         with self._lock:
-            goal = self._goal
-            if goal is not None and goal.outcome is None:
-                goal.pausing = True
-                self._strategy.stop()
+            if self._motion is not None:
+                self._motion.pause()
 
     def resume(self) -> None:
         """Go on with a goal that was paused."""
         with self._lock:
-            goal = self._goal
-            if goal is not None and goal.outcome is None and goal.pausing:
-                goal.pausing = False
-                goal.monitor.go_on()
-                self._strategy.move(self._speed_scale)
-                self._become(goal, "running")
+            if self._motion is not None:
+                self._motion.resume(self._speed_scale)
 
     def set_speed(self, speed_scale: float) -> None:
         """Move at this share of the planned speed from now on; a goal that is held does so when it goes on."""
         with self._lock:
             self._speed_scale = speed_scale
-            if self._goal is not None and self._goal.moving:
-                self._strategy.move(speed_scale)
+            if self._motion is not None:
+                self._motion.set_speed(speed_scale)
 
     def reset(self) -> None:
         """Leave `fault`. Raises the ZarmError of opening the strategy again, where a switch left none open; it is fault then."""
@@ -237,24 +223,29 @@ class Machine:
             return ExecutorState(
                 mode=self._mode(),
                 strategy=self._strategy.name,
-                goal_id=self._goal.goal_id if self._goal else None,
+                goal_id=self._motion.goal.goal_id if self._motion else None,
                 problem=self._problem,
                 speed_scale=self._speed_scale,
                 missed_ticks=self._missed_ticks,
             )
 
+    def news(self) -> tuple[tuple[GoalState, ...], ExecutorState]:
+        """What is left in `changes`, taken out, and the robot's state that came of it."""
+        with self._lock:
+            changes = tuple(self.changes)
+            self.changes.clear()
+            return changes, self.state()
+
     def goal_state(self) -> GoalState | None:
         """The state of the goal that has not ended, if there is one."""
         with self._lock:
-            return self._goal.state(self._strategy.progress()) if self._goal else None
+            return self._motion.state() if self._motion else None
 
     def sequence(self, goal_id: str) -> int | None:
         """The number of the newest chunk of the stream `goal_id`; None where it is not under way."""
         with self._lock:
-            goal = self._goal
-            return (
-                goal.chunk.sequence if goal is not None and goal.goal_id == goal_id and goal.chunk is not None else None
-            )
+            motion = self._motion_of(goal_id)
+            return motion.goal.chunk.sequence if motion is not None and motion.goal.chunk is not None else None
 
     def joint_state(self) -> Measured | None:
         """The newest measured state of the robot."""
@@ -264,14 +255,12 @@ class Machine:
     def wait_for_rest(self, patience: float) -> bool:
         """Wait until no goal is left; whether that was so within `patience` s."""
         with self._rested:
-            return self._rested.wait_for(lambda: self._goal is None, patience)
+            return self._rested.wait_for(lambda: self._motion is None, patience)
 
     def _mode(self) -> RobotMode:
-        if self._goal is None:
-            return "idle" if self._problem is None else "fault"
-        if self._goal.outcome is None and self._goal.status == "paused":
-            return "paused"
-        return "stopping" if self._goal.outcome or self._goal.pausing else "running"
+        if self._motion is not None:
+            return self._motion.mode
+        return "idle" if self._problem is None else "fault"
 
     # -- the control loop --
 
@@ -281,88 +270,30 @@ class Machine:
             dt = 0.0 if self._last_tick is None else now - self._last_tick
             self._last_tick = now
             self._missed_ticks += max(0, round(dt / self._period) - 1)
-            goal = self._goal
-            if goal is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
-                self._abort(goal, self._stalled(dt))
+            motion = self._motion
+            if motion is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
+                motion.end(Outcome.fault_of(_stalled(dt)))
             self._strategy.tick(now, dt)
-            if goal is not None:
-                self._advance(goal, now, dt)
+            if motion is not None:
+                ended = motion.advance(now, dt)
+                if ended is not None:
+                    self._rest(ended)
             return self._strategy.joint_state()
 
-    def _advance(self, goal: Goal, now: float, dt: float) -> None:
-        progress, measured, monitor = self._strategy.progress(), self._strategy.joint_state(), goal.monitor
-        if goal.status != "paused":
-            goal.elapsed += dt
-        if goal.status == "accepted":
-            self._become(goal, "running")
-        try:
-            if goal.outcome is None:
-                monitor.follow(now, dt, progress, measured)
-            if goal.moving:
-                late = goal.late(now)
-                if late is not None:
-                    self._end(goal, Outcome("aborted", late))
-                elif goal.complete and monitor.at_goal(now, progress, measured):
-                    self._finish(goal, Outcome("succeeded"))
-            else:
-                goal.held_until = now
-        except ExecutionFailed as failure:
-            self._abort(goal, failure)
-        if not goal.moving and goal.status != "paused":
-            self._come_to_rest(goal, now, progress, measured)
-
-    def _come_to_rest(self, goal: Goal, now: float, progress: Progress, measured: Measured | None) -> None:
-        try:
-            if not goal.monitor.at_rest(now, progress, measured):
-                return
-        except ExecutionFailed as failure:
-            self._give_up(goal, failure)
-            return
-        if goal.outcome is None:
-            self._become(goal, "paused")
-        else:
-            self._finish(goal, goal.outcome)
-
-    def _give_up(self, goal: Goal, failure: ExecutionFailed) -> None:
-        """The robot had its time to stop. The strategy goes on telling it to."""
-        first, problem = goal.outcome, failure.problem
-        if first is not None and first.problem is not None and first.fault:
-            problem = first.problem.model_copy(update={"message": f"{first.problem.message}; and {problem.message}"})
-        self._abort(goal, failure)
-        self._finish(goal, Outcome("aborted", problem, fault=True))
-
-    def _cancel(self, goal: Goal, why: str) -> None:
-        if goal.outcome is None:
-            self._end(goal, Outcome("cancelled", Problem(code="cancelled", message=why)))
-
-    def _abort(self, goal: Goal, failure: ExecutionFailed) -> None:
-        self._end(goal, Outcome("aborted", failure.problem, fault=True))
-
-    def _end(self, goal: Goal, outcome: Outcome) -> None:
-        goal.outcome = outcome
-        self._strategy.stop()
-        self._become(goal, "stopping")
-
-    def _finish(self, goal: Goal, outcome: Outcome) -> None:
-        goal.outcome = outcome
-        self._become(goal, outcome.status)
-        self._goal = None
-        if outcome.fault:
-            self._problem = outcome.problem
+    def _rest(self, ended: Outcome) -> None:
+        self._motion = None
+        if ended.fault:
+            self._problem = ended.problem
         self._rested.notify_all()
 
-    def _become(self, goal: Goal, status: GoalStatus) -> None:
-        if goal.status != status:
-            goal.status = status
-            self._note(goal)
 
-    def _note(self, goal: Goal) -> None:
-        self.changes.append(goal.state(self._strategy.progress()))
+def _cancelled(why: str) -> Outcome:
+    return Outcome("cancelled", Problem(code="cancelled", message=why))
 
-    @staticmethod
-    def _stalled(dt: float) -> ExecutionFailed:
-        return ExecutionFailed(
-            f"the executor's control loop was away for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); see "
-            "what holds up this machine, then reset",
-            code="driver_stalled",
-        )
+
+def _stalled(dt: float) -> ExecutionFailed:
+    return ExecutionFailed(
+        f"the executor's control loop was away for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); see "
+        "what holds up this machine, then reset",
+        code="driver_stalled",
+    )

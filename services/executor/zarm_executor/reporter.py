@@ -81,19 +81,21 @@ class Reporter:
     def publish(self, now: float | None = None) -> ExecutorState:
         """Publish what has changed, and return the state that now stands on the bus; `now` is on the monotonic clock.
 
-        A command's handler calls it before it answers, so that no answer is ahead of the published state.
+        A command's handler calls it before it answers, so that no answer is ahead of the published state; nor is that
+        ahead of the goals, so that whoever sees the robot idle can read how its goal ended.
         """
         now = time.monotonic() if now is None else now
         with self._lock:
-            while self._machine.changes:
-                self._publish_goal(self._machine.changes.popleft())
+            changes, state = self._machine.news()
+            for change in changes:
+                self._publish_goal(change)
                 self._published_progress = now
             if now - self._published_progress >= PROGRESS_PERIOD - PERIOD / 2:
                 goal = self._machine.goal_state()
                 if goal is not None and not self._machine.changes:
                     self._goals.set(goal, key=self._keys.goal(goal.goal_id))
                     self._published_progress = now
-            return self._publish_state(now)
+            return self._publish_state(state, now)
 
     def _publish_goal(self, goal: GoalState) -> None:
         self._set_goal(goal)
@@ -109,8 +111,8 @@ class Reporter:
         if len(self._finished) > FINISHED_GOALS:
             self._goals.forget(self._keys.goal(self._finished.popleft()))
 
-    def _publish_state(self, now: float) -> ExecutorState:
-        state, before = self._machine.state(), self._state
+    def _publish_state(self, state: ExecutorState, now: float) -> ExecutorState:
+        before = self._state
         if before is None or state != before.model_copy(update={"missed_ticks": state.missed_ticks}):
             log.info("state mode=%s strategy=%s%s", state.mode, state.strategy, _reason(state.problem))
         elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:

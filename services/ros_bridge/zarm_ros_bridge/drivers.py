@@ -15,7 +15,8 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
-from zarm_ros_bridge.convert_drivers import driver_joint_state, ros_joint_trajectory
+from zarm_ros_bridge.convert.joints import driver_joint_state
+from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros

@@ -16,7 +16,9 @@ from rclpy.action.server import ServerGoalHandle
 from curobo_msgs.action import MpcMove, SendTrajectory
 from zarm_contract.errors import Busy, Cancelled, InternalError, Unavailable, ZarmError, from_problem
 from zarm_contract.messages import Accepted, ExecuteRequest, GoalState, Plan, PlanRequest, PoseGoal
-from zarm_ros_bridge.convert import is_given, pose_of, ros_positions, ros_time
+from zarm_ros_bridge.convert.joints import ros_positions
+from zarm_ros_bridge.convert.poses import is_given, pose_of
+from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import ANSWER_SECONDS, Engine
 from zarm_ros_bridge.goals import Goals, Run
 from zarm_ros_bridge.parameters import Parameters

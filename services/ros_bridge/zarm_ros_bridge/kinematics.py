@@ -13,7 +13,8 @@ from curobo_msgs.srv import Fk, Ik, IkBatch, WarmupFK, WarmupIK
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import FkPoses, FkRequest, IkRequest, IkSolutions, Pose
 from zarm_ros_bridge.answers import with_error_msg, with_message
-from zarm_ros_bridge.convert import pose_of, positions_of, ros_pose, ros_positions
+from zarm_ros_bridge.convert.joints import positions_of, ros_positions
+from zarm_ros_bridge.convert.poses import pose_of, ros_pose
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
 

@@ -19,8 +19,10 @@ from zarm_contract.messages import (
     Pose,
 )
 from zarm_ros_bridge.answers import with_message
-from zarm_ros_bridge.convert import Positions, in_terms_of, is_empty, positions_of
-from zarm_ros_bridge.convert_plans import goal_of, held_of, pose_goal, poses_of, ros_trajectory, target_of
+from zarm_ros_bridge.convert.fields import in_terms_of
+from zarm_ros_bridge.convert.joints import Positions, is_empty, positions_of
+from zarm_ros_bridge.convert.plans import goal_of, held_of, pose_goal, poses_of, target_of
+from zarm_ros_bridge.convert.trajectories import ros_joint_states
 from zarm_ros_bridge.engine import ANSWER_SECONDS, Engine
 from zarm_ros_bridge.parameters import PLANNERS, Parameters
 from zarm_ros_bridge.rereading import reread_robot
@@ -57,7 +59,7 @@ class Planning:
         else:
             plan = self._plan(goal_of(request, target, joints), target, start, held, self._deadline())
         dt = self._engine.robot.descriptor.interpolation_dt
-        response.trajectory, response.dt = ros_trajectory(plan.trajectory, dt), dt
+        response.trajectory, response.dt = ros_joint_states(plan.trajectory, dt), dt
         return (
             f"planned {plan.trajectory.duration:.2f} s of motion to {target} in {plan.timings.total:.3f} s; the smallest distance "
             f"to anything is {1e3 * plan.clearance:.0f} mm"

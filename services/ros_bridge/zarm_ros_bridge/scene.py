@@ -29,8 +29,10 @@ from zarm_contract.messages import (
     SetLinkCollision,
 )
 from zarm_ros_bridge.answers import with_message
-from zarm_ros_bridge.convert import in_terms_of, is_empty, positions_of
-from zarm_ros_bridge.convert_scene import FIELDS, Colour, colour_of, name_of, object_of, ros_cloud
+from zarm_ros_bridge.convert.colours import Colour, colour_of
+from zarm_ros_bridge.convert.fields import in_terms_of
+from zarm_ros_bridge.convert.joints import is_empty, positions_of
+from zarm_ros_bridge.convert.scene import FIELDS, name_of, object_of, ros_cloud
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros

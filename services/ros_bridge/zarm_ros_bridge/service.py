@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.service import Service, run_service, service_parser
-from zarm_ros_bridge.convert_markers import Colour
+from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.execution import Execution

@@ -14,9 +14,10 @@ from visualization_msgs.msg import MarkerArray
 
 from zarm_contract.messages import ExecutorState, JointState, Message, Plan, Scene
 from zarm_contract.publications import deliver
-from zarm_ros_bridge.convert import ros_joint_state
-from zarm_ros_bridge.convert_drivers import ros_joint_trajectory
-from zarm_ros_bridge.convert_markers import Colour, obstacle_markers, sphere_markers
+from zarm_ros_bridge.convert.colours import Colour
+from zarm_ros_bridge.convert.joints import ros_joint_state
+from zarm_ros_bridge.convert.markers import obstacle_markers, sphere_markers
+from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.description import shown_description
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros

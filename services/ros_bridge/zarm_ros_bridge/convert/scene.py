@@ -11,10 +11,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 from curobo_msgs.srv import AddObject
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, Occupancy, SceneObject, Sphere, Vector3
-from zarm_ros_bridge.convert import finite, pose_of
-
-Colour = tuple[float, float, float, float]
-"""Red, green, blue, alpha, 0..1."""
+from zarm_ros_bridge.convert.fields import finite
+from zarm_ros_bridge.convert.poses import pose_of
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
@@ -52,13 +50,6 @@ def name_of(name: str) -> str:
     if not _NAME.fullmatch(name):
         raise InvalidRequest(f"{name!r}: a name is 1 to 64 letters, digits, _, . and -", field="name")
     return name
-
-
-def colour_of(request: AddObject.Request) -> Colour | None:
-    """The colour that a client gave; none where it left all four at 0, or gave one outside 0..1."""
-    c = request.color
-    colour = (c.r, c.g, c.b, c.a)
-    return colour if any(colour) and all(0.0 <= part <= 1.0 for part in colour) else None
 
 
 FIELDS = {

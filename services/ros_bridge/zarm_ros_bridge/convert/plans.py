@@ -1,18 +1,14 @@
-"""What `generate_trajectory` is asked for, and its answer."""
+"""What `generate_trajectory` is asked for."""
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Sequence
-
-from sensor_msgs.msg import JointState as RosJointState
-from std_msgs.msg import Header
 
 from curobo_msgs.srv import TrajectoryGeneration
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import HeldAxes, JointGoal, Pose, PoseGoal, Trajectory, WaypointsGoal
-from zarm_ros_bridge.convert import finite, is_given, pose_of
-from zarm_ros_bridge.sampling import sampled
+from zarm_contract.messages import HeldAxes, JointGoal, Pose, PoseGoal, WaypointsGoal
+from zarm_ros_bridge.convert.fields import finite
+from zarm_ros_bridge.convert.poses import is_given, pose_of
 
 MOST_POSES = 100
 """Waypoints of one motion at most."""
@@ -114,21 +110,6 @@ def held_of(request: TrajectoryGeneration.Request, target: str) -> HeldAxes | No
         whole = each[:1]
     axes = whole[0] if whole else (False,) * 6
     return HeldAxes(axes=axes) if any(axes) else None
-
-
-def ros_trajectory(trajectory: Trajectory, dt: float) -> list[RosJointState]:
-    """Positions and velocities every `dt` s from the start of a motion to its end, where it rests.
-
-    What is the same in all of them they share: to make it anew for each takes as long as all the rest.
-    """
-    header, names, none = Header(), list(trajectory.joint_names), array("d")
-    positions, velocities = sampled(trajectory, dt)
-    return [
-        RosJointState(
-            header=header, name=names, position=array("d", position), velocity=array("d", velocity), effort=none
-        )
-        for position, velocity in zip(positions.tolist(), velocities.tolist(), strict=True)
-    ]
 
 
 def _axes(values: Sequence[int], field: str) -> list[tuple[bool, bool, bool, bool, bool, bool]]:

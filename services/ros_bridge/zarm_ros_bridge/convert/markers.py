@@ -13,8 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, Scene, SceneObject, Sphere, Voxels
 from zarm_contract.robot import RobotDescriptor
-
-Colour = tuple[float, float, float, float]
+from zarm_ros_bridge.convert.colours import Colour
 
 OBSTACLE: Colour = (0.8, 0.5, 0.2, 0.8)
 CARRIED: Colour = (0.3, 0.7, 0.4, 0.8)

@@ -1,0 +1,150 @@
+"""A goal on its way: what becomes of it at every tick, from its start to the rest in which it ends."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from zarm_contract.errors import ExecutionFailed, Unavailable
+from zarm_contract.messages import GoalState, GoalStatus, RobotMode
+from zarm_executor.goal import Chunk, Goal, Outcome
+from zarm_executor.limits import Limits
+from zarm_executor.splice import spliced
+from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
+
+
+class Motion:
+    """`strategy` moves the robot along the goal's path; every state that the goal comes to is added to `changes`.
+
+    One call at a time. Raises Unavailable for a stream under a strategy that cannot follow one.
+    """
+
+    def __init__(self, goal: Goal, strategy: Strategy, changes: deque[GoalState]) -> None:
+        self.goal = goal
+        self._strategy = strategy
+        self._changes = changes
+        if goal.chunk is not None:
+            self._steerable()
+
+    # -- commands --
+
+    def start(self, speed_scale: float) -> None:
+        """Begin to move the robot, which stands at the start of the path. Raises what the strategy raises."""
+        self._strategy.start(self.goal.path, speed_scale)
+        self._note()
+
+    def end(self, outcome: Outcome) -> None:
+        """Bring the robot to rest, where the goal ends so."""
+        self.goal.outcome = outcome
+        self._strategy.stop()
+        self._become("stopping")
+
+    def pause(self) -> None:
+        """Bring the robot to rest and hold it; nothing where the goal ends."""
+        if self.goal.outcome is None:
+            self.goal.pausing = True
+            self._strategy.stop()
+
+    def resume(self, speed_scale: float) -> None:
+        """Go on where it was paused."""
+        goal = self.goal
+        if goal.outcome is None and goal.pausing:
+            goal.pausing = False
+            goal.monitor.go_on()
+            self._strategy.move(speed_scale)
+            self._become("running")
+
+    def set_speed(self, speed_scale: float) -> None:
+        """Move at this share of the planned speed, unless it is held or ends."""
+        if self.goal.moving:
+            self._strategy.move(speed_scale)
+
+    def steer(self, chunk: Chunk, limits: Limits) -> None:
+        """Lead the robot over to this chunk; nothing where the goal is no stream, has its last one, or ends.
+
+        Raises what `spliced` raises.
+        """
+        goal = self.goal
+        if goal.outcome is None and not goal.complete:
+            strategy = self._steerable()
+            path = spliced(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
+            goal.steer(path, chunk)
+            strategy.steer(path)
+
+    def _steerable(self) -> Steerable:
+        if not isinstance(self._strategy, Steerable):
+            raise Unavailable(
+                f"under {self._strategy.name} a motion is handed over as a whole and cannot be streamed; switch to emulator, "
+                "joint_speed or joint_pose first (executor/strategy)"
+            )
+        return self._strategy
+
+    # -- what is --
+
+    def state(self) -> GoalState:
+        """The state of the goal now."""
+        return self.goal.state(self._strategy.progress())
+
+    @property
+    def mode(self) -> RobotMode:
+        """What it makes of the robot's mode."""
+        if self.goal.outcome is None and self.goal.status == "paused":
+            return "paused"
+        return "stopping" if self.goal.outcome or self.goal.pausing else "running"
+
+    # -- the control loop --
+
+    def advance(self, now: float, dt: float) -> Outcome | None:
+        """See what the strategy made of `dt` s of control, to `now` on the monotonic clock; how the goal ended, once it has."""
+        goal, progress, measured = self.goal, self._strategy.progress(), self._strategy.joint_state()
+        if goal.status != "paused":
+            goal.elapsed += dt
+        if goal.status == "accepted":
+            self._become("running")
+        try:
+            if goal.outcome is None:
+                goal.monitor.follow(now, dt, progress, measured)
+            if goal.moving:
+                late = goal.late(now)
+                if late is not None:
+                    self.end(Outcome("aborted", late))
+                elif goal.complete and goal.monitor.at_goal(now, progress, measured):
+                    return self._finish(Outcome("succeeded"))
+            else:
+                goal.held_until = now
+        except ExecutionFailed as failure:
+            self.end(Outcome.fault_of(failure))
+        if goal.moving or goal.status == "paused":
+            return None
+        return self._come_to_rest(now, progress, measured)
+
+    def _come_to_rest(self, now: float, progress: Progress, measured: Measured | None) -> Outcome | None:
+        try:
+            if not self.goal.monitor.at_rest(now, progress, measured):
+                return None
+        except ExecutionFailed as failure:
+            return self._give_up(failure)
+        if self.goal.outcome is not None:
+            return self._finish(self.goal.outcome)
+        self._become("paused")
+        return None
+
+    def _give_up(self, failure: ExecutionFailed) -> Outcome:
+        """The robot had its time to stop. The strategy goes on telling it to."""
+        first, problem = self.goal.outcome, failure.problem
+        if first is not None and first.problem is not None and first.fault:
+            problem = first.problem.model_copy(update={"message": f"{first.problem.message}; and {problem.message}"})
+        self.end(Outcome.fault_of(failure))
+        return self._finish(Outcome("aborted", problem, fault=True))
+
+    def _finish(self, outcome: Outcome) -> Outcome:
+        self.goal.outcome = outcome
+        self._become(outcome.status)
+        return outcome
+
+    def _become(self, status: GoalStatus) -> None:
+        if self.goal.status != status:
+            self.goal.status = status
+            self._note()
+
+    def _note(self) -> None:
+        self._changes.append(self.state())

@@ -1,0 +1,24 @@
+"""Fields of requests: numbers that are none, and the names under which a client on ROS knows them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
+
+
+def finite(value: float, field: str) -> float:
+    """The number itself. Raises InvalidRequest where it is NaN or infinite."""
+    if not math.isfinite(value):
+        raise InvalidRequest(f"{value} is no finite number; give one", field=field)
+    return value
+
+
+def in_terms_of(error: ZarmError, fields: Mapping[str, str]) -> ZarmError:
+    """The same error with its field as the client on ROS knows it; `fields` are those of the bus, or beginnings of them."""
+    at = error.problem.field or ""
+    for known, name in fields.items():
+        if at == known or at.startswith(f"{known}."):
+            return from_problem(error.problem.model_copy(update={"field": name + at.removeprefix(known)}))
+    return error

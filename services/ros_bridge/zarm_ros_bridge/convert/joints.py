@@ -1,0 +1,103 @@
+"""Joints by name, of a request and of a driver.
+
+`joint1` is as good as `joint_1`: Doosan's drivers have had both.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from collections.abc import Iterable, Sequence
+
+from sensor_msgs.msg import JointState as RosJointState
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import JointState
+from zarm_ros_bridge.convert.fields import finite
+from zarm_ros_bridge.convert.times import ros_time
+
+Positions = tuple[float, ...]
+"""One per joint, in the descriptor's order; rad."""
+
+
+def ros_joint_state(state: JointState) -> RosJointState:
+    """Measured or previewed joints."""
+    message = ros_positions(state.joint_names, state.position, state.velocity)
+    message.header.stamp = ros_time(state.stamp)
+    return message
+
+
+def ros_positions(joints: Sequence[str], position: Iterable[float], velocity: Iterable[float] = ()) -> RosJointState:
+    """Joints without a time."""
+    return RosJointState(name=list(joints), position=array("d", position), velocity=array("d", velocity))
+
+
+def positions_of(message: RosJointState, joints: Sequence[str], field: str) -> Positions:
+    """The positions in a request's `field`, in the order of `joints`.
+
+    By name, whatever other joints the message has (a gripper's, for one); without names, by index. Raises InvalidRequest for
+    what fits neither and for what is no number.
+    """
+    values = list(message.position)
+    if not message.name and len(values) != len(joints):
+        raise InvalidRequest(
+            f"{len(values)} positions without names for the {len(joints)} joints {', '.join(joints)}; give one for each",
+            field=f"{field}.position",
+        )
+    if message.name and len(values) != len(message.name):
+        raise InvalidRequest(
+            f"{len(values)} positions for {len(message.name)} names; give one for each", field=f"{field}.position"
+        )
+    places = _places(message.name or joints, joints, f"{field}.name")
+    return tuple(finite(values[places[joint]], f"{field}.position.{places[joint]}") for joint in joints)
+
+
+def is_empty(message: RosJointState) -> bool:
+    """Whether a client left these joints out."""
+    return not message.name and not len(message.position)
+
+
+def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: Sequence[str]) -> JointState:
+    """A driver's joint states: of `joints`, in its order, whatever others are there; without names, of `unnamed` by index.
+
+    Velocities that are left out or not finite are 0, as some drivers know none. A stamp of 0 is now. Raises InvalidRequest,
+    which names the field, for what cannot be read.
+    """
+    names = message.name or unnamed
+    places = _places(names, joints, "name")
+    position, velocity = message.position, message.velocity or [0.0] * len(names)
+    for field, values in (("position", position), ("velocity", velocity)):
+        if len(values) != len(names):
+            raise InvalidRequest(f"{len(values)} values for {len(names)} joints", field=field)
+    told = sorted(joints, key=places.__getitem__)
+    if not all(math.isfinite(position[places[joint]]) for joint in told):
+        raise InvalidRequest("a position is not finite; the driver must tell where each joint is", field="position")
+    stamp = message.header.stamp
+    return JointState(
+        stamp=stamp.sec + stamp.nanosec * 1e-9 if stamp.sec or stamp.nanosec else time.time(),
+        joint_names=tuple(told),
+        position=tuple(position[places[joint]] for joint in told),
+        velocity=tuple(speed if math.isfinite(speed := velocity[places[joint]]) else 0.0 for joint in told),
+    )
+
+
+def _places(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:
+    """Where each of `joints` stands in `names`, and each other name."""
+    alike = {_plain(joint): joint for joint in joints}
+    places: dict[str, int] = {}
+    for place, name in enumerate(names):
+        joint = name if name in joints else alike.get(_plain(name), name)
+        if joint in places:
+            raise InvalidRequest(f"the joint {name} stands twice; name each joint once", field=f"{field}.{place}")
+        places[joint] = place
+    missing = [joint for joint in joints if joint not in places]
+    if missing:
+        raise InvalidRequest(
+            f"{', '.join(missing)} missing among {', '.join(names)}; name each of {', '.join(joints)}", field=field
+        )
+    return places
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", "")
