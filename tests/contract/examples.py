@@ -180,7 +180,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_LINKS),
     m.SceneEdited(revision=13, count=4),
     # executor
-    m.ExecuteRequest(plan_id="plan-1", preempt=True),
+    m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1"),
     m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=3),
     m.Accepted(goal_id="goal-1"),
     m.GoalState(

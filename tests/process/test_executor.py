@@ -11,20 +11,9 @@ from harness import PATIENCE, ServiceProcess, eventually
 from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import (
-    Busy,
-    InvalidRequest,
-    Unavailable,
-    ZarmError,
-)
+from zarm_contract.errors import Busy, Cancelled, InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
-from zarm_contract.messages import (
-    GoalState,
-    Speed,
-    SpeedRequest,
-    Strategies,
-    Trajectory,
-)
+from zarm_contract.messages import Accepted, ExecuteRequest, GoalState, Speed, SpeedRequest, Strategies, Trajectory
 from zarm_executor.path import Path as Motion
 from zarm_executor.reporter import FINISHED_GOALS
 from zarm_executor.service import JOINT_STATES_PERIOD
@@ -306,3 +295,23 @@ def test_an_executor_without_a_place_for_its_state_does_not_start(endpoint: str,
         assert process.process.wait(PATIENCE) == 1
         assert "--state" in process.output()
         assert "Traceback" not in process.output()
+
+
+def test_a_goal_that_was_cancelled_before_it_came_does_not_start(client: Client) -> None:
+    request = ExecuteRequest(trajectory=rest_to_rest(moved(0.3)), goal_id="late.1")
+    client.cancel("late.1")
+    with pytest.raises(Cancelled, match="before it began"):
+        client.bus.call(KEYS.execute, request, Accepted, timeout=10)
+    with pytest.raises(Cancelled, match="before it began"):
+        client.bus.call(KEYS.execute, request.model_copy(update={"preempt": True}), Accepted, timeout=10)
+    assert client.stands()
+    assert client.state().mode == "idle"
+
+
+def test_a_client_may_name_its_goal_once(client: Client) -> None:
+    there = rest_to_rest(moved(0.2))
+    request = ExecuteRequest(trajectory=there, goal_id="mine.1")
+    assert client.bus.call(KEYS.execute, request, Accepted, timeout=10).goal_id == "mine.1"
+    assert client.ended("mine.1").status == "succeeded"
+    with pytest.raises(InvalidRequest, match="a name of its own"):
+        client.bus.call(KEYS.execute, request, Accepted, timeout=10)

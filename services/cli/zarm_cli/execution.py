@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import queue
+import secrets
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -90,8 +92,15 @@ def demand_success(last: GoalState) -> None:
 def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
     instances = _executors(client)
+    goal_id = f"cli-{secrets.token_hex(8)}"
     with uninterrupted():
-        goal_id = client.bus.call(client.keys.execute, request, Accepted, timeout=_STOP_SECONDS).goal_id
+        try:
+            named = request.model_copy(update={"goal_id": goal_id})
+            client.bus.call(client.keys.execute, named, Accepted, timeout=_STOP_SECONDS)
+        except Unavailable:  # the executor may have got the request, and start yet
+            with suppress(Unavailable):
+                client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
+            raise
         goal = _Goal(client, goal_id, instances)
     columns = (
         TextColumn("{task.description}"),

@@ -7,7 +7,7 @@ import threading
 import time
 
 from zarm_contract.bus import Publisher
-from zarm_contract.errors import Busy
+from zarm_contract.errors import Busy, InvalidRequest
 from zarm_contract.messages import (
     Accepted,
     CancelRequest,
@@ -59,12 +59,19 @@ class Executor:
         with self._admission.turn(preempt=request.preempt) as turn:
             plan_id, trajectory = self._plans.chosen(request)
             path = executable(trajectory, self._robot)
-            goal_id = f"goal-{secrets.token_hex(4)}"
+            goal_id = self._named(request.goal_id)
             if request.preempt:
                 turn.preempt(goal_id)
             path = startable(path, self._machine.joint_state(), time.monotonic(), self._robot)
             turn.start(Goal(goal_id, plan_id, path, Monitor(path, self._robot.descriptor)))
         return Accepted(goal_id=goal_id)
+
+    def _named(self, goal_id: str | None) -> str:
+        if goal_id is not None and self._reporter.knows(goal_id):
+            raise InvalidRequest(
+                f"there has been a goal {goal_id} already; give each a name of its own", field="goal_id"
+            )
+        return goal_id or f"goal-{secrets.token_hex(4)}"
 
     def check_idle(self) -> None:
         """Raises Busy unless the robot rests and nothing is wrong."""

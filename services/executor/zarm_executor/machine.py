@@ -24,6 +24,8 @@ from zarm_executor.limits import Limits
 from zarm_executor.motion import Motion
 from zarm_executor.strategies.base import Measured, Strategy
 
+WITHDRAWN = 4096
+"""How many goals that were cancelled before they came are remembered."""
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
 
@@ -49,6 +51,7 @@ class Machine:
         self._missed_ticks = 0
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
+        self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
         self.changes: deque[GoalState] = deque()
         self.stops = 0
 
@@ -76,7 +79,7 @@ class Machine:
         """
         with self._lock:
             self._successor = None
-            self._demand_no_stop(stops)
+            self._demand_no_stop(goal.goal_id, stops)
             self.admit()
             motion = Motion(goal, self._strategy, self.changes)
             motion.start(self._speed_scale)
@@ -89,19 +92,24 @@ class Machine:
         `goal_id`.
         """
         with self._lock:
+            self._demand_no_stop(goal_id, stops)
             self._successor = goal_id
             self._end(None, _cancelled(f"{goal_id} was executed instead, which was to preempt this goal"))
         if not self.wait_for_rest(patience):
             raise Unavailable("the robot does not come to rest; see why (executor/state), then execute again")
-        self._demand_no_stop(stops)
+        self._demand_no_stop(goal_id, stops)
 
-    def _demand_no_stop(self, stops: int) -> None:
+    def _demand_no_stop(self, goal_id: str, stops: int) -> None:
+        if goal_id in self._withdrawn:
+            raise Cancelled(f"{goal_id} was cancelled before it began; the robot has not moved")
         if self.stops != stops:
             raise Cancelled("the robot was told to stop while this was being checked; this motion has not begun")
 
     def cancel(self, goal_id: str | None, why: str) -> None:
-        """End this goal, or whichever there is, as cancelled; nothing where it is unknown or at its end."""
+        """End this goal, or whichever there is, as cancelled. One that has not come yet will not start."""
         with self._lock:
+            if goal_id is not None and self._motion_of(goal_id) is None:
+                self._withdrawn.append(goal_id)
             self.stops += goal_id in (None, self._successor)
             self._end(goal_id, _cancelled(why))
 

@@ -64,6 +64,11 @@ class Reporter:
             with self._lock:
                 self._publish_goal(left.model_copy(update={"status": "aborted", "problem": problem}))
 
+    def knows(self, goal_id: str) -> bool:
+        """Whether this is one of the last goals that have ended."""
+        with self._lock:
+            return goal_id in self._finished
+
     def report(self, goal: GoalState) -> None:
         """Publish the end of a goal that has not begun, whatever runs."""
         with self._lock:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import secrets
 import threading
 import time
 from contextlib import suppress
@@ -194,13 +195,13 @@ class Execution:
         return run.plan(request, timeout + ANSWER_SECONDS)
 
     def _start(self, request: ExecuteRequest) -> str:
-        asked = time.monotonic()
+        goal_id = f"ros-{secrets.token_hex(8)}"
+        request = request.model_copy(update={"goal_id": goal_id})
         try:
             return self._engine.ask(self._engine.keys.execute, Accepted, request).goal_id
-        except Unavailable:
-            if time.monotonic() - asked >= ANSWER_SECONDS:  # it may have got the request, and start yet
-                with suppress(ZarmError):
-                    self._goals.cancel(None)
+        except Unavailable:  # it may have got the request, and start yet
+            with suppress(ZarmError):
+                self._goals.cancel(goal_id)
             raise
 
 

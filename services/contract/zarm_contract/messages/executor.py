@@ -22,12 +22,16 @@ class ExecuteRequest(Message):
     With `trajectory`, `scene_revision` may state the scene it was verified in; a scene that has changed since is refused.
     A goal that is not at its end makes this one `busy`, unless `preempt`: then that goal is cancelled, and this one starts as
     soon as the robot rests, checked against where it rests.
+
+    `goal_id` names the goal; left out, the executor does. A client that has waited in vain for the answer cancels its goal
+    by that name: whichever of the two is read first, the goal does not start any more.
     """
 
     plan_id: Name | None = None
     trajectory: Trajectory | None = None
     scene_revision: Annotated[int, Field(ge=0)] | None = None
     preempt: bool = False
+    goal_id: Name | None = None
 
     @field_validator("trajectory")
     @classmethod
@@ -73,7 +77,10 @@ class GoalState(Message):
 
 
 class CancelRequest(ShortMessage):
-    """Cancel one goal, or (empty request) the one that runs. Unknown and finished goals are no error."""
+    """Cancel one goal, or (empty request) the one that runs. Unknown and finished goals are no error.
+
+    A goal that is not known yet is not started when it comes.
+    """
 
     goal_id: Name | None = None
 
