@@ -45,7 +45,9 @@ class Sent:
     def under_way(self) -> None:
         """Wait until the robot is in the middle of the motion."""
         assert self.accepted
-        eventually(lambda: any(0.1 < told.step_progression < 0.9 for told in self.feedback), "the robot moves")
+        moving = lambda: any(0.1 < told.step_progression < 0.9 for told in self.feedback)  # noqa: E731
+        eventually(lambda: moving() or (self.feedback and self.feedback[-1].state == "aborted"), "the robot moves")
+        assert moving(), self.ended()[1].message
 
     def ended(self) -> tuple[int, Any]:
         """The status at the end, and the result."""

@@ -60,6 +60,8 @@ class Lab:
             return self.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy=strategy).success
 
         eventually(switched, f"{strategy} is active")
+        seen = len(self.client.measured)
+        eventually(lambda: len(self.client.measured) > seen + 20, "the robot is measured under it")
 
     def under_way(self) -> Sent:
         self.robot.plan(speed=0.15)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path as Folder
 
 import numpy as np
@@ -119,3 +120,12 @@ def test_losing_the_folder_in_motion_costs_a_warning_and_not_the_motion(
         np.testing.assert_allclose(position(emulator), moved(1.0), atol=1e-9)
     finally:
         emulator.close()
+
+
+def test_two_that_save_at_once_take_nothing_from_each_other(tmp_path: Folder) -> None:
+    file = saved_in(tmp_path)
+    message = JointState(stamp=1.0, joint_names=("a",), position=(1.0,), velocity=(0.0,))
+    with ThreadPoolExecutor(8) as pool:
+        for saved in [pool.submit(file.save, message) for _ in range(400)]:
+            saved.result()
+    assert file.load() == message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -25,6 +26,7 @@ class StateFile(Generic[M]):
     def __init__(self, path: Path, model: type[M]) -> None:
         self._path = path
         self._model = model
+        self._saving = threading.Lock()  # two at once would take each other's draft away
 
     def load(self) -> M | None:
         """The message, or None where there is none or what is there cannot be read (then a warning is logged)."""
@@ -39,17 +41,18 @@ class StateFile(Generic[M]):
     def save(self, message: M) -> None:
         """Replace the message. Raises Unavailable where the file cannot be written; then the old one is there as before."""
         draft = self._path.with_suffix(".new")
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            draft.write_bytes(encode(message))
-            draft.replace(self._path)
-        except OSError as error:
-            with suppress(OSError):
-                draft.unlink(missing_ok=True)
-            raise Unavailable(
-                f"cannot write {self._path}: {error.strerror or error}; make room or make the folder writable, or name another "
-                "with --state or ZARM_STATE"
-            ) from error
+        with self._saving:
+            try:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                draft.write_bytes(encode(message))
+                draft.replace(self._path)
+            except OSError as error:
+                with suppress(OSError):
+                    draft.unlink(missing_ok=True)
+                raise Unavailable(
+                    f"cannot write {self._path}: {error.strerror or error}; make room or make the folder writable, or name "
+                    "another with --state or ZARM_STATE"
+                ) from error
 
     def clear(self) -> None:
         """Remove the message; where that fails a warning is logged."""
