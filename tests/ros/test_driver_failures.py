@@ -25,7 +25,7 @@ M1013 = load_robot("doosan_m1013").descriptor
 JOINTS = list(M1013.joints)
 NONSENSE = {
     "name: joint_6 missing among": JointState(name=[*JOINTS[:-1], "wrist"], position=list(HOME)),
-    "name: joint_1, joint_2, joint_3, joint_4, joint_5, joint_6 missing": JointState(
+    "name.1: the joint  stands twice": JointState(
         name=[""] * 6, position=list(HOME)
     ),
     "position: a position is not finite": JointState(name=JOINTS, position=[*HOME[:-1], math.nan]),
