@@ -1,8 +1,9 @@
 """The executor with a stop-watch, for benchmarks: `python timed_executor.py --notes FILE [--ordinary] ...` and its own options.
 
 When it ends it writes FILE (npz): `ticks` (N, 3) with each tick's deadline, the time at which it began, and the CPU time
-that it took; `commands` (M, 2) with the sequence number of each driver command and the time before it was published. Times
-in s on the monotonic clock, which all processes of one machine share. `--ordinary` leaves the priority of the control loop
+that it took; `commands` (M, 2) with the sequence number of each driver command and the time before it was published; `states`
+(K,) with how long (s) each joint state was on its way from the driver's stamp until it was received. Times in s on the
+monotonic clock, which all processes of one machine share. `--ordinary` leaves the priority of the control loop
 as it is.
 """
 
@@ -20,10 +21,12 @@ import zarm_executor.service
 from zarm_contract.messages import DriverCommand
 from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import run_service, service_parser
+from zarm_executor.strategies.base import Measured
 from zarm_executor.strategies.driver_link import DriverLink
 
 ticks = array("d")
 commands = array("d")
+states = array("d")
 
 
 class TimedControl(zarm_executor.service.Control):
@@ -45,6 +48,18 @@ def timed(put):  # type: ignore[no-untyped-def]
     return noted
 
 
+def noted(measured):  # type: ignore[no-untyped-def]
+    """Notes how old each joint state was when it was received."""
+
+    def note(link: DriverLink) -> Measured | None:
+        before, state = link._measured, measured(link)
+        if state is not None and state is not before:
+            states.append(time.time() - (time.monotonic() - state.time) - state.stamp)
+        return state
+
+    return note
+
+
 def main() -> int:
     parser = service_parser("executor")
     parser.add_argument("--strategy")
@@ -53,12 +68,14 @@ def main() -> int:
     options = parser.parse_args()
     zarm_executor.service.Control = TimedControl  # type: ignore[misc]
     DriverLink._put = timed(DriverLink._put)  # type: ignore[method-assign]
+    DriverLink.measured = noted(DriverLink.measured)  # type: ignore[method-assign]
     if options.ordinary:
         zarm_executor.loop.ask_for_realtime = lambda _: True
     else:
         ask_for_realtime(PROCESS_PRIORITY)
     code = run_service("executor", parser, zarm_executor.service.start)
-    np.savez(options.notes, ticks=np.array(ticks).reshape(-1, 3), commands=np.array(commands).reshape(-1, 2))
+    sent = np.array(commands).reshape(-1, 2)
+    np.savez(options.notes, ticks=np.array(ticks).reshape(-1, 3), commands=sent, states=np.array(states))
     return code
 
 

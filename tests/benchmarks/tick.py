@@ -45,7 +45,6 @@ from zarm_contract.messages import (
     DriverCommand,
     ExecuteRequest,
     ExecutorState,
-    JointState,
     Nothing,
     Plan,
     PlanRequest,
@@ -92,11 +91,9 @@ CASES = (
 
 @dataclass
 class Heard:
-    """What another process hears: raw payloads, and of commands when they came, on the monotonic clock."""
+    """What another process hears: commands as raw payloads, and when they came, on the monotonic clock."""
 
     commands: list[tuple[float, bytes]] = field(default_factory=list)
-    told: list[bytes] = field(default_factory=list)
-    measured: list[bytes] = field(default_factory=list)
 
 
 @dataclass
@@ -175,7 +172,7 @@ def measure(case: Case, seconds: float, bus: Bus, endpoint: str, folder: Path, p
         planner_cpu=(planned_after - planned_before) / (ended - began),
         plans=sum(began <= at < ended for at in plans) / (ended - began),
         command_latency=command_latency(written["commands"], heard, began, ended),
-        state_latency=state_latency(heard),
+        state_latency=written["states"],
     )
 
 
@@ -208,26 +205,6 @@ def command_latency(sent: Array, heard: Heard, began: float, ended: float) -> Ar
     return np.array([at - left[sequence] for sequence, at in came if sequence in left])
 
 
-def state_latency(heard: Heard) -> Array:
-    """From the driver's stamp until the executor had it, which is the stamp under which it publishes the same joints.
-
-    Joints that do not move cannot be told apart: of those the first alone counts.
-    """
-    told: dict[tuple[float, ...], float] = {}
-    latencies: dict[tuple[float, ...], float] = {}
-    for state in (decode(JointState, payload) for payload in heard.told):
-        told.setdefault(joints(state), state.stamp)
-    for state in (decode(JointState, payload) for payload in heard.measured):
-        if joints(state) in told:
-            latencies.setdefault(joints(state), state.stamp - told[joints(state)])
-    return np.array(list(latencies.values())[1:])
-
-
-def joints(state: JointState) -> tuple[float, ...]:
-    """The positions in the order of the joints' names."""
-    return tuple(position for _, position in sorted(zip(state.joint_names, state.position, strict=True)))
-
-
 def timed_executor(case: Case, endpoint: str, state: Path, notes: Path) -> ServiceProcess:
     """The executor of a case, with a stop-watch."""
     robot = str(descriptor_at(case.rate, state / "robot"))
@@ -238,7 +215,7 @@ def timed_executor(case: Case, endpoint: str, state: Path, notes: Path) -> Servi
 
 @contextmanager
 def listening(endpoint: str, realtime: bool) -> Iterator[Callable[[], Heard]]:
-    """A process that hears what the driver hears and tells, and what the executor measures; yields how to ask it for that."""
+    """A process that hears what the driver hears; yields how to ask it for that."""
     here, there = multiprocessing.Pipe()
     with beside(listen, endpoint, there, realtime):
         here.recv()
@@ -258,12 +235,9 @@ def listen(endpoint: str, pipe: Connection, realtime: bool) -> None:
         ask_for_realtime(PROCESS_PRIORITY)
     heard = Heard()
     with open_client(endpoint) as session:
-        for key, note in (
-            (KEYS.driver_command, lambda payload: heard.commands.append((time.monotonic(), payload))),
-            (KEYS.driver_joint_states, heard.told.append),
-            (KEYS.joint_states, heard.measured.append),
-        ):
-            session.declare_subscriber(key, lambda sample, note=note: note(sample.payload.to_bytes()))
+        session.declare_subscriber(
+            KEYS.driver_command, lambda sample: heard.commands.append((time.monotonic(), sample.payload.to_bytes()))
+        )
         pipe.send("ready")
         pipe.recv()
     pipe.send(heard)
