@@ -23,10 +23,11 @@ from sensor_msgs.msg import JointState as RosJointState
 from curobo_msgs.srv import SetPlanner, TrajectoryGeneration
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import eventually
+from harness import PATIENCE, eventually
 from motions import HOME, ROBOT, moved
 from ros_client import RosClient
 from ros_domain import isolate
+from ros_node import answer
 from ros_stack import KEYS, stack
 
 from zarm_contract import messages as m
@@ -38,6 +39,8 @@ GOALS = [moved(0.6, 0.2), moved(-0.5, 0.3, -0.2), moved(0.2, -0.3, 0.4, 0.5), mo
 def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float]]:
     """Seconds of the same plans over Zenoh and over ROS, in turn."""
     ros.call(SetPlanner, "set_planner", planner_type=SetPlanner.Request.JOINT_SPACE)
+    client = ros.node.create_client(TrajectoryGeneration, "/unified_planner/generate_trajectory")
+    client.wait_for_service(PATIENCE)
     start = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist())
     over_zenoh, over_ros = [], []
     for index in range(count):
@@ -47,15 +50,17 @@ def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float
             start=tuple(HOME.tolist()),
             max_attempts=1,
             timeout=5.0,
+            margin=0.025,
         )
+        asked = TrajectoryGeneration.Request(start_pose=start, target_joint_positions=goal)
         began = time.perf_counter()
         bus.call(KEYS.plan, request, m.Plan, timeout=30)
         between = time.perf_counter()
-        answer = ros.call(TrajectoryGeneration, "generate_trajectory", start_pose=start, target_joint_positions=goal)
+        answered = answer(client.call_async(asked), "the bridge plans")
         over_ros.append(time.perf_counter() - between)
         over_zenoh.append(between - began)
-        if not answer.success:
-            raise SystemExit(answer.message)
+        if not answered.success:
+            raise SystemExit(answered.message)
     return over_zenoh, over_ros
 
 
