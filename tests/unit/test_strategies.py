@@ -163,8 +163,8 @@ def test_a_switch_in_motion_brings_the_robot_to_rest_first(bench: DriverBench) -
 
 
 def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_path: Folder) -> None:
-    for case in MOVING[1:]:
-        bench = DriverBench(case, tmp_path)
+    for number, case in enumerate(MOVING[1:]):
+        bench = DriverBench(case, tmp_path / str(number))
         bench.switch("emulator")
         bench.joint_states.newest = None
         bench.silent = True
