@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from zarm_ros_bridge.driver_progress import ProgressReader
@@ -43,10 +43,13 @@ def test_a_driver_that_counts_anew_with_each_command_is_never_said_to_be_further
             assert progress.sequence == sequence
             assert progress.fraction * points < played + 0.1
         if count == points:
-            assert progress.fraction > 1.0 - 1e-6
+            assert progress.fraction > 1.0 - 1e-4  # single precision, of the whole count
 
 
 @given(COMMANDS)
+@example([(227, 0.30078125), (50, 1.0)])
+@example([(42, 0.75), (1, 0.0)])
+@example([(100, 0.3), (50, 1.0)])
 def test_a_driver_that_counts_on_over_commands_that_replace_one_another_is_never_said_to_be_further_than_it_is(
     commands: list[tuple[int, float]],
 ) -> None:
@@ -63,5 +66,5 @@ def test_a_driver_that_counts_on_over_commands_that_replace_one_another_is_never
             assert progress.sequence == sequence
             assert progress.fraction * points < played + 0.1
         if count == points:
-            assert progress.fraction > 1.0 - 1e-6
+            assert progress.fraction > 1.0 - 1e-4  # single precision, of the whole count
             counter = total = 0

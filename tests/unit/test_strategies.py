@@ -23,9 +23,14 @@ def rate() -> float:
     return 100.0
 
 
+@pytest.fixture
+def phase() -> float:
+    return 0.003
+
+
 @pytest.fixture(params=MOVING, ids=str)
-def bench(request: pytest.FixtureRequest, rate: float, tmp_path: Folder) -> DriverBench:
-    return DriverBench(request.param, tmp_path, rate)
+def bench(request: pytest.FixtureRequest, rate: float, phase: float, tmp_path: Folder) -> DriverBench:
+    return DriverBench(request.param, tmp_path, rate, phase)
 
 
 @at_every_rate
@@ -41,6 +46,7 @@ def test_it_reaches_the_goal_inside_the_limits(bench: DriverBench) -> None:
 
 
 @at_every_rate
+@pytest.mark.parametrize("phase", [0.0, 0.009])
 @pytest.mark.parametrize("after", [0.05, 0.7, 1.5, 2.3])
 def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(bench: DriverBench, after: float) -> None:
     path = bench.execute()
@@ -124,6 +130,20 @@ def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> Non
     bench.machine.resume()
     bench.until("idle")
     assert bench.statuses()[-1] == "succeeded"
+
+
+def test_a_goal_cancelled_as_soon_as_it_goes_on_again_ends_at_rest_without_a_fault(bench: DriverBench) -> None:
+    bench.execute()
+    bench.run(0.7)
+    bench.machine.pause()
+    bench.until("paused", patience=4.0)
+    bench.run(3.0)
+    bench.machine.resume()
+    bench.run(0.05)
+    bench.machine.cancel(None, "enough")
+    bench.until("idle", patience=4.0)
+    assert bench.last().status == "cancelled"
+    assert bench.rests()
 
 
 def test_a_goal_cancelled_before_its_first_tick_does_not_move(bench: DriverBench) -> None:
@@ -274,7 +294,7 @@ def test_a_stream_is_held_slowed_and_switched_away_from_like_any_goal(case: Case
     bench = DriverBench(case, tmp_path)
     bench.stream(1.0)
     bench.machine.set_speed(0.3)
-    bench.run(0.05)
+    bench.run(0.03)
     bench.machine.pause()
     bench.until("paused", patience=2.0)
     bench.run(1.0)

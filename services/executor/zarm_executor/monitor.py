@@ -39,7 +39,7 @@ class Monitor:
 
     def go_on(self) -> None:
         """The motion goes on after a stop."""
-        self._stopping_since = None
+        self._stopping_since = self._rest_since = None
 
     def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> None:
         """Raises ExecutionFailed where the robot does not follow: `tolerance_violated` or `driver_stalled`.

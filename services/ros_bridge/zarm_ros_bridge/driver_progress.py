@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from zarm_contract.messages import DriverProgress
 
-_WHOLE = 0.01
-"""A number of points is whole within this: progress comes in single precision."""
+_WHOLE = 1e-3
+"""A number of points is whole within this: progress comes in single precision, and shares of 1,000 points differ by as much."""
 
 
 class ProgressReader:
@@ -21,6 +21,7 @@ class ProgressReader:
         self._points = 0
         self._told = 0.0
         self._base = 0  # what a driver that counts on divides by; 0 where this one does not, or stood
+        self._counts_on = False  # whether that has shown since it stood
         self._before = 0.0  # points that such a one had counted when the last command came
 
     def sent(self, sequence: int, points: int) -> None:
@@ -31,18 +32,18 @@ class ProgressReader:
         self._base = base if 0.5 < self._before < end - 0.5 else 0
         self._sequence, self._points = sequence, points
         if not self._base:
-            self._told = 0.0
+            self._told, self._counts_on = 0.0, False
 
     def read(self, told: float) -> DriverProgress | None:
         """How far the driver is with the last command; None where that was to stop, or nothing was sent."""
         if self._base and (told <= self._told or abs(told * self._base - round(told * self._base)) > _WHOLE):
-            self._base = 0  # it counts anew
+            self._base, self._counts_on = 0, False  # it counts anew
         self._told = told
         if not self._points:
             return None
         played = told * self._points
         if self._base:
             on = told * self._base - self._before
-            anew = abs(played - round(played)) <= _WHOLE and played <= self._points
-            played = min(on, played) if anew else on
+            self._counts_on = self._counts_on or abs(played - round(played)) > _WHOLE or played > self._points
+            played = on if self._counts_on else min(on, played)
         return DriverProgress(sequence=self._sequence, fraction=min(max(played / self._points, 0.0), 1.0))

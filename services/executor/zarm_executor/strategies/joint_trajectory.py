@@ -15,6 +15,10 @@ _WINDOW = 0.5
 """How far (s of the command) around where it was last the robot is looked for on its path."""
 _OVERRUN = 0.3
 """How far (s of the path) before and behind the braking that was commanded the robot may have come to rest."""
+_UNTOLD = 2.0
+"""So many points earlier begins the braking of a driver that does not say which point it plays. What is assumed of it is wrong by
+two points at most, and a robot that speeds up may go back by two at once inside its limits: from v to v - a dt. Forward, v + 2 a dt,
+it may not."""
 _PACE_PERIOD = 0.1
 """The rest of a trajectory is sent with another path speed this long (s) after the last one at the earliest."""
 _ON_TIME = 0.1
@@ -113,11 +117,15 @@ class JointTrajectory(DriverStrategy):
         return Progress(time, speed, position, finished=time >= path.duration)
 
     def _brake(self, command: Stretch, now: float) -> None:
-        """Brake from where the robot will be when the driver learns of it, one point ahead."""
+        """Brake from where the driver will be when it learns of it."""
         self._stopping = False
         self._braking = True
-        ahead = 0.0 if self._unsent else 1.0 + self._unheard(now) / command.dt
-        time, speed, _ = command.at(min(self._index + ahead, command.last))
+        index = self._index
+        if not self._unsent:
+            index = self._playing(command) + self._unheard(now) / command.dt
+            if self.link.params.state_topic is None:
+                index -= _UNTOLD
+        time, speed, _ = command.at(min(index, command.last))
         if self._path is not None:
             self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
 

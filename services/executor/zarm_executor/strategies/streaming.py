@@ -46,6 +46,7 @@ class Streaming(DriverStrategy, Steerable):
         self._reference = Reference(self._memory)
         self._expected: Commanded | None = None
         self._sent_at: float | None = None
+        self._wanted = 0.0
         self._urgent = False
         self._over = True
         self._away: tuple[float, float] | None = None
@@ -71,6 +72,7 @@ class Streaming(DriverStrategy, Steerable):
         self._reference = Reference(self._memory)
         self._expected = Commanded(0.0, 0.0, 0.0, path.start)
         self._sent_at, self._over, self._away = None, False, None
+        self._wanted = speed
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""
@@ -82,9 +84,8 @@ class Streaming(DriverStrategy, Steerable):
         self._over = self._follower is None
 
     def _aim(self, speed: float) -> None:
-        if self._follower is not None and self._follower.target != speed:
-            self._follower.target = speed
-            self._urgent = True
+        if self._follower is not None and self._wanted != speed:
+            self._wanted, self._urgent = speed, True
 
     def commanded(self) -> float:
         """How far the path is commanded, s; the robot is `delay` behind."""
@@ -102,7 +103,7 @@ class Streaming(DriverStrategy, Steerable):
         if follower is None:
             return
         if self._over:
-            if follower.target == 0.0:
+            if self._wanted == 0.0:
                 self.hold(now)
             return
         if self._sent_at is not None:
@@ -116,14 +117,16 @@ class Streaming(DriverStrategy, Steerable):
                 follower = self._picked_up(follower, now, pause)
             else:
                 follower.advance(dt)
-            if follower.target == 0.0 and not follower.settled and self.link.standing():
+            if self._wanted == 0.0 and not follower.settled and self.link.standing():
                 follower = self._halted(follower)
         self._reference.note(now, follower)
         self._expected = self._reference.at(now - self._delay)
         begin = self._begin(now)
         if begin is not None:
             played = 0 if self._sent_at is None else round((begin - self._sent_at) / self._dt)
-            rests = self._send(self._ahead(follower, begin - now), now, played)
+            ahead = self._ahead(follower, begin - now)
+            follower.target = self._wanted
+            rests = self._send(ahead, now, played)
             self._sent_at, self._urgent = begin, False
             self.sent(now)
             self._over = rests and follower.settled and self._caught_up() and self._may_end()
@@ -154,7 +157,7 @@ class Streaming(DriverStrategy, Steerable):
         slope = path.at(time)[1]
         length = float(slope @ slope)
         speed = min(max(float(slope @ self.link.velocity()) / length, 0.0), 1.0) if length > _SLOPE else 0.0
-        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=follower.target)
+        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=self._wanted)
         self._reference = Reference(self._memory)
         self._reference.note(now - self._delay, follower)
         for _ in range(round(self._delay / TICK)):
@@ -187,9 +190,10 @@ class Streaming(DriverStrategy, Steerable):
         return now if urgent else None
 
     def _ahead(self, follower: Follower, seconds: float) -> Stretch:
-        """The points of a chunk that begins in so many seconds."""
+        """The points of a chunk that begins in so many seconds; until then the driver plays what it has."""
         scout = copy.copy(follower)
         scout.advance(seconds)
+        scout.target = self._wanted
         return scout.ahead(self._dt, self._count)
 
     def _caught_up(self) -> bool:
@@ -200,4 +204,4 @@ class Streaming(DriverStrategy, Steerable):
         )
 
     def _may_end(self) -> bool:
-        return self._follower is not None and (self._follower.target == 0.0 or self._arrived())
+        return self._wanted == 0.0 or self._arrived()
