@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import zenoh
 
@@ -21,7 +23,7 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0) -> zenoh
 
     Once open it reconnects by itself when the router comes back.
     """
-    config = _config("client", connect=endpoint, timeout=timeout)
+    config = _config(_client_settings(endpoint, timeout))
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -30,44 +32,99 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0) -> zenoh
         ) from error
 
 
-def open_router(endpoint: str, connect: str | None = None) -> zenoh.Session:
-    """A router in this process that listens at `endpoint` and, if given, links to the router at `connect`.
+def open_router(endpoint: str) -> zenoh.Session:
+    """A router in this process that listens at `endpoint`. Raises what `router_config` and `run_router` raise."""
+    return run_router(router_config(endpoint))
 
-    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them. Raises
-    Unavailable where the endpoint is taken.
+
+def router_config(listen: str | None = None, links: Sequence[str] = (), *, config: Path | None = None) -> zenoh.Config:
+    """A router that listens at `listen`, linked to the routers at the endpoints `links`, each link tried for ever.
+
+    `config` is a file in Zenoh's own format whose settings are taken instead of zarm's; `listen` and `links`, where given,
+    take the place of what it says of them. Where nobody says where to listen, it is the default endpoint. Raises
+    InvalidRequest for a file or an endpoint that cannot be used.
     """
-    config = _config("router", listen=endpoint, connect=connect)
+    settings = _config(_ROUTER) if config is None else _read(config)
+    changes: dict[str, object] = {"mode": "router"}
+    unsaid = settings.get_json("listen/endpoints") == zenoh.Config().get_json("listen/endpoints")
+    if listen is not None or unsaid:  # Zenoh itself would listen everywhere
+        changes["listen/endpoints"] = [_checked(listen or DEFAULT_ENDPOINT)]
+    if links:
+        changes["connect/endpoints"] = [_checked(link) for link in links]
+    _set(settings, changes)
+    return settings
+
+
+def run_router(config: zenoh.Config) -> zenoh.Session:
+    """A router in this process, of a configuration that `router_config` made. Raises Unavailable where it cannot listen.
+
+    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them.
+    """
     try:
         with realtime_offspring(PROCESS_PRIORITY):
             return zenoh.open(config)
     except zenoh.ZError as error:
         raise Unavailable(
-            f"cannot listen at {endpoint}: the port is taken or not allowed; use --listen with another, or --connect to "
-            "join the router that is there"
+            f"cannot listen at {' and '.join(listens_at(config))}: the port is taken or not allowed; use --listen with "
+            "another, or --connect to join the router that is there"
         ) from error
 
 
-def _config(
-    mode: str, *, listen: str | None = None, connect: str | None = None, timeout: float | None = None
-) -> zenoh.Config:
-    for endpoint in (listen, connect):
-        if endpoint is not None and not _ENDPOINT.fullmatch(endpoint):
-            raise InvalidRequest(f"{endpoint!r} is no endpoint; write it like {DEFAULT_ENDPOINT}")
-    settings: dict[str, object] = {
-        "mode": mode,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        # A killed process would leave its shared memory, 16 MB, behind, and a full /dev/shm ends those who live on.
-        "transport/shared_memory/enabled": False,
-        "scouting/delay": 0,  # a router would wait half a second for whom it does not look for
-        "listen/endpoints": [listen] if listen else [],
-        "connect/endpoints": [connect] if connect else [],
+def listens_at(config: zenoh.Config) -> list[str]:
+    """The endpoints at which a router of this configuration listens."""
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    found: list[str] = endpoints["router"] if isinstance(endpoints, dict) else endpoints
+    return found
+
+
+_ALONE: dict[str, object] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # A killed process would leave its shared memory, 16 MB, behind, and a full /dev/shm ends those who live on.
+    "transport/shared_memory/enabled": False,
+    "scouting/delay": 0,  # a router would wait half a second for whom it does not look for
+    # Zenoh's own, from 1 s to 4 s, leaves a robot without its driver for long after a cable is back.
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+}
+
+
+_ROUTER = _ALONE | {"connect/timeout_ms": -1, "connect/exit_on_failure": False}
+"""What deploy/router.json5 says as well."""
+
+
+def _client_settings(endpoint: str, timeout: float) -> dict[str, object]:
+    return _ALONE | {
+        "mode": "client",
+        "listen/endpoints": [],
+        "connect/endpoints": [_checked(endpoint)],
+        "connect/timeout_ms": int(timeout * 1000),
+        "connect/exit_on_failure": True,
     }
-    if timeout is not None:
-        settings |= {"connect/timeout_ms": int(timeout * 1000), "connect/exit_on_failure": True}
-        # Zenoh's own, from 1 s to 4 s, leaves a robot without its driver for long after a cable is back.
-        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+
+
+def _checked(endpoint: str) -> str:
+    if not _ENDPOINT.fullmatch(endpoint):
+        raise InvalidRequest(f"{endpoint!r} is no endpoint; write it like {DEFAULT_ENDPOINT}")
+    return endpoint
+
+
+def _read(file: Path) -> zenoh.Config:
+    try:
+        return zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        reason = str(error).rpartition(" at /")[0]  # less the place in Zenoh's source
+        raise InvalidRequest(
+            f"{file} is no configuration of Zenoh that can be read ({reason}); deploy/router.json5 is one",
+            field="--config",
+        ) from error
+
+
+def _config(settings: Mapping[str, object]) -> zenoh.Config:
     config = zenoh.Config()
+    _set(config, settings)
+    return config
+
+
+def _set(config: zenoh.Config, settings: Mapping[str, object]) -> None:
     for path, value in settings.items():
         config.insert_json5(path, json.dumps(value))
-    return config
