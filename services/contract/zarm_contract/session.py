@@ -9,27 +9,49 @@ from pathlib import Path
 
 import zenoh
 
+from zarm_contract.access import Role, access_control
+from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.realtime import PROCESS_PRIORITY, realtime_offspring
+from zarm_contract.security import Certificates, client_role, security_on
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
 
 _ENDPOINT = re.compile(r"(?:(?:tcp|tls|quic|ws|udp)/\S+:\d+|unixsock-stream/\S+?)(?:[?#]\S*)?")
+_LOCAL = re.compile(r"\w+/(?:127\.|localhost:|\[::1\])|unixsock-stream/")
 
 
-def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0) -> zenoh.Session:
-    """A session that is a client of the router at `endpoint`; waits `timeout` s for it. Raises Unavailable.
+def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Role | None = None) -> zenoh.Session:
+    """A session that is a client of the router at `endpoint`; waits `timeout` s for it.
 
-    Once open it reconnects by itself when the router comes back.
+    `role` is what it is where ZARM_SECURITY is on (default: what ZARM_ROLE says). Once open it reconnects by itself when the
+    router comes back. Raises InvalidRequest for an endpoint or certificates that cannot be used, and Unavailable.
     """
-    config = _config(_client_settings(endpoint, timeout))
+    certificates = Certificates(role or client_role()) if security_on() else None
+    place = spoken(endpoint)
     try:
-        return zenoh.open(config)
+        return zenoh.open(_config(_client_settings(place, timeout) | (certificates.settings() if certificates else {})))
     except zenoh.ZError as error:
+        if certificates and (reason := certificates.why_not(*_address(place))):
+            raise Unavailable(f"no session with {place}: {reason}") from error
         raise Unavailable(
-            f"no Zenoh router answers at {endpoint}; start one with `zarm up`, or name another with --connect or ZARM_CONNECT"
+            f"no Zenoh router answers at {place}; start one with `zarm up`, or name another with --connect or ZARM_CONNECT"
         ) from error
+
+
+def spoken(endpoint: str) -> str:
+    """An endpoint as it is used: with ZARM_SECURITY on, `tcp/...` is `tls/...`. Raises InvalidRequest for what is none."""
+    if not _ENDPOINT.fullmatch(endpoint):
+        raise InvalidRequest(f"{endpoint!r} is no endpoint; write it like {DEFAULT_ENDPOINT}")
+    protocol, _, address = endpoint.partition("/")
+    if not security_on():
+        if protocol in ("tls", "quic"):
+            raise InvalidRequest(f"{endpoint} needs certificates; set ZARM_SECURITY=on and ZARM_CERTS")
+        return endpoint
+    if protocol not in ("tcp", "tls"):
+        raise InvalidRequest(f"with ZARM_SECURITY=on an endpoint begins with tls/, and {endpoint} does not")
+    return f"tls/{address}"
 
 
 def open_router(endpoint: str) -> zenoh.Session:
@@ -41,17 +63,22 @@ def router_config(listen: str | None = None, links: Sequence[str] = (), *, confi
     """A router that listens at `listen`, linked to the routers at the endpoints `links`, each link tried for ever.
 
     `config` is a file in Zenoh's own format whose settings are taken instead of zarm's; `listen` and `links`, where given,
-    take the place of what it says of them. Where nobody says where to listen, it is the default endpoint. Raises
-    InvalidRequest for a file or an endpoint that cannot be used.
+    take the place of what it says of them. Where nobody says where to listen, it is the default endpoint. With ZARM_SECURITY
+    on, certificates and access control are added whatever the file says. Raises InvalidRequest for a file, an endpoint or
+    certificates that cannot be used.
     """
     settings = _config(_ROUTER) if config is None else _read(config)
     changes: dict[str, object] = {"mode": "router"}
     unsaid = settings.get_json("listen/endpoints") == zenoh.Config().get_json("listen/endpoints")
     if listen is not None or unsaid:  # Zenoh itself would listen everywhere
-        changes["listen/endpoints"] = [_checked(listen or DEFAULT_ENDPOINT)]
+        changes["listen/endpoints"] = [spoken(listen or DEFAULT_ENDPOINT)]
     if links:
-        changes["connect/endpoints"] = [_checked(link) for link in links]
+        changes["connect/endpoints"] = [spoken(link) for link in links]
     _set(settings, changes)
+    if security_on():
+        said = {name: [spoken(one) for one in _endpoints(settings, name)] for name in ("listen", "connect")}
+        _set(settings, {f"{name}/endpoints": endpoints for name, endpoints in said.items()})
+        _set(settings, Certificates("router").settings() | {"access_control": access_control()})
     return settings
 
 
@@ -72,9 +99,14 @@ def run_router(config: zenoh.Config) -> zenoh.Session:
 
 def listens_at(config: zenoh.Config) -> list[str]:
     """The endpoints at which a router of this configuration listens."""
-    endpoints = json.loads(config.get_json("listen/endpoints"))
-    found: list[str] = endpoints["router"] if isinstance(endpoints, dict) else endpoints
-    return found
+    return _endpoints(config, "listen")
+
+
+def open_to_all(config: zenoh.Config) -> list[str]:
+    """The endpoints through which whoever reaches them from another machine may do everything."""
+    if json.loads(config.get_json("access_control/enabled")):
+        return []
+    return [endpoint for endpoint in listens_at(config) if not _LOCAL.match(endpoint)]
 
 
 _ALONE: dict[str, object] = {
@@ -88,7 +120,21 @@ _ALONE: dict[str, object] = {
 }
 
 
-_ROUTER = _ALONE | {"connect/timeout_ms": -1, "connect/exit_on_failure": False}
+_ROUTER = _ALONE | {
+    "connect/timeout_ms": -1,
+    "connect/exit_on_failure": False,
+    # No message of zarm's is longer, so nothing longer is passed on to a service or held in memory for long.
+    "low_pass_filter": [
+        {
+            "id": "no message of zarm is longer",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "query", "reply"],
+            "key_exprs": ["**"],
+            "size_limit": MAX_BYTES,
+        }
+    ],
+    "transport/link/rx/max_message_size": 2 * MAX_BYTES,
+}
 """What deploy/router.json5 says as well."""
 
 
@@ -96,16 +142,21 @@ def _client_settings(endpoint: str, timeout: float) -> dict[str, object]:
     return _ALONE | {
         "mode": "client",
         "listen/endpoints": [],
-        "connect/endpoints": [_checked(endpoint)],
+        "connect/endpoints": [endpoint],
         "connect/timeout_ms": int(timeout * 1000),
         "connect/exit_on_failure": True,
     }
 
 
-def _checked(endpoint: str) -> str:
-    if not _ENDPOINT.fullmatch(endpoint):
-        raise InvalidRequest(f"{endpoint!r} is no endpoint; write it like {DEFAULT_ENDPOINT}")
-    return endpoint
+def _endpoints(config: zenoh.Config, name: str) -> list[str]:
+    said = json.loads(config.get_json(f"{name}/endpoints"))
+    found: list[str] = said.get("router", []) if isinstance(said, dict) else said
+    return found
+
+
+def _address(endpoint: str) -> tuple[str, int]:
+    host, _, port = re.split(r"[?#]", endpoint.partition("/")[2])[0].rpartition(":")
+    return host.strip("[]"), int(port)
 
 
 def _read(file: Path) -> zenoh.Config:
