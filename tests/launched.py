@@ -169,6 +169,24 @@ class Up(Command):
         super().__exit__()
 
 
+class Router(Command):
+    """`zarm router`, listening on entry; leaving ends it with SIGTERM and holds that it ends well."""
+
+    def __init__(self, folder: Path, *arguments: str, **variables: str) -> None:
+        super().__init__("router", *arguments, folder=folder, **variables)
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self.wait_for("Ctrl-C")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.interrupt(signal.SIGTERM)
+            assert self.end() == 0, self.errors()
+        super().__exit__()
+
+
 def health(bus: Bus, service: str, keys: Keys = KEYS) -> Health | None:
     """How a service is, or None while it does not answer."""
     try:

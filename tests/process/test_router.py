@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import signal
 from pathlib import Path
 from queue import Queue
 
 import pytest
 from harness import eventually, free_endpoint
-from launched import Command, the_one_line, zarm
+from launched import Router, the_one_line, zarm
 
 from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
@@ -18,24 +17,6 @@ from zarm_contract.session import router_config
 
 FILE = Path(__file__).parents[2] / "deploy" / "router.json5"
 KEYS = Keys("small_arm")
-
-
-class Router(Command):
-    """`zarm router`, listening on entry; leaving ends it with SIGTERM and holds that it ends well."""
-
-    def __init__(self, folder: Path, *arguments: str, **variables: str) -> None:
-        super().__init__("router", *arguments, folder=folder, **variables)
-
-    def __enter__(self) -> Router:
-        super().__enter__()
-        self.wait_for("Ctrl-C")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
-            self.interrupt(signal.SIGTERM)
-            assert self.end() == 0, self.errors()
-        super().__exit__()
 
 
 def reaches(one: str, other: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from zarm_cli.output import facts, out
-from zarm_contract.session import DEFAULT_ENDPOINT, listens_at, router_config, run_router
+from zarm_contract.session import DEFAULT_ENDPOINT, listens_at, router_config, run_router, spoken
 
 
 def router(
@@ -33,7 +33,7 @@ def router(
     """Run a router alone, until Ctrl-C or SIGTERM. A link that breaks is made again by itself."""
     settings = router_config(listen, link or (), config=config)
     with suppress(KeyboardInterrupt), run_router(settings):  # the ordinary end
-        links = [("link", endpoint) for endpoint in link or ()]
-        out.print(facts(*(("endpoint", endpoint) for endpoint in listens_at(settings)), *links))
+        endpoints = [("endpoint", endpoint) for endpoint in listens_at(settings)]
+        out.print(facts(*endpoints, *(("link", spoken(endpoint)) for endpoint in link or ())))
         out.print("The router runs; Ctrl-C stops it.")
         Event().wait()

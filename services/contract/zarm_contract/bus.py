@@ -132,8 +132,9 @@ class Bus:
         return self._ask(reading(key), model, timeout)
 
     def _ask(self, key: str, reply: type[Reply], timeout: float, **request: Any) -> Reply:
+        refused = "" if self.role is None else f", or the router there lets no {self.role} ask"
         unavailable = Unavailable(
-            f"nobody answered on {key} (waited up to {timeout:g} s); `zarm status` shows which services run"
+            f"nobody answered on {key} (waited up to {timeout:g} s){refused}; `zarm status` shows which services run"
         )
         try:
             replies = self._session.get(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
+import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +16,8 @@ from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.realtime import PROCESS_PRIORITY, realtime_offspring
 from zarm_contract.security import Certificates, client_role, security_on
+
+log = logging.getLogger(__name__)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
@@ -35,6 +39,11 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Ro
     except zenoh.ZError as error:
         if certificates and (reason := certificates.why_not(*_address(place))):
             raise Unavailable(f"no session with {place}: {reason}") from error
+        if certificates is None and _is_taken(place):
+            raise Unavailable(
+                f"what listens at {place} does not answer as a Zenoh router without certificates does; where it runs with "
+                "ZARM_SECURITY=on, set that and ZARM_CERTS here too"
+            ) from error
         raise Unavailable(
             f"no Zenoh router answers at {place}; start one with `zarm up`, or name another with --connect or ZARM_CONNECT"
         ) from error
@@ -85,8 +94,15 @@ def router_config(listen: str | None = None, links: Sequence[str] = (), *, confi
 def run_router(config: zenoh.Config) -> zenoh.Session:
     """A router in this process, of a configuration that `router_config` made. Raises Unavailable where it cannot listen.
 
-    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them.
+    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them. Where
+    everyone on the network may use it, a warning says so.
     """
+    if exposed := _open_to_all(config):
+        log.warning(
+            "WARNING: whoever reaches %s from another machine may move the robot, as nobody is asked for a certificate there; "
+            "`zarm certs FOLDER` makes some, then set ZARM_SECURITY=on and ZARM_CERTS=FOLDER, or listen on loopback",
+            " and ".join(exposed),
+        )
     try:
         with realtime_offspring(PROCESS_PRIORITY):
             return zenoh.open(config)
@@ -102,8 +118,7 @@ def listens_at(config: zenoh.Config) -> list[str]:
     return _endpoints(config, "listen")
 
 
-def open_to_all(config: zenoh.Config) -> list[str]:
-    """The endpoints through which whoever reaches them from another machine may do everything."""
+def _open_to_all(config: zenoh.Config) -> list[str]:
     if json.loads(config.get_json("access_control/enabled")):
         return []
     return [endpoint for endpoint in listens_at(config) if not _LOCAL.match(endpoint)]
@@ -157,6 +172,16 @@ def _endpoints(config: zenoh.Config, name: str) -> list[str]:
 def _address(endpoint: str) -> tuple[str, int]:
     host, _, port = re.split(r"[?#]", endpoint.partition("/")[2])[0].rpartition(":")
     return host.strip("[]"), int(port)
+
+
+def _is_taken(endpoint: str) -> bool:
+    if not endpoint.startswith("tcp/"):
+        return False
+    try:
+        socket.create_connection(_address(endpoint), 1.0).close()
+    except OSError:
+        return False
+    return True
 
 
 def _read(file: Path) -> zenoh.Config:
