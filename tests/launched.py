@@ -77,7 +77,8 @@ class Command:
     def __init__(self, *arguments: str, folder: Path, **variables: str) -> None:
         self._mark = uuid.uuid4().hex
         self._arguments = [ZARM, *arguments]
-        self._environment = environment(**variables) | {_MARK: self._mark}
+        self.variables = environment(**variables)
+        self._environment = self.variables | {_MARK: self._mark}
         self._output = folder / f"{self._mark}.out"
         self._errors = folder / f"{self._mark}.err"
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 from harness import free_endpoint
+from issued import issue
 from launched import the_one_line, zarm
 
-from zarm_cli.authority import Authority, hosts_of, load_certificate, today
+from zarm_cli.authority import hosts_of, load_certificate, today
 from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.security import RENEWAL_DAYS, Certificates
@@ -26,18 +27,6 @@ def made(folder: Path, *arguments: str) -> str:
     result = zarm("certs", str(folder), *arguments)
     assert result.returncode == 0, result.stderr
     return result.stdout
-
-
-def issue(certificates: Path, to: Path, role: Role, **changes: object) -> None:
-    """Into `to`, a certificate for a role by the authority of `certificates`."""
-    authority = Authority.load(certificates.with_name(f"{certificates.name}-authority"))
-    to.mkdir(exist_ok=True)
-    (to / "ca.pem").write_bytes(authority.pem())
-    arguments = {"role": role, "hosts": [], "now": today()} | changes
-    pem, key = authority.issue(**arguments)  # type: ignore[arg-type]
-    (to / f"{role}.pem").write_bytes(pem)
-    (to / f"{role}.key").touch(mode=0o600)
-    (to / f"{role}.key").write_bytes(key)
 
 
 def test_each_role_gets_a_certificate_of_its_name_and_a_key_that_its_owner_alone_may_read(certificates: Path) -> None:
