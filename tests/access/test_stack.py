@@ -20,20 +20,28 @@ from zarm_contract.access import Role
 from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.messages import (
+    AddObjects,
     ClearScene,
     DriverCommand,
     ExecuteRequest,
     ExecutorState,
+    JointGoal,
     JointState,
-    Message,
     Nothing,
+    Plan,
+    PlanRequest,
     Scene,
     SceneEdit,
+    SceneEdited,
     Speed,
+    Sphere,
+    Strategies,
+    StrategyRequest,
 )
 from zarm_contract.session import open_client
 
 EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
+BALL = Sphere(kind="sphere", name="ball", position=(0.0, -1.0, 0.2), radius=0.1)
 THERE = (0.4, *HOME[1:])
 
 
@@ -85,13 +93,11 @@ def joints(bus: Bus, up: Up) -> tuple[float, ...]:
 
 def test_an_operator_plans_and_drives_the_robot_through_its_driver_and_emulated(up: Up, operator: Bus) -> None:
     assert "tls/" in up.output()
-    for strategy in ("joint_speed", "emulator"):
+    for strategy, goal in (("joint_speed", THERE), ("emulator", HOME), ("joint_speed", HOME)):
         done(up, "strategy", strategy)
-        for goal in (THERE, HOME):
-            done(up, "plan", "--joints", vector(goal))
-            done(up, "execute")
-            assert joints(operator, up) == pytest.approx(goal, abs=0.02)
-    done(up, "strategy", "joint_speed")
+        done(up, "plan", "--joints", vector(goal))
+        done(up, "execute")
+        assert joints(operator, up) == pytest.approx(goal, abs=0.02)
 
 
 def test_an_operator_changes_scene_and_speed_and_stops_the_robot(up: Up, operator: Bus) -> None:
@@ -101,8 +107,7 @@ def test_an_operator_changes_scene_and_speed_and_stops_the_robot(up: Up, operato
     done(up, "speed", "0.5")
     assert operator.read(up.keys.speed, Speed, timeout=5).speed_scale == 0.5
     done(up, "speed", "1")
-    for order in ("pause", "resume", "stop", "cancel"):
-        done(up, order)
+    done(up, "stop")
 
 
 def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: Up, tmp_path: Path) -> None:
@@ -126,15 +131,7 @@ def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: U
 
 def test_a_viewer_sees_everything_and_may_stop_the_robot(up: Up, tmp_path: Path) -> None:
     viewer = {"ZARM_ROLE": "viewer"}
-    for command in (
-        ("status",),
-        ("health", "planner"),
-        ("scene", "list"),
-        ("strategy",),
-        ("speed",),
-        ("stop",),
-        ("fk",),
-    ):
+    for command in (("status",), ("strategy",), ("speed",), ("stop",)):
         done(up, *command, **viewer)
     file = tmp_path / "seen.mcap"
     done(up, "record", str(file), "--seconds", "0.5", "--name", up.keys.robot, **viewer)
@@ -152,16 +149,10 @@ def test_a_viewer_sees_everything_and_may_stop_the_robot(up: Up, tmp_path: Path)
     [
         ("execute", "--joints", vector(THERE)),
         ("plan", "--joints", vector(THERE)),
-        ("cancel",),
-        ("pause",),
-        ("resume",),
-        ("reset",),
         ("speed", "0.1"),
-        ("strategy", "emulator"),
-        ("scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1"),
         ("scene", "clear"),
     ],
-    ids=lambda command: " ".join(command[:2]),
+    ids=lambda command: command[0],
 )
 def test_a_viewer_is_told_at_once_what_it_may_not_do(up: Up, command: tuple[str, ...]) -> None:
     refused = run(up, *command, ZARM_ROLE="viewer")
@@ -169,35 +160,29 @@ def test_a_viewer_is_told_at_once_what_it_may_not_do(up: Up, command: tuple[str,
     assert "the role viewer is not allowed to send requests to" in the_one_line(refused.stderr)
 
 
-def as_request(name: str, up: Up) -> tuple[str, Message]:
-    return {
-        "execute": (up.keys.execute, ExecuteRequest()),
-        "scene": (up.keys.scene_edit, SceneEdit(edit=ClearScene(op="clear"))),
-        "speed": (up.keys.speed, Speed(speed_scale=0.1)),
-        "reset": (up.keys.reset, Nothing()),
-    }[name]
-
-
 @pytest.mark.parametrize("role", ["viewer", "planner", "driver", "executor"])
-@pytest.mark.parametrize("request_of", ["execute", "scene", "speed"])
-def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(
-    up: Up, operator: Bus, role: Role, request_of: str
-) -> None:
-    done(up, "plan", "--joints", vector(THERE))
-    done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1", "--replace")
-    before = joints(operator, up), operator.read(up.keys.scene, Scene, timeout=5)
-    key, message = as_request(request_of, up)
+def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(up: Up, operator: Bus, role: Role) -> None:
+    add = AddObjects(op="add", objects=(BALL,), replace=True)
+    operator.call(up.keys.scene_edit, SceneEdit(edit=add), SceneEdited, timeout=5)
+    operator.call(up.keys.plan, PlanRequest(goal=JointGoal(kind="joints", position=THERE)), Plan, timeout=PATIENCE)
+    where, scene = joints(operator, up), operator.read(up.keys.scene, Scene, timeout=5)
     with open_client(up.endpoint, role=role) as session:
-        assert not list(session.get(key, payload=encode(message), timeout=PATIENCE))
-    assert operator.read(up.keys.executor_state, ExecutorState, timeout=5).mode == "idle"
-    assert operator.read(up.keys.speed, Speed, timeout=5).speed_scale == 1.0
-    assert operator.read(up.keys.scene, Scene, timeout=5) == before[1]
-    assert joints(operator, up) == pytest.approx(before[0], abs=1e-3)
+        for key, message in (
+            (up.keys.execute, ExecuteRequest()),
+            (up.keys.scene_edit, SceneEdit(edit=ClearScene(op="clear"))),
+            (up.keys.speed, Speed(speed_scale=0.1)),
+            (up.keys.strategy, StrategyRequest(strategy="emulator")),
+        ):
+            assert not list(session.get(key, payload=encode(message), timeout=PATIENCE))
+    state = operator.read(up.keys.executor_state, ExecutorState, timeout=5)
+    assert (state.mode, state.strategy, state.speed_scale) == ("idle", "joint_speed", 1.0)
+    assert operator.read(up.keys.scene, Scene, timeout=5) == scene
+    assert joints(operator, up) == pytest.approx(where, abs=1e-3)
 
 
-@pytest.mark.parametrize("role", ["viewer", "planner", "operator", "bridge", "driver"])
-def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus, role: Role) -> None:
-    done(up, "strategy", "emulator")  # so that the executor itself commands nothing
+def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus) -> None:
+    # By the emulator the executor moves, and commands nothing itself.
+    operator.call(up.keys.strategy, StrategyRequest(strategy="emulator"), Strategies, timeout=PATIENCE)
     told = operator.latest(up.keys.driver_joint_states, JointState)
     state = told.wait(PATIENCE)
     assert state is not None
@@ -211,14 +196,16 @@ def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus
         velocity=(tuple(0.25 for _ in rest), rest),
         acceleration=(rest, rest),
     )
-    with open_client(up.endpoint, role=role) as session:
-        session.put(up.keys.driver_command, encode(command))
-        list(session.get(up.keys.health("leeloo_sim")))  # the router has had both
+    roles: tuple[Role, ...] = ("viewer", "planner", "operator", "bridge", "driver")
+    for role in roles:
+        with open_client(up.endpoint, role=role) as session:
+            session.put(up.keys.driver_command, encode(command))
+            list(session.get(up.keys.health("leeloo_sim")))  # the driver had both, were both let through
     for _ in range(10):
         after = told.wait(PATIENCE)
         assert after is not None
         assert after.position == pytest.approx(state.position, abs=1e-3)
-    done(up, "strategy", "joint_speed")
+    operator.call(up.keys.strategy, StrategyRequest(strategy="joint_speed"), Strategies, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize("role", ["viewer", "operator"])
