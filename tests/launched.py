@@ -77,7 +77,8 @@ class Command:
     def __init__(self, *arguments: str, folder: Path, **variables: str) -> None:
         self._mark = uuid.uuid4().hex
         self._arguments = [ZARM, *arguments]
-        self._environment = environment(**variables) | {_MARK: self._mark}
+        self.variables = environment(**variables)
+        self._environment = self.variables | {_MARK: self._mark}
         self._output = folder / f"{self._mark}.out"
         self._errors = folder / f"{self._mark}.err"
 
@@ -166,6 +167,24 @@ class Up(Command):
         if self.process.poll() is None:
             self.interrupt()
             self.end()
+        super().__exit__()
+
+
+class Router(Command):
+    """`zarm router`, listening on entry; leaving ends it with SIGTERM and holds that it ends well."""
+
+    def __init__(self, folder: Path, *arguments: str, **variables: str) -> None:
+        super().__init__("router", *arguments, folder=folder, **variables)
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self.wait_for("Ctrl-C")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.interrupt(signal.SIGTERM)
+            assert self.end() == 0, self.errors()
         super().__exit__()
 
 

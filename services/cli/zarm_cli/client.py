@@ -15,6 +15,7 @@ from zarm_contract.codec import decode
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.keys import ALL_ALIVE, Keys
 from zarm_contract.messages import FkPoses, FkRequest, Joints, JointState, Message, Nothing, Pose
+from zarm_contract.session import spoken
 
 Connect = Annotated[str, typer.Option(envvar="ZARM_CONNECT", help="The router's endpoint.")]
 Name = Annotated[
@@ -41,6 +42,10 @@ class Client:
         """A request that is answered at once. Raises what the service answers, or Unavailable."""
         return self.bus.call(key, request or Nothing(), reply, timeout=_ANSWER_SECONDS)
 
+    def read(self, key: str, model: type[Reply]) -> Reply:
+        """The present value of a key, which nothing is asked to change. Raises Unavailable."""
+        return self.bus.read(key, model, timeout=_ANSWER_SECONDS)
+
     def measured(self) -> JointState:
         """The robot's joints as measured now. Raises ExecutionRefused (no_joint_state)."""
         state = self.bus.latest(self.keys.joint_states, JointState).wait(_CONNECT_SECONDS)
@@ -64,7 +69,8 @@ def connected(connect: str, name: str | None) -> Iterator[Client]:
     Raises Unavailable without a router or a robot, InvalidRequest where there are several or the name is none.
     """
     with Bus(connect, timeout=_CONNECT_SECONDS) as bus:
-        yield Client(bus, keys_of(name if name is not None else _only_robot(bus, connect)), connect)
+        place = spoken(connect)
+        yield Client(bus, keys_of(name if name is not None else _only_robot(bus, place)), place)
 
 
 def keys_of(name: str) -> Keys:

@@ -4,7 +4,20 @@ from __future__ import annotations
 
 import typer
 
-from zarm_cli import demo, execution, kinematics, launcher, planning, record, replay, robot, scene, status
+from zarm_cli import (
+    certs,
+    demo,
+    execution,
+    kinematics,
+    launcher,
+    planning,
+    record,
+    replay,
+    robot,
+    router,
+    scene,
+    status,
+)
 from zarm_cli.output import err, error_line
 from zarm_contract.errors import Unavailable, ZarmError
 
@@ -18,6 +31,8 @@ app = typer.Typer(
 )
 for command in (
     launcher.up,
+    router.router,
+    certs.certs,
     demo.demo,
     status.status,
     status.watch,

@@ -209,7 +209,10 @@ def speed(
 ) -> None:
     """Show at which share of the planned speed the robot moves, or change it, also while it moves."""
     with connected(connect, name) as client:
-        known = client.ask(client.keys.speed, Speed, message(SpeedRequest, speed_scale=to))
+        if to is None:
+            known = client.read(client.keys.speed, Speed)
+        else:
+            known = client.ask(client.keys.speed, Speed, message(SpeedRequest, speed_scale=to))
     if as_json:
         print_json(known)
     else:
@@ -224,8 +227,11 @@ def strategy(
 ) -> None:
     """Show the control strategies of the robot, or switch to one."""
     with connected(connect, name) as client:
-        request = message(StrategyRequest, strategy=to)
-        known = client.bus.call(client.keys.strategy, request, Strategies, timeout=_STOP_SECONDS)
+        if to is None:
+            known = client.read(client.keys.strategy, Strategies)
+        else:
+            request = message(StrategyRequest, strategy=to)
+            known = client.bus.call(client.keys.strategy, request, Strategies, timeout=_STOP_SECONDS)
     if as_json:
         print_json(known)
         return

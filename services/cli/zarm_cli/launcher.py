@@ -24,7 +24,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing, Strategies
 from zarm_contract.robot import Robot, find_robot, load_robot
 from zarm_contract.service import default_state
-from zarm_contract.session import DEFAULT_ENDPOINT, open_router
+from zarm_contract.session import DEFAULT_ENDPOINT, open_router, spoken
 
 SERVICES = ("planner", "executor")
 """What every robot needs, in the order in which they start; they stop the other way round, so that the robot comes to rest
@@ -97,7 +97,7 @@ def launch(
         _require_ros()
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
-    endpoint = connect or listen
+    endpoint = spoken(connect or listen)
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
@@ -165,7 +165,10 @@ def up(
         str | None, typer.Option(envvar="ZARM_CONNECT", help="Join the router at this endpoint instead of running one.")
     ] = None,
     listen: Annotated[
-        str | None, typer.Option(help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}]", show_default=False)
+        str | None,
+        typer.Option(
+            envvar="ZARM_LISTEN", help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}]", show_default=False
+        ),
     ] = None,
     state: Annotated[
         Path | None, typer.Option(help=f"Folder for what outlives the processes.  [default: {default_state()}]")
@@ -180,7 +183,8 @@ def up(
     """Start router, planner and executor for one robot, and with --ros its bridge; Ctrl-C stops them, the robot first."""
     if connect is not None and listen is not None:
         raise typer.BadParameter(
-            "one joins a router, the other runs one (ZARM_CONNECT counts)", param_hint="--connect / --listen"
+            "one joins a router, the other runs one (ZARM_CONNECT and ZARM_LISTEN count)",
+            param_hint="--connect / --listen",
         )
     with (
         suppress(KeyboardInterrupt),  # the ordinary end
@@ -204,12 +208,12 @@ def up(
 def _say_ready(stack: Stack) -> None:
     client = stack.client
     first, *rest = stack.robot.descriptor.home
-    where = "" if client.endpoint == DEFAULT_ENDPOINT else f" --connect {client.endpoint}"
+    where = "" if client.endpoint == spoken(DEFAULT_ENDPOINT) else f" --connect {client.endpoint}"
     out.print(
         facts(
             ("robot", client.keys.robot),
             ("endpoint", client.endpoint),
-            ("strategy", client.ask(client.keys.strategy, Strategies).active),
+            ("strategy", client.read(client.keys.strategy, Strategies).active),
         )
     )
     move = numbers([first + 0.5, *rest]).replace(" ", "")

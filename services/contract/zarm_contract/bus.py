@@ -12,10 +12,12 @@ from typing import Any, Self, TypeVar
 import zenoh
 
 from zarm_contract._model import Message
-from zarm_contract.codec import decode, encode
+from zarm_contract.access import Role, Verb, reading, require
+from zarm_contract.codec import MAX_BYTES, decode, encode
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import parse_alive
 from zarm_contract.publications import Latched, Latest, Observer, Publisher, deliver, encoding_of, unobserved
+from zarm_contract.security import client_role, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT, open_client
 
 __all__ = ["Bus", "Latched", "Latest", "Publisher"]
@@ -28,10 +30,15 @@ M = TypeVar("M", bound=Message)
 
 
 class Bus:
-    """One session. Use it in `with`; leaving closes every entity and waits for handlers that still run."""
+    """One session. Use it in `with`; leaving closes every entity and waits for handlers that still run.
 
-    def __init__(self, endpoint: str = DEFAULT_ENDPOINT, *, timeout: float = 5.0) -> None:
-        self._session = open_client(endpoint, timeout)
+    Where ZARM_SECURITY is on, it has the rights of its `role` (by default what ZARM_ROLE says): what the role may not do
+    raises InvalidRequest at once instead of getting no answer from the router.
+    """
+
+    def __init__(self, endpoint: str = DEFAULT_ENDPOINT, *, timeout: float = 5.0, role: Role | None = None) -> None:
+        self.role = (role or client_role()) if security_on() else None
+        self._session = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
         self._entities: list[Any] = []
         self._observe: Observer = unobserved
@@ -76,6 +83,7 @@ class Bus:
         A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
         robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
         """
+        self._require("answers", key)
         room = threading.BoundedSemaphore(workers + backlog)
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
 
@@ -107,19 +115,30 @@ class Bus:
     def call(self, key: str, request: Message, reply: type[Reply], *, timeout: float) -> Reply:
         """Send a request and return its answer.
 
-        Raises the ZarmError that the service answers, Unavailable when nobody answers within `timeout` s, or
-        InternalError when the answer cannot be read.
+        Raises InvalidRequest for a request that no router passes on, the ZarmError that the service answers, Unavailable
+        when nobody answers within `timeout` s, or InternalError when the answer cannot be read.
         """
+        self._require("asks", key)
+        payload = encode(request)
+        if len(payload) > MAX_BYTES:
+            raise InvalidRequest(
+                f"the request of {len(payload)} bytes is over the limit of {MAX_BYTES}; send less at once",
+                field="payload",
+            )
+        return self._ask(key, reply, timeout, payload=payload, encoding=encoding_of(type(request)))
+
+    def read(self, key: str, model: type[Reply], *, timeout: float) -> Reply:
+        """The present value of a latched or readable key. Raises Unavailable and InternalError as `call` does."""
+        return self._ask(reading(key), model, timeout)
+
+    def _ask(self, key: str, reply: type[Reply], timeout: float, **request: Any) -> Reply:
+        refused = "" if self.role is None else f", or the router there lets no {self.role} ask"
         unavailable = Unavailable(
-            f"nobody answered on {key} (waited up to {timeout:g} s); `zarm status` shows which services run"
+            f"nobody answered on {key} (waited up to {timeout:g} s){refused}; `zarm status` shows which services run"
         )
         try:
             replies = self._session.get(
-                key,
-                payload=encode(request),
-                encoding=encoding_of(type(request)),
-                timeout=timeout,
-                congestion_control=zenoh.CongestionControl.BLOCK,
+                key, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK, **request
             )
             first = next(iter(replies), None)
         except zenoh.ZError as error:
@@ -145,6 +164,7 @@ class Bus:
 
     def publisher(self, key: str, model: type[M], *, realtime: bool = False) -> Publisher[M]:
         """Publish messages of one class on `key`. `realtime`: express, highest priority, dropped rather than queued."""
+        self._require("publishes", key)
         entity = self._session.declare_publisher(
             key,
             encoding=encoding_of(model),
@@ -162,6 +182,7 @@ class Bus:
         have in common. A key that takes requests as well (settings, strategy) is not latched but served and published:
         `serve` answers whoever asks, and one key has one queryable.
         """
+        self._require("answers", key)
         latched: Latched[M] = Latched(self._session, key, self._observe)
         self._entities.append(latched)
         return latched
@@ -208,7 +229,7 @@ class Bus:
                 callback(name, payload)
 
         self.listen(key, receive)
-        for reply in self._session.get(key, timeout=timeout):
+        for reply in self._session.get(reading(key), timeout=timeout):
             if reply.ok is not None:
                 name, payload = str(reply.ok.key_expr), reply.ok.payload.to_bytes()
                 with turn:
@@ -227,12 +248,19 @@ class Bus:
 
     def declare_alive(self, key: str) -> None:
         """Show this process on the bus as long as the session lives; `key` is `Keys.alive(service, instance)`."""
+        self._require("lives", key)
         self._entities.append(self._session.liveliness().declare_token(key))
 
     def alive(self, key: str, *, timeout: float = 1.0) -> list[tuple[str, str, str]]:
         """`(robot, service, instance)` of each liveliness token that matches `key`, sorted."""
         tokens = self._session.liveliness().get(key, timeout=timeout)
         return sorted({parse_alive(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
+
+    # -- access --
+
+    def _require(self, verb: Verb, key: str) -> None:
+        if self.role is not None:
+            require(self.role, verb, key)
 
 
 def _bytes(payload: zenoh.ZBytes | None) -> bytes:

@@ -16,12 +16,14 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from zarm_contract.access import SERVICE_ROLES
 from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.logs import setup_logging
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import Robot, load_robot
+from zarm_contract.security import RENEWAL_DAYS, Certificates, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 log = logging.getLogger(__name__)
@@ -66,6 +68,10 @@ class Service:
     _activity: str = "starting"
     _ready: bool = False
     _started: float = field(default_factory=time.monotonic)
+
+    def open_bus(self) -> Bus:
+        """A further session of this service; use it in `with`."""
+        return Bus(self.options.connect, role=self.bus.role)
 
     def starting(self, activity: str) -> None:
         """Say in `health` what the service is busy with before it is ready."""
@@ -158,6 +164,7 @@ def run_service(
     """
     setup_logging(name)
     options = parser.parse_args()
+    role = SERVICE_ROLES.get(name)
     stop, signalled = threading.Event(), threading.Event()
 
     def receive(*_: object) -> None:
@@ -168,9 +175,11 @@ def run_service(
         signal.signal(number, receive)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     try:
+        if security_on() and role is not None:
+            _warn_of_end(Certificates(role))
         with ExitStack() as stack:
             services = [
-                Service(name, robot, keys, stack.enter_context(Bus(options.connect)), options, end=stop)
+                Service(name, robot, keys, stack.enter_context(Bus(options.connect, role=role)), options, end=stop)
                 for robot, keys in _robots(options)
             ]
             for service in services:
@@ -193,6 +202,16 @@ def run_service(
         log.error("cannot run reason=%s", error)
         return 1
     return 0
+
+
+def _warn_of_end(certificates: Certificates) -> None:
+    if certificates.days_left < RENEWAL_DAYS:
+        log.warning(
+            "certificate ends soon file=%s days=%.0f remedy=zarm_certs_%s",
+            certificates.certificate,
+            certificates.days_left,
+            certificates.folder,
+        )
 
 
 def _robots(options: argparse.Namespace) -> list[tuple[Robot, Keys]]:

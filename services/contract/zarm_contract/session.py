@@ -3,71 +3,204 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
+import socket
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import zenoh
 
+from zarm_contract.access import Role, access_control
+from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.realtime import PROCESS_PRIORITY, realtime_offspring
+from zarm_contract.security import Certificates, client_role, security_on
+
+log = logging.getLogger(__name__)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
 
 _ENDPOINT = re.compile(r"(?:(?:tcp|tls|quic|ws|udp)/\S+:\d+|unixsock-stream/\S+?)(?:[?#]\S*)?")
+_LOCAL = re.compile(r"\w+/(?:127\.|localhost:|\[::1\])|unixsock-stream/")
 
 
-def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0) -> zenoh.Session:
-    """A session that is a client of the router at `endpoint`; waits `timeout` s for it. Raises Unavailable.
+def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Role | None = None) -> zenoh.Session:
+    """A session that is a client of the router at `endpoint`; waits `timeout` s for it.
 
-    Once open it reconnects by itself when the router comes back.
+    `role` is what it is where ZARM_SECURITY is on (default: what ZARM_ROLE says). Once open it reconnects by itself when the
+    router comes back. Raises InvalidRequest for an endpoint or certificates that cannot be used, and Unavailable.
     """
-    config = _config("client", connect=endpoint, timeout=timeout)
+    certificates = Certificates(role or client_role()) if security_on() else None
+    place = spoken(endpoint)
     try:
-        return zenoh.open(config)
+        return zenoh.open(_config(_client_settings(place, timeout) | (certificates.settings() if certificates else {})))
     except zenoh.ZError as error:
+        if certificates and (reason := certificates.why_not(*_address(place))):
+            raise Unavailable(f"no session with {place}: {reason}") from error
+        if certificates is None and _is_taken(place):
+            raise Unavailable(
+                f"what listens at {place} does not answer as a Zenoh router without certificates does; where it runs with "
+                "ZARM_SECURITY=on, set that and ZARM_CERTS here too"
+            ) from error
         raise Unavailable(
-            f"no Zenoh router answers at {endpoint}; start one with `zarm up`, or name another with --connect or ZARM_CONNECT"
+            f"no Zenoh router answers at {place}; start one with `zarm up`, or name another with --connect or ZARM_CONNECT"
         ) from error
 
 
-def open_router(endpoint: str, connect: str | None = None) -> zenoh.Session:
-    """A router in this process that listens at `endpoint` and, if given, links to the router at `connect`.
+def spoken(endpoint: str) -> str:
+    """An endpoint as it is used: with ZARM_SECURITY on, `tcp/...` is `tls/...`. Raises InvalidRequest for what is none."""
+    if not _ENDPOINT.fullmatch(endpoint):
+        raise InvalidRequest(f"{endpoint!r} is no endpoint; write it like {DEFAULT_ENDPOINT}")
+    protocol, _, address = endpoint.partition("/")
+    if not security_on():
+        if protocol in ("tls", "quic"):
+            raise InvalidRequest(f"{endpoint} needs certificates; set ZARM_SECURITY=on and ZARM_CERTS")
+        return endpoint
+    if protocol not in ("tcp", "tls"):
+        raise InvalidRequest(f"with ZARM_SECURITY=on an endpoint begins with tls/, and {endpoint} does not")
+    return f"tls/{address}"
 
-    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them. Raises
-    Unavailable where the endpoint is taken.
+
+def open_router(endpoint: str) -> zenoh.Session:
+    """A router in this process that listens at `endpoint`. Raises what `router_config` and `run_router` raise."""
+    return run_router(router_config(endpoint))
+
+
+def router_config(listen: str | None = None, links: Sequence[str] = (), *, config: Path | None = None) -> zenoh.Config:
+    """A router that listens at `listen`, linked to the routers at the endpoints `links`, each link tried for ever.
+
+    `config` is a file in Zenoh's own format whose settings are taken instead of zarm's; `listen` and `links`, where given,
+    take the place of what it says of them. Where nobody says where to listen, it is the default endpoint. With ZARM_SECURITY
+    on, certificates and access control are added whatever the file says. Raises InvalidRequest for a file, an endpoint or
+    certificates that cannot be used.
     """
-    config = _config("router", listen=endpoint, connect=connect)
+    settings = _config(_ROUTER) if config is None else _read(config)
+    changes: dict[str, object] = {"mode": "router"}
+    unsaid = settings.get_json("listen/endpoints") == zenoh.Config().get_json("listen/endpoints")
+    if listen is not None or unsaid:  # Zenoh itself would listen everywhere
+        changes["listen/endpoints"] = [spoken(listen or DEFAULT_ENDPOINT)]
+    if links:
+        changes["connect/endpoints"] = [spoken(link) for link in links]
+    _set(settings, changes)
+    if security_on():
+        said = {name: [spoken(one) for one in _endpoints(settings, name)] for name in ("listen", "connect")}
+        _set(settings, {f"{name}/endpoints": endpoints for name, endpoints in said.items()})
+        _set(settings, Certificates("router").settings() | {"access_control": access_control()})
+    return settings
+
+
+def run_router(config: zenoh.Config) -> zenoh.Session:
+    """A router in this process, of a configuration that `router_config` made. Raises Unavailable where it cannot listen.
+
+    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them. Where
+    everyone on the network may use it, a warning says so.
+    """
+    if exposed := _open_to_all(config):
+        log.warning(
+            "WARNING: whoever reaches %s from another machine may move the robot, as nobody is asked for a certificate there; "
+            "`zarm certs FOLDER` makes some, then set ZARM_SECURITY=on and ZARM_CERTS=FOLDER, or listen on loopback",
+            " and ".join(exposed),
+        )
     try:
         with realtime_offspring(PROCESS_PRIORITY):
             return zenoh.open(config)
     except zenoh.ZError as error:
         raise Unavailable(
-            f"cannot listen at {endpoint}: the port is taken or not allowed; use --listen with another, or --connect to "
-            "join the router that is there"
+            f"cannot listen at {' and '.join(listens_at(config))}: the port is taken or not allowed; use --listen with "
+            "another, or --connect to join the router that is there"
         ) from error
 
 
-def _config(
-    mode: str, *, listen: str | None = None, connect: str | None = None, timeout: float | None = None
-) -> zenoh.Config:
-    for endpoint in (listen, connect):
-        if endpoint is not None and not _ENDPOINT.fullmatch(endpoint):
-            raise InvalidRequest(f"{endpoint!r} is no endpoint; write it like {DEFAULT_ENDPOINT}")
-    settings: dict[str, object] = {
-        "mode": mode,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        # A killed process would leave its shared memory, 16 MB, behind, and a full /dev/shm ends those who live on.
-        "transport/shared_memory/enabled": False,
-        "scouting/delay": 0,  # a router would wait half a second for whom it does not look for
-        "listen/endpoints": [listen] if listen else [],
-        "connect/endpoints": [connect] if connect else [],
+def listens_at(config: zenoh.Config) -> list[str]:
+    """The endpoints at which a router of this configuration listens."""
+    return _endpoints(config, "listen")
+
+
+def _open_to_all(config: zenoh.Config) -> list[str]:
+    if json.loads(config.get_json("access_control/enabled")):
+        return []
+    return [endpoint for endpoint in listens_at(config) if not _LOCAL.match(endpoint)]
+
+
+_ALONE: dict[str, object] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # A killed process would leave its shared memory, 16 MB, behind, and a full /dev/shm ends those who live on.
+    "transport/shared_memory/enabled": False,
+    "scouting/delay": 0,  # a router would wait half a second for whom it does not look for
+    # Zenoh's own, from 1 s to 4 s, leaves a robot without its driver for long after a cable is back.
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+}
+
+
+_ROUTER = _ALONE | {
+    "connect/timeout_ms": -1,
+    "connect/exit_on_failure": False,
+    # No message of zarm's is longer, so nothing longer is passed on to a service or held in memory for long.
+    "low_pass_filter": [
+        {
+            "id": "no message of zarm is longer",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "query", "reply"],
+            "key_exprs": ["**"],
+            "size_limit": MAX_BYTES,
+        }
+    ],
+    "transport/link/rx/max_message_size": 2 * MAX_BYTES,
+}
+"""What deploy/router.json5 says as well."""
+
+
+def _client_settings(endpoint: str, timeout: float) -> dict[str, object]:
+    return _ALONE | {
+        "mode": "client",
+        "listen/endpoints": [],
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": int(timeout * 1000),
+        "connect/exit_on_failure": True,
     }
-    if timeout is not None:
-        settings |= {"connect/timeout_ms": int(timeout * 1000), "connect/exit_on_failure": True}
-        # Zenoh's own, from 1 s to 4 s, leaves a robot without its driver for long after a cable is back.
-        settings["connect/retry"] = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+
+
+def _endpoints(config: zenoh.Config, name: str) -> list[str]:
+    said = json.loads(config.get_json(f"{name}/endpoints"))
+    found: list[str] = said.get("router", []) if isinstance(said, dict) else said
+    return found
+
+
+def _address(endpoint: str) -> tuple[str, int]:
+    host, _, port = re.split(r"[?#]", endpoint.partition("/")[2])[0].rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+def _is_taken(endpoint: str) -> bool:
+    if not endpoint.startswith("tcp/"):
+        return False
+    try:
+        socket.create_connection(_address(endpoint), 1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def _read(file: Path) -> zenoh.Config:
+    try:
+        return zenoh.Config.from_file(str(file))
+    except zenoh.ZError as error:
+        reason = str(error).rpartition(" at /")[0]  # less the place in Zenoh's source
+        raise InvalidRequest(
+            f"{file} is no configuration of Zenoh that can be read ({reason}); deploy/router.json5 is one",
+            field="--config",
+        ) from error
+
+
+def _config(settings: Mapping[str, object]) -> zenoh.Config:
     config = zenoh.Config()
+    _set(config, settings)
+    return config
+
+
+def _set(config: zenoh.Config, settings: Mapping[str, object]) -> None:
     for path, value in settings.items():
         config.insert_json5(path, json.dumps(value))
-    return config

@@ -45,6 +45,7 @@ def main() -> None:
     """Follow the target for a while; exits with what went wrong."""
     parser = argparse.ArgumentParser(description="An example of a client that streams to zarm.")
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="the router's endpoint")
+    parser.add_argument("--config", help="Zenoh's configuration of a client, where certificates are asked for")
     parser.add_argument("--robot", default="doosan_m1013", help="the robot's name on the bus")
     parser.add_argument("--joints", nargs="+", required=True, help="names of the joints; the first one moves")
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to follow")
@@ -54,7 +55,7 @@ def main() -> None:
     )
     parser.add_argument("--period", type=float, default=4.0, help="how long it takes to and fro, s")
     options = parser.parse_args()
-    config = zenoh.Config()
+    config = zenoh.Config.from_file(options.config) if options.config else zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([options.connect]))
     prefix, goal_id = f"zarm/{options.robot}", f"stream-{time.time_ns()}"

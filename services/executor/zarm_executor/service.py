@@ -99,8 +99,8 @@ def start(service: Service) -> Iterator[None]:
     # What a slow reader of the other keys holds up must not hold up the robot: sessions of their own.
     with (
         FaultRecords(folder / "records", keys, ring) as records,
-        Bus(service.options.connect) as command_bus,
-        Bus(service.options.connect) as stream_bus,
+        service.open_bus() as command_bus,
+        service.open_bus() as stream_bus,
     ):
         command_bus.observe(ring.observe)
         stream_bus.observe(ring.observe)

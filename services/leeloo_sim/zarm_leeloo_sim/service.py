@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import DriverFault
 from zarm_contract.service import Service, run_service, service_parser
@@ -40,7 +39,7 @@ def start(service: Service) -> Iterator[None]:
         )
     position = np.array([at[descriptor.joints.index(name)] for name in axes.names])
     with ExitStack() as stack:
-        bus = stack.enter_context(Bus(options.connect))
+        bus = stack.enter_context(service.open_bus())
         trace = None if options.trace is None else stack.enter_context(options.trace.open("a", buffering=1))
         side = stack.enter_context(_on_ros(service, axes)) if options.ros else BusSide(bus, keys, axes)
         driver = Driver(

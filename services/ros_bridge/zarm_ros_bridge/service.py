@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_ros_bridge.convert.colours import Colour
@@ -36,7 +35,7 @@ def start(service: Service) -> Iterator[None]:
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"{NODE}_v1", namespace, workers=2) as first,
-        Bus(service.options.connect) as bus,  # closed first: nothing comes from it for nodes that are gone
+        service.open_bus() as bus,  # closed first: nothing comes from it for nodes that are gone
     ):
         engine = Engine(bus, service.keys, service.robot)
         parameters = Parameters(ros.node, engine)

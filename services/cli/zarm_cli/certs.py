@@ -1,0 +1,114 @@
+"""`zarm certs`: a private authority, and a certificate for each role on the bus; again, what is about to end anew."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from zarm_cli.output import out
+from zarm_contract.access import ROLES, Role
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.security import RENEWAL_DAYS
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from zarm_cli.authority import Authority
+
+
+def certs(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where certificates and keys are written.")],
+    host: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="A name or address by which a router is reached; may be given again."),
+    ] = None,
+    authority: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Where the authority's key is kept.  [default: FOLDER-authority]"),
+    ] = None,
+) -> None:
+    """Make certificates for ZARM_SECURITY=on; run again, renew those about to end and add hosts, with the same authority."""
+    if find_spec("cryptography") is None:
+        raise Unavailable(
+            "certificates are made with the package cryptography; `pip install 'zarm[certs]'` installs it"
+        )
+    from zarm_cli.authority import today
+
+    folder = folder.absolute()
+    kept_in = authority.absolute() if authority is not None else folder.with_name(f"{folder.name}-authority")
+    now = today()
+    table = Table("role", "", "valid until", box=None)
+    for role, did, until in _make(folder, kept_in, host or [], now):
+        table.add_row(role, did, f"{until:%Y-%m-%d}")
+    out.print(table)
+    out.print(
+        f"Each machine needs ca.pem, and <role>.pem and <role>.key of what runs there, out of {folder}. No machine of the bus "
+        f"needs {kept_in}: whoever has the key in it can become any role.",
+        soft_wrap=True,
+    )
+
+
+def _make(folder: Path, kept_in: Path, hosts: list[str], now: datetime) -> list[tuple[Role, str, datetime]]:
+    """What was done for each role, and until when its certificate is valid. Raises InvalidRequest, nothing being changed."""
+    from zarm_cli.authority import Authority, hosts_of, load_certificate, with_loopback, write_secret
+
+    hosts = with_loopback(hosts)
+    existing = {role: load_certificate(file) for role in ROLES if (file := folder / f"{role}.pem").exists()}
+    found = _authority(folder, kept_in, now)
+    if found is None:
+        if existing:
+            raise InvalidRequest(f"{folder} holds certificates of another authority; name its folder with --authority")
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+        found = Authority.make(kept_in, now)
+    for role, certificate in existing.items():
+        if not found.made(certificate):
+            raise InvalidRequest(
+                f"{folder / role}.pem was not made by the authority in {kept_in}; name the one that made it with --authority, or "
+                "another folder for new certificates"
+            )
+    (folder / "ca.pem").write_bytes(found.pem())
+    done: list[tuple[Role, str, datetime]] = []
+    for role in ROLES:
+        old = existing.get(role)
+        wanted = with_loopback([*(hosts_of(old) if old else ()), *hosts]) if role == "router" else []
+        key = folder / f"{role}.key"
+        if old is not None and key.exists() and _good(old.not_valid_after_utc, now) and set(wanted) <= {*hosts_of(old)}:
+            done.append((role, "kept", old.not_valid_after_utc))
+            continue
+        new, secret = found.issue(role, wanted, now)
+        write_secret(key, secret)
+        (folder / f"{role}.pem").write_bytes(new)
+        until = load_certificate(folder / f"{role}.pem").not_valid_after_utc
+        done.append((role, "made" if old is None else "renewed", until))
+    return done
+
+
+def _good(end: datetime, now: datetime) -> bool:
+    return end - now > timedelta(days=RENEWAL_DAYS)
+
+
+def _authority(folder: Path, kept_in: Path, now: datetime) -> Authority | None:
+    from zarm_cli.authority import Authority, load_certificate
+
+    shared = folder / "ca.pem"
+    if not (kept_in / "ca.key").exists():
+        if shared.exists():
+            raise InvalidRequest(
+                f"{folder} has an authority whose key is not in {kept_in}; name its folder with --authority, or another FOLDER "
+                "for new certificates"
+            )
+        return None
+    found = Authority.load(kept_in)
+    if shared.exists() and load_certificate(shared) != found.certificate:
+        raise InvalidRequest(f"{shared} is not the authority in {kept_in}; name the right one with --authority")
+    if not _good(found.certificate.not_valid_after_utc, now):
+        raise InvalidRequest(
+            f"the authority in {kept_in} ends on {found.certificate.not_valid_after_utc:%Y-%m-%d}; make new certificates in "
+            "another folder, and give them to all machines at once"
+        )
+    return found

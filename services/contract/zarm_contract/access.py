@@ -1,0 +1,237 @@
+"""Who may do what on the bus: one table of every key by role, and the rules for a router that follow from it.
+
+Whoever has a certificate may read: subscribe to everything, ask for the values that are latched, see who is alive. What it
+may publish, answer, or ask for besides stands in `TABLE`; what does not stand there, nobody may.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import chain
+from typing import Literal, get_args
+
+import zenoh
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.keys import ALL_ALIVE, Keys
+
+Role = Literal["router", "planner", "executor", "bridge", "driver", "operator", "viewer"]
+"""What a process is on the bus; the common name of its certificate."""
+
+ROLES: tuple[Role, ...] = get_args(Role)
+SERVICE_ROLES: Mapping[str, Role] = {
+    "planner": "planner",
+    "executor": "executor",
+    "ros_bridge": "bridge",
+    "leeloo_sim": "driver",
+}
+"""The role of each service, by its name on the bus."""
+
+Roles = tuple[Role, ...]
+Verb = Literal["publishes", "answers", "asks", "lives"]
+
+_EVERYONE: Roles = tuple(role for role in ROLES if role != "router")
+_DRIVES: Roles = ("operator", "bridge")
+"""Those who make plans, change the scene, and move the robot."""
+
+
+@dataclass(frozen=True)
+class Rights:
+    """What each role may do on a key: publish, answer requests, send requests that name it exactly and so may act, or be
+    alive by the liveliness token that it is.
+
+    `latched`: everyone may ask for the present value, by `reading(key)`, which no service takes for a request to act.
+    """
+
+    publishes: Roles = ()
+    answers: Roles = ()
+    asks: Roles = ()
+    lives: Roles = ()
+    latched: bool = False
+
+
+def _request(to: Role, by: Roles = _DRIVES) -> Rights:
+    return Rights(answers=(to,), asks=by)
+
+
+def _value(of: Role, changed_by: Roles = _EVERYONE) -> Rights:
+    """Latched; where a request changes it, by whom."""
+    return Rights(publishes=(of,), answers=(of,), asks=changed_by, latched=True)
+
+
+def _published(*by: Role) -> Rights:
+    return Rights(publishes=by)
+
+
+TABLE: Mapping[str, Rights] = {
+    "plan": _request("planner"),
+    "plan_cancel": _request("planner"),
+    "ik": _request("planner"),
+    "fk": _request("planner", by=_EVERYONE),  # where the tip is
+    "check": _request("planner"),
+    "occupancy": _request("planner"),
+    "settings": _value("planner", changed_by=_DRIVES),
+    "plans": _value("planner"),
+    "scene": _value("planner"),
+    "scene_object": _value("planner"),
+    "scene_revision": _value("planner"),
+    "scene_edit": _request("planner"),
+    "execute": _request("executor"),
+    "goal": _value("executor"),
+    "cancel": _request("executor"),
+    "stop": _request("executor", by=_EVERYONE),  # whoever sees that a robot must stop stops it, a viewer too
+    "pause": _request("executor"),
+    "resume": _request("executor"),
+    "reset": _request("executor"),
+    "strategy": _value("executor", changed_by=_DRIVES),
+    "speed": _value("executor", changed_by=_DRIVES),
+    "stream": _published("operator", "bridge"),
+    "executor_state": _value("executor"),
+    "driver_command": _published("executor"),
+    "driver_progress": _published("driver", "bridge"),
+    "driver_joint_states": _published("driver", "bridge"),
+    "simulated_fault": _request("driver", by=("operator",)),
+    "joint_states": _published("executor"),
+    "preview_trajectory": _published("executor"),
+    "preview_joint_states": _published("executor"),
+}
+"""The rights on each key of `Keys`, by the name of its property; those that every service has follow from SERVICE_ROLES."""
+
+_FAMILIES: Mapping[str, str] = {"scene_object": "*", "goal": "*"}
+"""The keys that hold a name, and the one that stands for all of them."""
+
+
+def reading(key: str) -> str:
+    """A key expression for the value that is latched on `key` and for nothing else, which sets off nothing.
+
+    It matches `key` without being `key`: a service takes only its own name for a request that may act.
+    """
+    return key if key.endswith("*") else f"{key}$*"
+
+
+def rights() -> dict[str, Rights]:
+    """The rights by key expression, of any robot."""
+    keys = Keys("any")
+    table = {
+        _of_any(getattr(keys, name)(_FAMILIES[name]) if name in _FAMILIES else getattr(keys, name)): granted
+        for name, granted in TABLE.items()
+    }
+    for service, role in SERVICE_ROLES.items():
+        table[_of_any(keys.health(service))] = Rights(answers=(role,), asks=_EVERYONE, latched=True)
+        table[_of_any(keys.reread(service))] = _request(role)
+        table[_of_any(keys.alive(service, "*"))] = Rights(lives=(role,))
+    return table
+
+
+def _of_any(key: str) -> str:
+    return "/".join(("zarm", "*", *key.split("/")[2:]))
+
+
+def require(role: Role, verb: Verb, key: str) -> None:
+    """Raise InvalidRequest where a role may not do this on a key: a router with these rules lets nothing of it through."""
+    granted = next((granted for pattern, granted in _patterns() if pattern.includes(key)), Rights())
+    allowed: Roles = getattr(granted, verb)
+    if role not in allowed:
+        whose = f"that is for the role {' or '.join(allowed)}" if allowed else "no role is"
+        raise InvalidRequest(f"the role {role} is not allowed {_VERBS[verb]} {key}; {whose}")
+
+
+@cache
+def _patterns() -> list[tuple[zenoh.KeyExpr, Rights]]:
+    return [(zenoh.KeyExpr(pattern), granted) for pattern, granted in rights().items()]
+
+
+_VERBS = {
+    "publishes": "to publish on",
+    "answers": "to answer on",
+    "asks": "to send requests to",
+    "lives": "to be alive as",
+}
+
+
+def access_control() -> dict[str, object]:
+    """Zenoh's `access_control`: what is not allowed here is denied, and whoever has no role is denied everything."""
+    table = rights()
+    everyone = [
+        _rule("everyone hears what is for it", _ALL_MESSAGES, ("zarm/**", ALL_ALIVE), flow="egress"),
+        _rule("everyone subscribes", ("declare_subscriber",), ("zarm/**",)),
+        _rule("everyone sees who is alive", ("liveliness_query", "declare_liveliness_subscriber"), (ALL_ALIVE,)),
+        _rule("everyone reads", ("query",), (reading(key) for key, granted in table.items() if granted.latched)),
+    ]
+    own: dict[Role, list[dict[str, object]]] = {
+        role: [
+            _rule(f"{role} publishes", ("put",), (key for key, granted in table.items() if role in granted.publishes)),
+            _rule(
+                f"{role} answers",
+                ("declare_queryable", "reply"),
+                chain.from_iterable(
+                    (key, reading(key)) if granted.latched else (key,)
+                    for key, granted in table.items()
+                    if role in granted.answers
+                ),
+            ),
+            _rule(f"{role} asks", ("query",), (key for key, granted in table.items() if role in granted.asks)),
+            _rule(
+                f"{role} does no more than read",
+                ("query",),
+                (key for key, granted in table.items() if granted.latched and role not in granted.asks),
+                permission="deny",
+            ),
+            _rule(
+                f"{role} is alive",
+                ("liveliness_token",),
+                (key for key, granted in table.items() if role in granted.lives),
+            ),
+        ]
+        for role in _EVERYONE
+    }
+    own["router"] = [
+        _rule("routers pass on", _ALL_MESSAGES, ("zarm/**", ALL_ALIVE), flow=flow) for flow in ("ingress", "egress")
+    ]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [rule for rule in chain(everyone, *own.values()) if rule["key_exprs"]],
+        "subjects": [{"id": role, "cert_common_names": [role]} for role in own],
+        "policies": [
+            {
+                "subjects": [role],
+                "rules": [
+                    rule["id"] for rule in chain(() if role == "router" else everyone, rules) if rule["key_exprs"]
+                ],
+            }
+            for role, rules in own.items()
+        ],
+    }
+
+
+_ALL_MESSAGES = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+
+
+def _rule(
+    name: str,
+    messages: Sequence[str],
+    keys: Iterable[str],
+    *,
+    flow: Literal["ingress", "egress"] = "ingress",
+    permission: Literal["allow", "deny"] = "allow",
+) -> dict[str, object]:
+    return {
+        "id": f"{name} ({flow})",
+        "permission": permission,
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": list(dict.fromkeys(keys)),
+    }

@@ -1,0 +1,153 @@
+"""`zarm certs`: what it makes, renews, and does not overwrite."""
+
+from __future__ import annotations
+
+import stat
+import subprocess
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from harness import free_endpoint
+from issued import issue
+from launched import the_one_line, zarm
+
+from zarm_cli.authority import hosts_of, load_certificate, today
+from zarm_contract.access import ROLES, Role
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.security import RENEWAL_DAYS, Certificates
+from zarm_contract.session import open_client, open_router
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def made(folder: Path, *arguments: str) -> str:
+    result = zarm("certs", str(folder), *arguments)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_each_role_gets_a_certificate_of_its_name_and_a_key_that_its_owner_alone_may_read(certificates: Path) -> None:
+    for role in ROLES:
+        assert f"CN={role}" in load_certificate(certificates / f"{role}.pem").subject.rfc4514_string()
+        assert stat.S_IMODE((certificates / f"{role}.key").stat().st_mode) == 0o600
+
+
+def test_the_key_of_the_authority_is_in_a_folder_of_its_own_that_others_cannot_enter(certificates: Path) -> None:
+    kept = certificates.with_name("certs-authority")
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o700
+    assert stat.S_IMODE((kept / "ca.key").stat().st_mode) == 0o600
+    assert not list(certificates.glob("ca.key"))
+
+
+def test_run_again_it_changes_nothing_that_is_good(tmp_path: Path) -> None:
+    made(tmp_path / "certs")
+    before = contents(tmp_path / "certs")
+    assert made(tmp_path / "certs").count("kept") == len(ROLES)
+    assert contents(tmp_path / "certs") == before
+
+
+def test_run_again_it_adds_hosts_to_the_router_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "certs"
+    made(folder, "--host", "workstation")
+    before = contents(folder)
+    made(folder, "--host", "192.168.7.5")
+    assert {name for name, content in contents(folder).items() if before[name] != content} == {
+        "router.pem",
+        "router.key",
+    }
+    hosts = hosts_of(load_certificate(folder / "router.pem"))
+    assert {"localhost", "127.0.0.1", "workstation", "192.168.7.5"} <= {*hosts}
+
+
+def test_run_again_it_renews_what_is_about_to_end(tmp_path: Path) -> None:
+    folder = tmp_path / "certs"
+    made(folder)
+    issue(folder, folder, "planner", lasts=timedelta(days=RENEWAL_DAYS - 1))
+    before = contents(folder)
+    assert "renewed" in made(folder)
+    assert {name for name, content in contents(folder).items() if before[name] != content} == {
+        "planner.pem",
+        "planner.key",
+    }
+
+
+def test_certificates_of_another_authority_are_not_overwritten(tmp_path: Path) -> None:
+    made(tmp_path / "certs")
+    before = contents(tmp_path / "certs")
+    refused = zarm("certs", str(tmp_path / "certs"), "--authority", str(tmp_path / "elsewhere"))
+    assert refused.returncode == 1
+    assert "--authority" in the_one_line(refused.stderr)
+    made(tmp_path / "other")
+    (tmp_path / "certs" / "ca.pem").unlink()
+    refused = zarm("certs", str(tmp_path / "certs"), "--authority", str(tmp_path / "other-authority"))
+    assert refused.returncode == 1
+    assert "was not made by the authority" in the_one_line(refused.stderr)
+    before.pop("ca.pem")
+    assert contents(tmp_path / "certs") == before
+
+
+def test_a_name_that_is_no_host_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    refused = zarm("certs", str(tmp_path / "certs"), "--host", "tcp/10.0.0.1:7447")
+    assert refused.returncode == 1
+    assert "neither a host's name nor its address" in the_one_line(refused.stderr)
+    assert not list(tmp_path.iterdir())
+
+
+def test_openssl_finds_the_chain_good(certificates: Path) -> None:
+    for role in ROLES:
+        subprocess.run(
+            ["openssl", "verify", "-x509_strict", "-CAfile", certificates / "ca.pem", certificates / f"{role}.pem"],
+            check=True,
+            capture_output=True,
+        )
+
+
+def test_certificates_that_cannot_be_used_are_refused_with_the_remedy(
+    certificates: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reason(folder: Path, role: Role) -> str:
+        monkeypatch.setenv("ZARM_CERTS", str(folder))
+        with pytest.raises(InvalidRequest) as refusal:
+            Certificates(role)
+        return str(refusal.value)
+
+    monkeypatch.delenv("ZARM_CERTS", raising=False)
+    with pytest.raises(InvalidRequest, match="zarm certs FOLDER"):
+        Certificates("planner")
+    here = tmp_path / "here"
+    issue(certificates, here, "planner")
+    assert f"{here}/viewer.pem is missing; `zarm certs" in reason(here, "viewer")
+    issue(certificates, here, "planner", now=today() - timedelta(days=20), lasts=timedelta(days=10))
+    assert "planner.pem has ended" in reason(here, "planner")
+    issue(certificates, here, "planner", now=today() + timedelta(days=20))
+    assert "planner.pem is not valid yet" in reason(here, "planner")
+    issue(certificates, here, "planner")
+    (here / "viewer.pem").write_bytes((here / "planner.pem").read_bytes())
+    (here / "viewer.key").write_bytes((here / "planner.key").read_bytes())
+    assert "everybody on this machine may read" in reason(here, "viewer")
+    (here / "viewer.key").chmod(0o600)
+    assert "made for the role planner, not viewer" in reason(here, "viewer")
+    (here / "viewer.key").write_bytes((certificates / "viewer.key").read_bytes())
+    assert "does not belong to" in reason(here, "viewer")
+    (here / "viewer.key").write_text("nonsense")
+    assert "cannot be used with" in reason(here, "viewer")
+    made(tmp_path / "other")
+    (here / "ca.pem").write_bytes((tmp_path / "other" / "ca.pem").read_bytes())
+    assert "was not made by the authority" in reason(here, "planner")
+    (here / "ca.pem").write_text("nonsense")
+    assert "holds no certificate" in reason(here, "planner")
+
+
+def test_every_certificate_that_was_made_can_be_used(secured: Path) -> None:
+    for role in ROLES:
+        assert Certificates(role).days_left > RENEWAL_DAYS
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_every_role_may_connect(role: Role, secured: Path) -> None:
+    endpoint = free_endpoint()
+    with open_router(endpoint), open_client(endpoint, role=role) as session:
+        assert list(session.info.routers_zid())

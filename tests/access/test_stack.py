@@ -1,0 +1,333 @@
+"""`ZARM_SECURITY=on zarm up`: whoever may, drives the robot as before; nobody else moves it or is taken for a service."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+import zenoh
+from harness import PATIENCE, free_endpoint
+from issued import issue
+from launched import HOME, Command, Up, the_one_line, vector, zarm
+
+from zarm_cli.authority import Authority, today
+from zarm_contract.access import Role
+from zarm_contract.bus import Bus
+from zarm_contract.codec import encode
+from zarm_contract.messages import (
+    AddObjects,
+    ClearScene,
+    DriverCommand,
+    ExecuteRequest,
+    ExecutorState,
+    JointGoal,
+    JointState,
+    Nothing,
+    Plan,
+    PlanRequest,
+    Scene,
+    SceneEdit,
+    SceneEdited,
+    Speed,
+    Sphere,
+    Strategies,
+    StrategyRequest,
+)
+from zarm_contract.session import open_client
+
+EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
+BALL = Sphere(kind="sphere", name="ball", position=(0.0, -1.0, 0.2), radius=0.1)
+THERE = (0.4, *HOME[1:])
+
+
+@pytest.fixture(scope="module")
+def certified(certificates: Path) -> Iterator[dict[str, str]]:
+    """What a process needs to take part; this one has it too."""
+    variables = {"ZARM_SECURITY": "on", "ZARM_CERTS": str(certificates)}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in variables.items():
+            patch.setenv(name, value)
+        yield variables
+
+
+@pytest.fixture(scope="module")
+def up(certified: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+    """A robot behind the simulated driver, on a bus with access control."""
+    folder = tmp_path_factory.mktemp("up")
+    with Up(free_endpoint(), folder, "--driver", "sim", "--strategy", "joint_speed", **certified) as stack:
+        yield stack
+
+
+@pytest.fixture
+def operator(up: Up) -> Iterator[Bus]:
+    """A session that may drive the robot."""
+    with Bus(up.endpoint) as bus:
+        yield bus
+
+
+def run(up: Up, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """A command on that bus, as an operator unless told otherwise."""
+    settings = {name: value for name, value in up.variables.items() if name.startswith("ZARM_")}
+    return zarm(*arguments, **(settings | {"ZARM_CONNECT": up.endpoint} | variables))
+
+
+def done(up: Up, *arguments: str, **variables: str) -> str:
+    result = run(up, *arguments, **variables)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def joints(bus: Bus, up: Up) -> tuple[float, ...]:
+    state = bus.latest(up.keys.joint_states, JointState).wait(PATIENCE)
+    assert state is not None
+    return state.position
+
+
+# -- what is allowed works --
+
+
+def test_an_operator_plans_and_drives_the_robot_through_its_driver_and_emulated(up: Up, operator: Bus) -> None:
+    assert "tls/" in up.output()
+    for strategy, goal in (("joint_speed", THERE), ("emulator", HOME), ("joint_speed", HOME)):
+        done(up, "strategy", strategy)
+        done(up, "plan", "--joints", vector(goal))
+        done(up, "execute")
+        assert joints(operator, up) == pytest.approx(goal, abs=0.02)
+
+
+def test_an_operator_changes_scene_and_speed_and_stops_the_robot(up: Up, operator: Bus) -> None:
+    done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.1")
+    assert [one.name for one in operator.read(up.keys.scene, Scene, timeout=5).objects] == ["ball"]
+    done(up, "scene", "clear")
+    done(up, "speed", "0.5")
+    assert operator.read(up.keys.speed, Speed, timeout=5).speed_scale == 0.5
+    done(up, "speed", "1")
+    done(up, "stop")
+
+
+def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: Up, tmp_path: Path) -> None:
+    done(up, "strategy", "emulator")
+    certificates = up.variables["ZARM_CERTS"]
+    tls = {
+        "root_ca_certificate": f"{certificates}/ca.pem",
+        "connect_certificate": f"{certificates}/operator.pem",
+        "connect_private_key": f"{certificates}/operator.key",
+        "enable_mtls": True,
+    }
+    (tmp_path / "operator.json5").write_text(json.dumps({"transport": {"link": {"tls": tls}}}))
+    names = [f"joint_{number}" for number in range(1, 7)]
+    where = ("--connect", up.endpoint.replace("tcp/", "tls/"), "--config", str(tmp_path / "operator.json5"))
+    followed = subprocess.run(
+        [sys.executable, str(EXAMPLE), *where, "--seconds", "1", "--joints", *names], timeout=PATIENCE, check=False
+    )
+    assert followed.returncode == 0
+    done(up, "strategy", "joint_speed")
+
+
+def test_a_viewer_sees_everything_and_may_stop_the_robot(up: Up, tmp_path: Path) -> None:
+    viewer = {"ZARM_ROLE": "viewer"}
+    for command in (("status",), ("strategy",), ("speed",), ("stop",)):
+        done(up, *command, **viewer)
+    file = tmp_path / "seen.mcap"
+    done(up, "record", str(file), "--seconds", "0.5", "--name", up.keys.robot, **viewer)
+    assert "joint_speed" in zarm("replay", str(file)).stdout
+    settings = {name: value for name, value in up.variables.items() if name.startswith("ZARM_")}
+    with Command("watch", "--json", folder=tmp_path, **settings, **viewer, ZARM_CONNECT=up.endpoint) as watch:
+        watch.wait_for('"position"')
+
+
+# -- what is not allowed does nothing --
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("execute", "--joints", vector(THERE)),
+        ("plan", "--joints", vector(THERE)),
+        ("speed", "0.1"),
+        ("scene", "clear"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_a_viewer_is_told_at_once_what_it_may_not_do(up: Up, command: tuple[str, ...]) -> None:
+    refused = run(up, *command, ZARM_ROLE="viewer")
+    assert refused.returncode == 1
+    assert "the role viewer is not allowed to send requests to" in the_one_line(refused.stderr)
+
+
+@pytest.mark.parametrize("role", ["viewer", "planner", "driver", "executor"])
+def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(up: Up, operator: Bus, role: Role) -> None:
+    add = AddObjects(op="add", objects=(BALL,), replace=True)
+    operator.call(up.keys.scene_edit, SceneEdit(edit=add), SceneEdited, timeout=5)
+    operator.call(up.keys.plan, PlanRequest(goal=JointGoal(kind="joints", position=THERE)), Plan, timeout=PATIENCE)
+    where, scene = joints(operator, up), operator.read(up.keys.scene, Scene, timeout=5)
+    with open_client(up.endpoint, role=role) as session:
+        for key, message in (
+            (up.keys.execute, ExecuteRequest()),
+            (up.keys.scene_edit, SceneEdit(edit=ClearScene(op="clear"))),
+            (up.keys.speed, Speed(speed_scale=0.1)),
+            (up.keys.strategy, StrategyRequest(strategy="emulator")),
+        ):
+            assert not list(session.get(key, payload=encode(message), timeout=PATIENCE))
+    state = operator.read(up.keys.executor_state, ExecutorState, timeout=5)
+    assert (state.mode, state.strategy, state.speed_scale) == ("idle", "joint_speed", 1.0)
+    assert operator.read(up.keys.scene, Scene, timeout=5) == scene
+    assert joints(operator, up) == pytest.approx(where, abs=1e-3)
+
+
+def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus) -> None:
+    # By the emulator the executor moves, and commands nothing itself.
+    operator.call(up.keys.strategy, StrategyRequest(strategy="emulator"), Strategies, timeout=PATIENCE)
+    told = operator.latest(up.keys.driver_joint_states, JointState)
+    state = told.wait(PATIENCE)
+    assert state is not None
+    away = tuple(q + 0.5 for q in state.position)
+    rest = (0.0,) * len(away)
+    command = DriverCommand(
+        sequence=1,
+        joint_names=state.joint_names,
+        time=(0.0, 2.0),
+        position=(state.position, away),
+        velocity=(tuple(0.25 for _ in rest), rest),
+        acceleration=(rest, rest),
+    )
+    roles: tuple[Role, ...] = ("viewer", "planner", "operator", "bridge", "driver")
+    for role in roles:
+        with open_client(up.endpoint, role=role) as session:
+            session.put(up.keys.driver_command, encode(command))
+            list(session.get(up.keys.health("leeloo_sim")))  # the driver had both, were both let through
+    for _ in range(10):
+        after = told.wait(PATIENCE)
+        assert after is not None
+        assert after.position == pytest.approx(state.position, abs=1e-3)
+    operator.call(up.keys.strategy, StrategyRequest(strategy="joint_speed"), Strategies, timeout=PATIENCE)
+
+
+@pytest.mark.parametrize("role", ["viewer", "operator"])
+def test_nobody_poses_as_the_executor(up: Up, operator: Bus, role: Role) -> None:
+    caught: list[str] = []
+
+    def catch(query: zenoh.Query) -> None:
+        caught.append(str(query.key_expr))
+        query.reply(query.key_expr, b"{}")
+
+    with open_client(up.endpoint, role=role) as session:
+        session.declare_queryable(up.keys.stop, catch, complete=True)
+        session.liveliness().declare_token(up.keys.alive("executor", "0" * 15))
+        list(session.get(up.keys.health("executor")))
+        assert operator.call(up.keys.stop, Nothing(), ExecutorState, timeout=5).mode == "idle"
+        assert len(operator.alive(up.keys.alive("executor", "*"))) == 1
+    assert caught == []
+
+
+def test_a_record_is_not_published_again_in_the_place_of_an_executor(up: Up, tmp_path: Path) -> None:
+    file = tmp_path / "seen.mcap"
+    done(up, "record", str(file), "--seconds", "0.2", "--name", up.keys.robot)
+    refused = run(up, "replay", str(file), "--publish", "ghost")
+    assert refused.returncode == 1
+    assert "is not allowed to be alive as" in the_one_line(refused.stderr)
+
+
+# -- who is not let in --
+
+
+def tls_client(endpoint: str, **tls: object) -> zenoh.Config:
+    config = zenoh.Config()
+    settings = {
+        "mode": "client",
+        "connect/endpoints": [endpoint.replace("tcp/", "tls/")],
+        "connect/timeout_ms": 2000,
+        "connect/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+    } | {f"transport/link/tls/{name}": value for name, value in tls.items()}
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    return config
+
+
+def with_certificates(folder: Path, role: str, authority: Path) -> dict[str, object]:
+    return {
+        "root_ca_certificate": str(authority / "ca.pem"),
+        "connect_certificate": str(folder / f"{role}.pem"),
+        "connect_private_key": str(folder / f"{role}.key"),
+        "enable_mtls": True,
+    }
+
+
+def test_nobody_gets_in_without_a_certificate_that_is_valid_and_of_this_authority(
+    up: Up, certificates: Path, tmp_path: Path
+) -> None:
+    issue(certificates, tmp_path / "ended", "operator", now=today() - timedelta(days=9), lasts=timedelta(days=8))
+    stranger = tmp_path / "stranger"
+    Authority.make(tmp_path / "stranger-authority", today())
+    issue(stranger, stranger, "operator")
+    entries = {
+        "valid": with_certificates(certificates, "operator", certificates),
+        "none": {"root_ca_certificate": str(certificates / "ca.pem")},
+        "ended": with_certificates(tmp_path / "ended", "operator", certificates),
+        "of another authority": with_certificates(stranger, "operator", certificates),
+    }
+    let_in = []
+    for name, tls in entries.items():
+        try:
+            with zenoh.open(tls_client(up.endpoint, **tls)) as session:
+                if [one for one in session.get(up.keys.executor_state, timeout=5) if one.ok]:
+                    let_in.append(name)
+        except zenoh.ZError:
+            continue
+    assert let_in == ["valid"]
+
+
+def test_a_certificate_for_no_role_of_zarm_allows_nothing(up: Up, certificates: Path, tmp_path: Path) -> None:
+    issue(certificates, tmp_path, "janitor")  # type: ignore[arg-type]
+    with zenoh.open(tls_client(up.endpoint, **with_certificates(tmp_path, "janitor", certificates))) as session:
+        assert not list(session.get(up.keys.executor_state, timeout=5))
+        assert not list(session.get(up.keys.stop, timeout=5))
+
+
+def test_a_client_without_certificates_is_told_what_to_set(up: Up) -> None:
+    refused = zarm("status", ZARM_CONNECT=up.endpoint)
+    assert refused.returncode == 3
+    assert "ZARM_SECURITY=on" in the_one_line(refused.stderr)
+
+
+def test_a_client_of_another_authority_is_told_so(up: Up, tmp_path: Path) -> None:
+    assert zarm("certs", str(tmp_path / "certs")).returncode == 0
+    refused = run(up, "status", ZARM_CERTS=str(tmp_path / "certs"))
+    assert refused.returncode == 3
+    assert "of one authority" in the_one_line(refused.stderr)
+
+
+def test_a_service_with_a_certificate_that_has_ended_says_so_and_ends(
+    up: Up, certificates: Path, tmp_path: Path
+) -> None:
+    issue(certificates, tmp_path, "planner", now=today() - timedelta(days=9), lasts=timedelta(days=8))
+    settings = {name: value for name, value in up.variables.items() if name.startswith("ZARM_")}
+    command = [sys.executable, "-m", "zarm_planner.service", "--connect", up.endpoint, "--name", "other"]
+    ended = subprocess.run(
+        command,
+        env=up.variables | settings | {"ZARM_CERTS": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert ended.returncode == 1
+    assert "planner.pem has ended" in ended.stderr
+
+
+def test_a_router_that_a_name_does_not_belong_to_is_not_trusted(certified: dict[str, str], tmp_path: Path) -> None:
+    issue(Path(certified["ZARM_CERTS"]), tmp_path, "router", hosts=["elsewhere"])
+    issue(Path(certified["ZARM_CERTS"]), tmp_path, "operator")
+    endpoint = free_endpoint()
+    with Command(
+        "router", "--listen", endpoint, folder=tmp_path, **(certified | {"ZARM_CERTS": str(tmp_path)})
+    ) as router:
+        router.wait_for("Ctrl-C")
+        refused = zarm("status", **certified, ZARM_CONNECT=endpoint)
+        assert refused.returncode == 3
+        assert "--host 127.0.0.1" in the_one_line(refused.stderr)

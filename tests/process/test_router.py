@@ -1,0 +1,68 @@
+"""`zarm router`: a router alone, with zarm's settings or with a configuration of Zenoh's own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from queue import Queue
+
+import pytest
+from harness import eventually, free_endpoint
+from launched import Router, the_one_line, zarm
+
+from zarm_contract.bus import Bus
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Nothing
+from zarm_contract.session import router_config
+
+FILE = Path(__file__).parents[2] / "deploy" / "router.json5"
+KEYS = Keys("small_arm")
+
+
+def reaches(one: str, other: str) -> bool:
+    """Whether a message sent at one router arrives at the other within a short while."""
+    arrived: Queue[str] = Queue()
+    with Bus(one) as sender, Bus(other) as receiver:
+        receiver.subscribe(KEYS.stop, Nothing, lambda key, _: arrived.put(key))
+        publisher = sender.publisher(KEYS.stop, Nothing)
+        return bool(eventually(lambda: publisher.put(Nothing()) or not arrived.empty(), "the message arrives"))
+
+
+@pytest.mark.parametrize("arguments", [(), ("--config", str(FILE))], ids=["zarm's settings", "deploy/router.json5"])
+def test_a_router_alone_carries_messages_and_ends_on_sigterm(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with Router(tmp_path, "--listen", endpoint, *arguments) as router:
+        assert endpoint in router.output()
+        assert reaches(endpoint, endpoint)
+
+
+def test_the_file_for_other_routers_says_what_zarm_sets_itself() -> None:
+    assert json.loads(str(router_config(config=FILE))) == json.loads(str(router_config()))
+
+
+def test_a_router_of_a_file_that_names_no_endpoint_listens_on_loopback_alone(tmp_path: Path) -> None:
+    bare = tmp_path / "bare.json5"
+    bare.write_text("{ mode: 'router' }")
+    assert router_config(config=bare).get_json("listen/endpoints") == '["tcp/127.0.0.1:7447"]'
+
+
+def test_a_file_that_is_no_configuration_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    nonsense = tmp_path / "nonsense.json5"
+    nonsense.write_text("{ mode: 'rooter' }")
+    for file, reason in ((nonsense, "rooter"), (tmp_path / "missing.json5", "No such file")):
+        refused = zarm("router", "--config", str(file))
+        assert refused.returncode == 1
+        assert str(file) in (line := the_one_line(refused.stderr))
+        assert reason in line
+
+
+def test_linked_routers_are_one_bus_whichever_starts_first_and_again_after_one_was_killed(tmp_path: Path) -> None:
+    first, second = free_endpoint(), free_endpoint()
+    with Router(tmp_path, "--listen", second, "--link", first):
+        with Router(tmp_path, "--listen", first) as router:
+            assert reaches(first, second)
+            router.process.kill()
+            router.end()
+        with Router(tmp_path, "--listen", first):
+            assert reaches(first, second)
+            assert reaches(second, first)
