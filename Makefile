@@ -10,7 +10,7 @@ MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/cu
 
 REQUIREMENTS := deploy/requirements
 
-.PHONY: demo test ros lint bench requirements clean
+.PHONY: demo test ros lint bench requirements licences audit clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
@@ -45,6 +45,15 @@ requirements: $(VENV)/.dev
 	$(COMPILE) pyproject.toml --extra planner -o $(REQUIREMENTS)/planner.txt
 	$(COMPILE) pyproject.toml --extra ros --no-emit-package empy -o $(REQUIREMENTS)/ros_bridge.txt
 	$(COMPILE) pyproject.toml --extra ros --extra ros-messages -o $(REQUIREMENTS)/ros_build.txt
+
+licences: $(VENV)/.dev $(VENV)/.ros_packages
+	$(BIN)/uv tool run --quiet pip-licenses@5.5.5 --python $(BIN)/python --with-system --format json > $(VENV)/licences.json
+	$(BIN)/python deploy/licences.py < $(VENV)/licences.json > deploy/LICENCES.md
+
+# Asks the database of PyPI; what it cannot answer for is a failure too.
+audit: $(VENV)/.dev
+	@for file in $(REQUIREMENTS)/*.txt; do echo "== $$file"; \
+		$(BIN)/uv tool run --quiet pip-audit@2.10.1 --strict --disable-pip --require-hashes --progress-spinner off -r $$file || exit 1; done
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
