@@ -30,13 +30,14 @@ def images() -> list[str]:
 
 
 @pytest.fixture
-def careless(images: list[str], tmp_path: Path) -> Iterator[str]:
-    """An image whose maker removed his key after use, wrote where his packages came from and set a token."""
+def careless(tmp_path: Path) -> Iterator[str]:
+    """An image whose maker emptied his key after use, wrote where his packages came from and set a token."""
     key = b"-----BEGIN PRIVATE KEY-----\n" + encodebytes(secrets.token_bytes(96)) + b"-----END PRIVATE KEY-----\n"
     (tmp_path / "used").write_bytes(key)
     (tmp_path / "pip.conf").write_text("[global]\ntimeout = 10\n")
+    (tmp_path / "empty").touch()
     (tmp_path / "Dockerfile").write_text(
-        f"FROM {images[0]}\nUSER 0\nCOPY used /tmp/used\nRUN rm /tmp/used\nCOPY pip.conf /etc/pip.conf\n"
+        "FROM scratch\nCOPY used /tmp/used\nCOPY empty /tmp/used\nCOPY pip.conf /etc/pip.conf\n"
         f"ENV UPLOAD_TOKEN={secrets.token_hex(8)}\n"
     )
     name = f"zarm-careless:{os.getpid()}"
