@@ -8,7 +8,9 @@ PINNED := pyproject.toml constraints.txt
 BRIDGE := services/ros_bridge
 MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/curobo_msgs/,*.* srv/*.srv action/*.action))
 
-.PHONY: demo test ros lint bench clean
+REQUIREMENTS := deploy/requirements
+
+.PHONY: demo test ros lint bench requirements licences audit clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
@@ -29,6 +31,29 @@ lint: $(VENV)/.dev
 
 bench: $(VENV)/.dev $(VENV)/.kernels
 	@for file in tests/benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+# What each image of deploy/ installs, in the versions of constraints.txt, with the hashes of every file of each. The
+# templates of empy only generate messages: what runs them does without.
+COMPILE := $(BIN)/uv pip compile --quiet --no-config --python-version 3.11 --python-platform x86_64-manylinux_2_36 \
+	--only-binary :all: --no-binary empy --generate-hashes --annotation-style line \
+	--custom-compile-command "make requirements" --constraints constraints.txt
+
+requirements: $(VENV)/.dev
+	@rm -f $(REQUIREMENTS)/*.txt
+	$(COMPILE) --group wheel -o $(REQUIREMENTS)/wheel.txt
+	$(COMPILE) pyproject.toml -o $(REQUIREMENTS)/executor.txt
+	$(COMPILE) pyproject.toml --extra planner -o $(REQUIREMENTS)/planner.txt
+	$(COMPILE) pyproject.toml --extra ros --no-emit-package empy -o $(REQUIREMENTS)/ros_bridge.txt
+	$(COMPILE) pyproject.toml --extra ros --extra ros-messages -o $(REQUIREMENTS)/ros_build.txt
+
+licences: $(VENV)/.dev $(VENV)/.ros_packages
+	$(BIN)/uv tool run --quiet pip-licenses@5.5.5 --python $(BIN)/python --with-system --format json > $(VENV)/licences.json
+	$(BIN)/python deploy/licences.py < $(VENV)/licences.json > deploy/LICENCES.md
+
+# Asks the database of PyPI; what it cannot answer for is a failure too.
+audit: $(VENV)/.dev
+	@for file in $(REQUIREMENTS)/*.txt; do echo "== $$file"; \
+		$(BIN)/uv tool run --quiet pip-audit@2.10.1 --strict --disable-pip --require-hashes --progress-spinner off -r $$file || exit 1; done
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

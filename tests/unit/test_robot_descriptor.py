@@ -44,7 +44,7 @@ LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
 @pytest.mark.parametrize(
     ("old", "new", "at", "fault"),
     [
-        ("tip_link: link_6", "tip_link: [link_6", "joints:", "not valid YAML: expected ',' or ']', but got ':'"),
+        ("tip_link: link_6", "tip_link: [link_6", "joints:", "not valid YAML: did not find expected ',' or ']'"),
         ("interpolation_dt", "interpolation_time", "", "interpolation_time: Extra inputs are not permitted; did you mean interpolation_dt?"),
         ("strategy: emulator", "colour: white", "", "colour: Extra inputs are not permitted; robots/README.md lists the keys"),
         ("strategy: emulator", HOME, "", "home: stands in line {home} too; keep one"),
