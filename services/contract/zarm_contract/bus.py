@@ -12,10 +12,19 @@ from typing import Any, Self, TypeVar
 import zenoh
 
 from zarm_contract._model import Message
-from zarm_contract.codec import decode, encode
+from zarm_contract.codec import CONTRACT, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import parse_alive
-from zarm_contract.publications import Latched, Latest, Observer, Publisher, deliver, encoding_of, unobserved
+from zarm_contract.publications import (
+    Latched,
+    Latest,
+    Observer,
+    Publisher,
+    deliver,
+    encoding_of,
+    understood,
+    unobserved,
+)
 from zarm_contract.session import DEFAULT_ENDPOINT, open_client
 
 __all__ = ["Bus", "Latched", "Latest", "Publisher"]
@@ -82,7 +91,7 @@ class Bus:
         def answer(query: zenoh.Query) -> None:
             try:
                 with query:
-                    _reply(query, key, lambda: handler(decode(request, _bytes(query.payload))))
+                    _reply(query, key, lambda: handler(_request(query, key, request)))
             finally:
                 room.release()
 
@@ -127,6 +136,12 @@ class Bus:
         if first is None:
             raise unavailable
         if first.ok is not None:
+            other = None if reply.any_contract else other_contract(str(first.ok.encoding))
+            if other is not None:
+                raise InternalError(
+                    f"whoever answers on {key} speaks contract {other}, and this client {CONTRACT}; run the same version of "
+                    "zarm on both sides (`zarm status` shows who runs which)"
+                )
             try:
                 return decode(reply, first.ok.payload.to_bytes())
             except InvalidRequest as error:
@@ -181,7 +196,7 @@ class Bus:
         observe = self._observe
 
         def receive(sample: zenoh.Sample) -> None:
-            if sample.kind == zenoh.SampleKind.PUT:
+            if understood(sample):
                 name, payload = str(sample.key_expr), sample.payload.to_bytes()
                 observe(name, payload)
                 callback(name, payload)
@@ -209,7 +224,7 @@ class Bus:
 
         self.listen(key, receive)
         for reply in self._session.get(key, timeout=timeout):
-            if reply.ok is not None:
+            if reply.ok is not None and understood(reply.ok):
                 name, payload = str(reply.ok.key_expr), reply.ok.payload.to_bytes()
                 with turn:
                     if name not in early:  # else this answer may be the older of the two
@@ -235,8 +250,14 @@ class Bus:
         return sorted({parse_alive(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
 
 
-def _bytes(payload: zenoh.ZBytes | None) -> bytes:
-    return payload.to_bytes() if payload is not None else b""
+def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:
+    other = None if model.any_contract or query.encoding is None else other_contract(str(query.encoding))
+    if other is not None:
+        raise InvalidRequest(
+            f"this request is of contract {other}, and {key} speaks {CONTRACT}; run the same version of zarm on both sides "
+            "(`zarm status` shows who runs which)"
+        )
+    return decode(model, query.payload.to_bytes() if query.payload is not None else b"")
 
 
 def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> None:

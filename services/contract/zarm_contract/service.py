@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from zarm_contract.bus import Bus
+from zarm_contract.codec import CONTRACT as CONTRACT
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.logs import setup_logging
@@ -25,9 +26,6 @@ from zarm_contract.robot import Robot, load_robot
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 log = logging.getLogger(__name__)
-
-CONTRACT = "v1"
-"""Version of the messages and keys; services of one bus must agree on it."""
 
 _WITHDRAWAL = 2.0
 """Seconds that a starting service gives another one that starts at the same moment to withdraw."""

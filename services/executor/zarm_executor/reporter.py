@@ -12,8 +12,8 @@ from zarm_contract.bus import Bus
 from zarm_contract.errors import Problem
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState
+from zarm_contract.state_file import StateFile
 from zarm_executor.machine import Machine
-from zarm_executor.state_file import StateFile
 
 log = logging.getLogger(__name__)
 

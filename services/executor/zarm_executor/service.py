@@ -26,6 +26,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import Service, run_service, service_parser
+from zarm_contract.state_file import StateFile, owned
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.executor import Executor
 from zarm_executor.fault_records import FaultRecords
@@ -37,7 +38,6 @@ from zarm_executor.plans import Plans
 from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
 from zarm_executor.reporter import Reporter
 from zarm_executor.ring import Ring
-from zarm_executor.state_file import StateFile
 from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
 from zarm_executor.streams import Streams
@@ -92,12 +92,13 @@ def start(service: Service) -> Iterator[None]:
     """The executor, from its first tick until the robot rests after the last."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     robot, keys, bus = service.robot, service.keys, service.bus
-    joints, folder = robot.descriptor.joints, service.options.state / keys.robot
+    joints = robot.descriptor.joints
     ring = Ring(keys)
     bus.observe(ring.observe)
     period = robot.descriptor.execution.control_period
     # What a slow reader of the other keys holds up must not hold up the robot: sessions of their own.
     with (
+        owned(service.options.state / keys.robot, service.name) as folder,
         FaultRecords(folder / "records", keys, ring) as records,
         Bus(service.options.connect) as command_bus,
         Bus(service.options.connect) as stream_bus,

@@ -29,6 +29,7 @@ from zarm_contract.messages import (
     SettingsChange,
 )
 from zarm_contract.service import Service, run_service, service_parser
+from zarm_contract.state_file import owned
 from zarm_planner.joints import MeasuredJoints
 from zarm_planner.meshes import Meshes
 from zarm_planner.planner import Planner
@@ -46,9 +47,16 @@ PLANS_WAITING = 16
 @contextmanager
 def start(service: Service) -> Iterator[None]:
     """The planner, from warm-up until the last plan in hand is answered."""
+    with owned(service.options.state / service.keys.robot, service.name) as folder:
+        store = SceneStore(folder, Meshes(service.options.meshes))
+        with _serving(service, store):
+            yield
+
+
+@contextmanager
+def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    store = SceneStore(service.options.state / keys.robot, Meshes(service.options.meshes))
     planner = Planner(model, keys.robot, store, MeasuredJoints(model, bus.latest(keys.joint_states, JointState)))
     warm = False
 
