@@ -20,7 +20,7 @@ from zarm_contract.bus import Bus
 from zarm_contract.codec import CONTRACT as CONTRACT
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
-from zarm_contract.logs import setup_logging
+from zarm_contract.logs import name_robot, setup_logging
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import Robot, load_robot
 from zarm_contract.session import DEFAULT_ENDPOINT
@@ -166,10 +166,12 @@ def run_service(
         signal.signal(number, receive)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     try:
+        robots = _robots(options)
+        name_robot(",".join(keys.robot for _, keys in robots))
         with ExitStack() as stack:
             services = [
                 Service(name, robot, keys, stack.enter_context(Bus(options.connect)), options, end=stop)
-                for robot, keys in _robots(options)
+                for robot, keys in robots
             ]
             for service in services:
                 service.claim()

@@ -109,7 +109,7 @@ class Reporter:
 
     def _set_goal(self, goal: GoalState) -> None:
         self._goals.set(goal, key=self._keys.goal(goal.goal_id))
-        log.info("goal goal_id=%s status=%s%s", goal.goal_id, goal.status, _reason(goal.problem))
+        _log("goal goal_id=%s status=%s", goal.goal_id, goal.status, problem=goal.problem)
         if not goal.done:
             return
         self._finished.append(goal.goal_id)
@@ -119,7 +119,7 @@ class Reporter:
     def _publish_state(self, state: ExecutorState, now: float) -> ExecutorState:
         before = self._state
         if before is None or state != before.model_copy(update={"missed_ticks": state.missed_ticks}):
-            log.info("state mode=%s strategy=%s%s", state.mode, state.strategy, _reason(state.problem))
+            _log("state mode=%s strategy=%s", state.mode, state.strategy, problem=state.problem)
         elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:
             return state
         self._states.set(state)
@@ -129,5 +129,8 @@ class Reporter:
         return state
 
 
-def _reason(problem: Problem | None) -> str:
-    return f" reason={problem.code}: {problem.message}" if problem else ""
+def _log(event: str, *values: object, problem: Problem | None) -> None:
+    if problem is None:
+        log.info(event, *values)
+    else:
+        log.info(f"{event} reason=%s", *values, f"{problem.code}: {problem.message}")
