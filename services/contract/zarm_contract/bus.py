@@ -44,6 +44,7 @@ class Bus:
         self._pools: list[ThreadPoolExecutor] = []
         self._entities: list[Any] = []
         self._observe: Observer = unobserved
+        self._answered: Callable[[str, str], object] = unobserved
 
     def __enter__(self) -> Self:
         return self
@@ -61,9 +62,18 @@ class Bus:
             self._pools.pop().shutdown(wait=True, cancel_futures=True)
         self._session.close()
 
+    @property
+    def connected(self) -> bool:
+        """Whether the session has a router now."""
+        return bool(self._session.info.routers_zid())
+
     def observe(self, observer: Observer) -> None:
         """Tell `observer` of every publication that is sent or received by what is declared on this bus from now on."""
         self._observe = observer
+
+    def watch_answers(self, answered: Callable[[str, str], object]) -> None:
+        """Tell `answered` of every query that is answered here from now on: its key, and `ok` or the code of the problem."""
+        self._answered = answered
 
     # -- queries --
 
@@ -91,7 +101,7 @@ class Bus:
         def answer(query: zenoh.Query) -> None:
             try:
                 with query:
-                    _reply(query, key, lambda: handler(_request(query, key, request)))
+                    self._answered(key, _reply(query, key, lambda: handler(_request(query, key, request))))
             finally:
                 room.release()
 
@@ -101,6 +111,7 @@ class Bus:
                     return
             if not room.acquire(blocking=False):
                 with query:
+                    self._answered(key, "busy")
                     _reply_problem(query, Busy(f"{key} has {workers + backlog} requests in hand; try again later"))
                 return
             try:
@@ -260,17 +271,20 @@ def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:
     return decode(model, query.payload.to_bytes() if query.payload is not None else b"")
 
 
-def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> None:
+def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:
+    """Answer with what `work` makes; `ok`, or the code of the problem that it came to."""
     try:
         message = work()
         payload = encode(message)
     except ZarmError as error:
         _reply_problem(query, error)
+        return error.code
     except Exception:
         log.exception("handler failed key=%s", key)
         _reply_problem(query, InternalError(f"{key} failed on this request; its log holds the trace"))
-    else:
-        query.reply(key, payload, encoding=encoding_of(type(message)))
+        return "internal"
+    query.reply(key, payload, encoding=encoding_of(type(message)))
+    return "ok"
 
 
 def _reply_problem(query: zenoh.Query, error: ZarmError) -> None:

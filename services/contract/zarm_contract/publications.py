@@ -22,7 +22,7 @@ Observer = Callable[[str, bytes], None]
 """Is told key and payload of what passes; called from any thread, the control loop's too, so it must return at once."""
 
 
-def unobserved(_key: str, _payload: bytes) -> None:
+def unobserved(_key: str, _what: object) -> None:
     """The observer of a bus that nobody observes."""
 
 

@@ -9,9 +9,10 @@ from collections import deque
 from collections.abc import Callable
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import Problem
+from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState
+from zarm_contract.metrics import Metrics
 from zarm_contract.state_file import StateFile
 from zarm_executor.machine import Machine
 
@@ -23,6 +24,8 @@ PROGRESS_PERIOD = 0.1
 """How often (s) the state of a moving goal is published."""
 MISSED_TICKS_PERIOD = 1.0
 """How often (s) at most the executor's state is published for nothing but missed ticks."""
+ENDS = ("succeeded", "cancelled", "aborted")
+"""How goals end."""
 FINISHED_GOALS = 32
 """How many goals at their end stay answerable."""
 
@@ -40,11 +43,17 @@ class Reporter:
         machine: Machine,
         running: StateFile[GoalState],
         on_fault: Callable[[Problem], None],
+        metrics: Metrics,
     ) -> None:
         self._keys = keys
         self._machine = machine
         self._running = running
         self._on_fault = on_fault
+        self._metrics = metrics
+        for status in ENDS:
+            self._count_goal(status, 0)
+        for code in ExecutionFailed.codes:
+            self._count_fault(code, 0)
         self._states = bus.latched(keys.executor_state, ExecutorState)
         self._goals = bus.latched(keys.goal("*"), GoalState)
         self._finished: deque[str] = deque()
@@ -112,6 +121,7 @@ class Reporter:
         _log("goal goal_id=%s status=%s", goal.goal_id, goal.status, problem=goal.problem)
         if not goal.done:
             return
+        self._count_goal(goal.status, 1)
         self._finished.append(goal.goal_id)
         if len(self._finished) > FINISHED_GOALS:
             self._goals.forget(self._keys.goal(self._finished.popleft()))
@@ -124,9 +134,16 @@ class Reporter:
             return state
         self._states.set(state)
         if state.mode == "fault" and state.problem is not None and (before is None or before.problem != state.problem):
+            self._count_fault(state.problem.code, 1)
             self._on_fault(state.problem)
         self._state, self._published_state = state, now
         return state
+
+    def _count_goal(self, status: str, by: int) -> None:
+        self._metrics.count("zarm_goals", "Goals at their end, by how they ended.", by, status=status)
+
+    def _count_fault(self, code: str, by: int) -> None:
+        self._metrics.count("zarm_faults", "Faults of the executor, by the code of the problem.", by, code=code)
 
 
 def _log(event: str, *values: object, problem: Problem | None) -> None:

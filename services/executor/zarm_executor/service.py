@@ -24,6 +24,7 @@ from zarm_contract.messages import (
     StrategyRequest,
     StreamChunk,
 )
+from zarm_contract.metrics import Metrics
 from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_contract.state_file import StateFile, owned
@@ -32,7 +33,7 @@ from zarm_executor.executor import Executor
 from zarm_executor.fault_records import FaultRecords
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
-from zarm_executor.loop import Loop
+from zarm_executor.loop import LATE, Loop
 from zarm_executor.machine import Machine
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
@@ -111,7 +112,9 @@ def start(service: Service) -> Iterator[None]:
         machine = Machine(first, period, speed_scale=robot.descriptor.execution.speed_scale)
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
-            reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault)
+            reporter = Reporter(
+                bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault, service.metrics
+            )
             reporter.report_interrupted()
             reporter.publish()
             plans = Plans(
@@ -124,8 +127,10 @@ def start(service: Service) -> Iterator[None]:
             admission = Admission(machine, reporter)
             streams = Streams(robot, machine, reporter, admission)
             executor = Executor(robot, machine, reporter, admission, plans, strategies, *told)
+            loop = Loop("control", period, control.tick, realtime=True)
+            _export(service.metrics, machine, loop)
             with (
-                Loop("control", period, control.tick, realtime=True),
+                loop,
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
@@ -149,6 +154,22 @@ def start(service: Service) -> Iterator[None]:
                     reporter.publish()
         finally:
             machine.release()
+
+
+def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
+    """Have read what the control loop knows, when somebody does: it itself waits for nobody."""
+
+    def age() -> float | None:
+        measured = machine.joint_state()
+        return None if measured is None else time.monotonic() - measured.time
+
+    metrics.read(
+        "counter", "zarm_ticks_missed", "Ticks of the control loop left out.", lambda: machine.state().missed_ticks
+    )
+    metrics.read("gauge", "zarm_joint_state_age_seconds", "How long ago the robot's joints were measured.", age)
+    metrics.read_histogram(
+        "zarm_tick_lateness_seconds", "How late ticks of the control loop began.", LATE, loop.lateness
+    )
 
 
 def _exempt_from_collection() -> None:
