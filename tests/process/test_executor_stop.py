@@ -49,6 +49,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         {},
         bus.publisher(KEYS.strategy, Strategies),
         bus.publisher(KEYS.speed, Speed),
+        StateFile(tmp_path / "speed.json", Speed),
     )
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(executor.execute, ExecuteRequest())

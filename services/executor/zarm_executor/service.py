@@ -26,6 +26,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.metrics import Metrics
 from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_contract.robot import Robot
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_contract.state_file import StateFile, owned
 from zarm_executor.admission import REST_PATIENCE, Admission
@@ -109,7 +110,8 @@ def start(service: Service) -> Iterator[None]:
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
-        machine = Machine(first, period, speed_scale=robot.descriptor.execution.speed_scale)
+        kept_speed = StateFile(folder / "speed.json", Speed)
+        machine = Machine(first, period, speed_scale=_first_speed(robot, kept_speed))
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(
@@ -126,7 +128,7 @@ def start(service: Service) -> Iterator[None]:
             told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
             admission = Admission(machine, reporter)
             streams = Streams(robot, machine, reporter, admission)
-            executor = Executor(robot, machine, reporter, admission, plans, strategies, *told)
+            executor = Executor(robot, machine, reporter, admission, plans, strategies, *told, kept_speed)
             loop = Loop("control", period, control.tick, realtime=True)
             _export(service.metrics, machine, loop)
             with (
@@ -154,6 +156,13 @@ def start(service: Service) -> Iterator[None]:
                     reporter.publish()
         finally:
             machine.release()
+
+
+def _first_speed(robot: Robot, kept: StateFile[Speed]) -> float:
+    """The share of the planned speed to begin with: the descriptor's, or what a client of an earlier process set, if less."""
+    speed = kept.load()
+    planned = robot.descriptor.execution.speed_scale
+    return planned if speed is None else min(speed.speed_scale, planned)
 
 
 def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
