@@ -1,7 +1,8 @@
-"""Logs: one line per event, the service first, whatever the event."""
+"""Logs: one line per event, the service first or a JSON object, whatever the event."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -72,3 +73,43 @@ def test_after_a_flood_the_next_warning_is_logged_again() -> None:
     lines = logged(prelude + "for n in range(100): drop(n)\ntime.sleep(0.1)\ndrop(100)")
     assert len(lines) == 21
     assert "dropped n=100" in lines[-1]
+
+
+def objects(program: str) -> list[dict[str, object]]:
+    return [json.loads(line) for line in logged(program, ZARM_LOG_FORMAT="json", ZARM_COLOUR="1")]
+
+
+def test_an_event_is_one_json_object_with_its_values_as_they_were() -> None:
+    (plain, named) = objects(
+        "log.info('planned goal_id=%s seconds=%.2f count=%d remedy=add_%s_GB', 'g1', 0.256, 3, 4)\n"
+        "from zarm_contract.logs import name_robot; name_robot('arm')\n"
+        "log.warning('the loop %s failed; 100%% reason=%s', 'control', 'left by 0.2 rad (a=1); \\n see \"why\"')"
+    )
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00", str(plain.pop("time")))
+    assert plain == {
+        "level": "INFO",
+        "service": "planner",
+        "message": "planned",
+        "fields": {"goal_id": "g1", "seconds": 0.256, "count": 3, "remedy": "add_4_GB"},
+    }
+    assert (named["robot"], named["level"]) == ("arm", "WARNING")
+    assert named["message"] == "the loop control failed; 100%"
+    assert named["fields"] == {"reason": 'left by 0.2 rad (a=1); \n see "why"'}
+
+
+def test_a_trace_and_a_flood_are_json_too() -> None:
+    lines = objects(
+        "try:\n  1 / 0\nexcept ZeroDivisionError:\n  log.exception('failed key=%s', 'k')\n"
+        "for n in range(30):\n  log.warning('dropped n=%d', n)\n"
+        "log.info('half 50% done'); log.info('by name %(a)s', {'a': 1})"
+    )
+    assert "ZeroDivisionError: division by zero" in str(lines[0]["trace"])
+    assert lines[0]["fields"] == {"key": "k"}
+    assert lines[20]["fields"] == {"n": "19", "further": "left_out_for_10_s"}
+    assert [line["message"] for line in lines[21:]] == ["half 50% done", "by name 1"]
+
+
+def test_an_unknown_format_is_said_and_text_is_used() -> None:
+    warning, line = logged("log.info('b')", ZARM_LOG_FORMAT="xml")
+    assert "ZARM_LOG_FORMAT=xml using=text" in warning
+    assert line.endswith("level=INFO b")

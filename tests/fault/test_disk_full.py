@@ -16,7 +16,6 @@ from harness import PATIENCE, ServiceProcess, eventually
 from motions import HOME, KEYS, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
-from zarm_contract.codec import decode
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     AddObjects,
@@ -31,10 +30,17 @@ from zarm_contract.messages import (
     SceneEdit,
     SceneEdited,
 )
+from zarm_contract.state_file import StateFile
 
 NO_SPACE = "No space left on device"
 SLOW = rest_to_rest(moved(0.8), slower=3.0)
 TABLE = Cuboid(kind="cuboid", name="table", position=(0.6, 0.0, -0.5), size=(1.0, 1.6, 0.1))
+
+
+def saved_position(file: Path) -> tuple[float, ...]:
+    state = StateFile(file, JointState).load()
+    assert state is not None
+    return state.position
 
 
 class Disk:
@@ -107,7 +113,7 @@ def test_a_motion_goes_on_over_a_full_disk_and_the_next_one_is_refused_until_the
 
         eventually(not_saved, "the disk is full")
         old = saved.read_bytes()
-        assert decode(JointState, old).joint_names
+        assert saved_position(saved) is not None
         assert client.ended(goal_id).status == "succeeded"
         disk.fill()  # the record of the goal is gone, which has made room
         at = client.position()
@@ -128,8 +134,8 @@ def test_a_motion_goes_on_over_a_full_disk_and_the_next_one_is_refused_until_the
         disk.empty()
         assert client.strategy("emulator").active == "emulator"
         assert client.ended(client.execute(rest_to_rest(HOME, at))).status == "succeeded"
-        eventually(lambda: np.allclose(decode(JointState, saved.read_bytes()).position, HOME), "the position is saved")
-        assert sorted(file.name for file in saved.parent.iterdir()) == ["emulated_robot.json"]
+        eventually(lambda: np.allclose(saved_position(saved), HOME), "the position is saved")
+        assert sorted(file.name for file in saved.parent.iterdir()) == ["emulated_robot.json", "executor.lock"]
 
 
 def test_an_executor_does_not_start_to_emulate_over_a_full_disk_and_says_why(

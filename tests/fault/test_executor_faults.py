@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from executor_client import Client, distance_from
 from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Unavailable
@@ -70,6 +70,22 @@ def test_killed_at_rest_it_comes_back_exactly_where_it_stood(
         np.testing.assert_array_equal(client.position(), rested)
         with pytest.raises(Unavailable):
             client.goal(goal_id)
+
+
+def test_killed_it_comes_back_no_faster_than_it_was_told_nor_than_its_descriptor_says(
+    endpoint: str, bus: Bus, tmp_path: Path
+) -> None:
+    slow = descriptor_at(100, tmp_path / "slow")
+    slow.write_text(slow.read_text().replace("control_rate: 100", "control_rate: 100, speed_scale: 0.2"))
+    for robot, told, then in ((ROBOT.descriptor.name, 0.3, 0.3), (str(slow), 1.0, 0.2), (str(slow), None, 0.2)):
+        with ServiceProcess("executor", endpoint, tmp_path, robot=robot) as process:
+            process.wait_ready(bus, KEYS)
+            if told is not None:
+                assert Client(bus).speed(told) == told
+            process.kill()
+        with ServiceProcess("executor", endpoint, tmp_path, robot=robot) as again:
+            again.wait_ready(bus, KEYS)
+            assert Client(bus).speed() == then
 
 
 def test_frozen_in_motion_it_stops_without_a_jump_and_is_in_fault_until_reset(

@@ -15,11 +15,12 @@ from motions import KEYS, ROBOT, moved, plan, rest_to_rest
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
+from zarm_contract.metrics import Metrics
+from zarm_contract.state_file import StateFile
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
-from zarm_executor.state_file import StateFile
 
 
 def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus: Bus, tmp_path: Path) -> None:
@@ -35,7 +36,9 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
 
     bench = Bench()
     bench.arm.exact = replace(bench.arm.exact, time=float("inf"))  # fresh, though nobody ticks
-    reporter = Reporter(bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState), lambda _: None)
+    reporter = Reporter(
+        bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState), lambda _: None, Metrics()
+    )
     plans = Plans(ROBOT.hash, newest, unanswered)
     executor = Executor(
         ROBOT,
@@ -46,6 +49,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         {},
         bus.publisher(KEYS.strategy, Strategies),
         bus.publisher(KEYS.speed, Speed),
+        StateFile(tmp_path / "speed.json", Speed),
     )
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(executor.execute, ExecuteRequest())

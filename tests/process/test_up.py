@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 from collections.abc import Iterator
@@ -70,6 +71,17 @@ def test_ctrl_c_stops_the_executor_then_the_planner_and_leaves_no_process(tmp_pa
         assert up.family() == []
         lines = [line for line in up.errors().splitlines() if line.endswith("stopping")]
         assert [line.split()[0] for line in lines] == ["executor", "planner"]
+
+
+def test_where_logs_are_json_every_line_of_a_service_is_and_the_reason_of_a_failure_is_still_told(
+    tmp_path: Path,
+) -> None:
+    arguments = ("up", "--strategy", "telepathy", "--listen", free_endpoint(), "--state", str(tmp_path))
+    with Command(*arguments, folder=tmp_path, ZARM_LOG_FORMAT="json") as up:
+        assert up.end() == 3
+        *lines, last = up.errors().splitlines()
+    assert re.fullmatch(r"zarm: unavailable: the executor cannot start: there is no strategy .telepathy.*", last)
+    assert {json.loads(line)["robot"] for line in lines} == {ROBOT}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -11,9 +11,9 @@ from motions import HOME, ROBOT, moved, rest_to_rest
 
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
+from zarm_contract.state_file import StateFile
 from zarm_executor.follower import TICK
 from zarm_executor.path import Path
-from zarm_executor.state_file import StateFile
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
 
 JOINTS = ROBOT.descriptor.joints

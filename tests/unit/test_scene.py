@@ -168,13 +168,28 @@ def test_after_a_loss_no_earlier_revision_comes_again(tmp_path: Path) -> None:
     assert SceneStore(tmp_path).scene.revision > before.revision
 
 
-def test_the_file_of_another_format_is_left_alone(tmp_path: Path) -> None:
+def test_the_scene_of_a_newer_zarm_is_left_alone(tmp_path: Path) -> None:
     SceneStore(tmp_path).edit(add(ball("a")))
     content = json.loads((tmp_path / "scene.json").read_text())
-    (tmp_path / "scene.json").write_text(json.dumps(content | {"format": 2}))
-    with pytest.raises(Unavailable, match="another version"):
+    (tmp_path / "scene.json").write_text(json.dumps(content | {"version": 99}))
+    with pytest.raises(Unavailable, match=r"version 99.* run that version of zarm, or move the file away"):
         SceneStore(tmp_path)
-    assert json.loads((tmp_path / "scene.json").read_text())["format"] == 2
+    assert json.loads((tmp_path / "scene.json").read_text())["version"] == 99
+
+
+def test_the_scene_of_an_older_zarm_is_taken_over_and_its_file_kept(tmp_path: Path) -> None:
+    """What zarm 0.1.0 wrote before files stated a version."""
+    old = (
+        b'{"format":1,"scene":{"revision":7,"objects":[{"kind":"sphere","name":"a","position":[0.1,0.2,0.3],"radius":0.05}],'
+        b'"attached":[],"ignored_links":[]}}'
+    )
+    (tmp_path / "scene.json").write_bytes(old)
+    store = SceneStore(tmp_path)
+    assert store.lost is None
+    assert (store.scene.revision, [item.name for item in store.scene.objects]) == (7, ["a"])
+    assert (tmp_path / "scene.json.v0").read_bytes() == old
+    assert json.loads((tmp_path / "scene.json").read_text())["version"] == 1
+    assert SceneStore(tmp_path).scene == store.scene
 
 
 def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:

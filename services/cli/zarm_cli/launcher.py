@@ -29,6 +29,8 @@ from zarm_contract.session import DEFAULT_ENDPOINT, open_router, spoken
 SERVICES = ("planner", "executor")
 """What every robot needs, in the order in which they start; they stop the other way round, so that the robot comes to rest
 first."""
+METERED = (*SERVICES, "ros_bridge", "leeloo_sim")
+"""Whose metrics are read at the address that `up` is given, at the next port, and so on."""
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 
@@ -86,6 +88,7 @@ def launch(
     listen: str = DEFAULT_ENDPOINT,
     state: Path,
     meshes: Sequence[Path] = (),
+    metrics: str | None = None,
     log_level: str | None = None,
 ) -> Iterator[Stack]:
     """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
@@ -101,15 +104,20 @@ def launch(
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
-    simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", arguments)} if driver is Driver.sim else {}
-    bridge = {"ros_bridge": ("zarm_ros_bridge.service", arguments)} if ros else {}
+    simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", [*arguments])} if driver is Driver.sim else {}
+    bridge = {"ros_bridge": ("zarm_ros_bridge.service", [*arguments])} if ros else {}
     programs = {
         **simulated,  # this and the bridge before the executor, which may wait for a driver and brakes through it at the end
         **bridge,
         "planner": ("zarm_planner.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
     }
-    environment = {"ZARM_COLOUR": "1"} if sys.stderr.isatty() else {}
+    if metrics is not None:
+        for service, (_, words) in programs.items():
+            words += ["--metrics", _next_port(metrics, METERED.index(service))]
+    environment = {"ZARM_METRICS": ""}  # of one address there is but one
+    if sys.stderr.isatty():
+        environment["ZARM_COLOUR"] = "1"
     if log_level is not None:
         environment["ZARM_LOG"] = log_level
     with ExitStack() as stack:
@@ -120,6 +128,13 @@ def launch(
         with uninterrupted():
             supervisor = stack.enter_context(Supervisor(programs, environment))
         yield Stack(loaded, Client(bus, keys, endpoint), supervisor, (*bridge, *SERVICES))
+
+
+def _next_port(address: str, step: int) -> str:
+    host, _, port = address.rpartition(":")
+    if not (host and port.isdecimal()):
+        raise InvalidRequest(f"{address!r} is no address for metrics; write it like 127.0.0.1:9464", field="--metrics")
+    return f"{host}:{int(port) + step}"
 
 
 def _require_ros() -> None:
@@ -173,6 +188,15 @@ def up(
     state: Annotated[
         Path | None, typer.Option(help=f"Folder for what outlives the processes.  [default: {default_state()}]")
     ] = None,
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            envvar="ZARM_METRICS",
+            metavar="HOST:PORT",
+            help="Serve the planner's metrics for Prometheus there, and those of executor, bridge and driver at the ports "
+            "that follow.",
+        ),
+    ] = None,
     meshes: Annotated[
         list[Path] | None,
         typer.Option(
@@ -198,6 +222,7 @@ def up(
             listen=listen or DEFAULT_ENDPOINT,
             state=state or default_state(),
             meshes=meshes or (),
+            metrics=metrics,
         ) as stack,
     ):
         stack.wait_ready(lambda _: None)  # the services' own log lines say it

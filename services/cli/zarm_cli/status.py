@@ -11,9 +11,11 @@ import typer
 from rich.live import Live
 from rich.table import Table
 
+from zarm_cli.agreement import mismatches
 from zarm_cli.client import AsJson, Client, Connect, Name, connected
-from zarm_cli.output import counted, degrees, facts, out, pose_text, print_json
-from zarm_contract.errors import Unavailable
+from zarm_cli.output import counted, degrees, err, facts, out, pose_text, print_json
+from zarm_contract.codec import CONTRACT
+from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
     ExecutorState,
     FkPoses,
@@ -25,6 +27,7 @@ from zarm_contract.messages import (
     Pose,
     Scene,
 )
+from zarm_contract.service import version
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 _NEEDED = ("planner", "executor")
@@ -34,38 +37,59 @@ _STALE = 1.0  # s after which a joint state is no longer shown
 M = TypeVar("M", bound=Message)
 
 
-def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """Show the services of a robot, its state and its scene. Exit code 3 unless planner and executor are ready."""
+def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> int:
+    """Show the services of a robot, whether they fit together, its state and its scene.
+
+    Exit code 3 unless planner and executor are ready; 1 where services speak different contracts or have different files
+    of the robot.
+    """
     with connected(connect, name) as client:
         found = {service for _, service, _ in client.bus.alive(client.keys.alive("*", "*"))}
         services = {one: _ask(client, client.keys.health(one), Health) for one in sorted(found | {*_NEEDED})}
         state = _ask(client, client.keys.executor_state, ExecutorState)
         scene = _ask(client, client.keys.scene, Scene)
+    faults = list(mismatches({one: health for one, health in services.items() if health is not None}))
     if as_json:
-        print_json({"robot": client.keys.robot, "services": services, "executor": state, "scene": scene})
+        print_json(
+            {
+                "robot": client.keys.robot,
+                "client": {"version": version(), "contract": CONTRACT},
+                "services": services,
+                "mismatches": [vars(fault) for fault in faults],
+                "executor": state,
+                "scene": scene,
+            }
+        )
     else:
         _print_status(client, services, state, scene)
+        for fault in faults:
+            out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
         raise Unavailable(f"{' and '.join(missing)} not ready")
+    if serious := [fault.message for fault in faults if not fault.harmless]:
+        err.print(f"zarm: mismatch: {'. '.join(serious)}", soft_wrap=True)
+        return 1
+    return 0
 
 
 def _ask(client: Client, key: str, reply: type[M]) -> M | None:
     try:
         return client.ask(key, reply)
-    except Unavailable:
+    except (Unavailable, InternalError):  # nobody answers, or whoever does speaks another contract
         return None
 
 
 def _print_status(
     client: Client, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
 ) -> None:
-    table = Table("service", "", "uptime (s)", "pid", "instance", "version", box=None)
+    table = Table("service", "", "uptime (s)", "pid", "instance", "version", "contract", "robot", box=None)
     for service, health in services.items():
         if health is None:
             table.add_row(service, "does not answer")
         else:
             activity = "ready" if health.ready else health.activity
-            table.add_row(service, activity, f"{health.uptime:.0f}", str(health.pid), health.instance, health.version)
+            whence = (str(health.pid), health.instance, health.version, health.contract, health.robot_hash)
+            table.add_row(service, activity, f"{health.uptime:.0f}", *whence)
     rows = [("robot", f"{client.keys.robot} at {client.endpoint}")]
     if state is not None:
         rows += _state_rows(state)

@@ -7,6 +7,7 @@ socket wakes it. It and the services hang on leashes (`zarm_cli.leash`): whateve
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import socket
@@ -129,6 +130,8 @@ class Supervisor:
         for line in reversed(list(self._last_lines)):
             if name in line and "reason=" in line:
                 return line.partition("reason=")[2]
+            if name in line and line.startswith("{") and "reason" in (fields := json.loads(line).get("fields", {})):
+                return str(fields["reason"])
         return self._last_lines[-1] if self._last_lines else "it printed nothing"
 
     def _processes(self) -> Any:

@@ -27,6 +27,8 @@ class Message(BaseModel):
 
     max_bytes: ClassVar[int] = 8 * 1024 * 1024
     """Some 20,000 samples of a trajectory of 7 joints, three minutes at 100 Hz."""
+    any_contract: ClassVar[bool] = False
+    """Whether it is read from those who speak another version of the contract too."""
 
     model_config = ConfigDict(
         strict=True,

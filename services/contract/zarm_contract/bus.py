@@ -13,10 +13,19 @@ import zenoh
 
 from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
-from zarm_contract.codec import MAX_BYTES, decode, encode
+from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import parse_alive
-from zarm_contract.publications import Latched, Latest, Observer, Publisher, deliver, encoding_of, unobserved
+from zarm_contract.publications import (
+    Latched,
+    Latest,
+    Observer,
+    Publisher,
+    deliver,
+    encoding_of,
+    understood,
+    unobserved,
+)
 from zarm_contract.security import client_role, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT, open_client
 
@@ -42,6 +51,7 @@ class Bus:
         self._pools: list[ThreadPoolExecutor] = []
         self._entities: list[Any] = []
         self._observe: Observer = unobserved
+        self._answered: Callable[[str, str], object] = unobserved
 
     def __enter__(self) -> Self:
         return self
@@ -59,9 +69,18 @@ class Bus:
             self._pools.pop().shutdown(wait=True, cancel_futures=True)
         self._session.close()
 
+    @property
+    def connected(self) -> bool:
+        """Whether the session has a router now."""
+        return bool(self._session.info.routers_zid())
+
     def observe(self, observer: Observer) -> None:
         """Tell `observer` of every publication that is sent or received by what is declared on this bus from now on."""
         self._observe = observer
+
+    def watch_answers(self, answered: Callable[[str, str], object]) -> None:
+        """Tell `answered` of every query that is answered here from now on: its key, and `ok` or the code of the problem."""
+        self._answered = answered
 
     # -- queries --
 
@@ -90,7 +109,7 @@ class Bus:
         def answer(query: zenoh.Query) -> None:
             try:
                 with query:
-                    _reply(query, key, lambda: handler(decode(request, _bytes(query.payload))))
+                    self._answered(key, _reply(query, key, lambda: handler(_request(query, key, request))))
             finally:
                 room.release()
 
@@ -100,6 +119,7 @@ class Bus:
                     return
             if not room.acquire(blocking=False):
                 with query:
+                    self._answered(key, "busy")
                     _reply_problem(query, Busy(f"{key} has {workers + backlog} requests in hand; try again later"))
                 return
             try:
@@ -146,6 +166,12 @@ class Bus:
         if first is None:
             raise unavailable
         if first.ok is not None:
+            other = None if reply.any_contract else other_contract(str(first.ok.encoding))
+            if other is not None:
+                raise InternalError(
+                    f"whoever answers on {key} speaks contract {other}, and this client {CONTRACT}; run the same version of "
+                    "zarm on both sides (`zarm status` shows who runs which)"
+                )
             try:
                 return decode(reply, first.ok.payload.to_bytes())
             except InvalidRequest as error:
@@ -202,7 +228,7 @@ class Bus:
         observe = self._observe
 
         def receive(sample: zenoh.Sample) -> None:
-            if sample.kind == zenoh.SampleKind.PUT:
+            if understood(sample):
                 name, payload = str(sample.key_expr), sample.payload.to_bytes()
                 observe(name, payload)
                 callback(name, payload)
@@ -230,7 +256,7 @@ class Bus:
 
         self.listen(key, receive)
         for reply in self._session.get(reading(key), timeout=timeout):
-            if reply.ok is not None:
+            if reply.ok is not None and understood(reply.ok):
                 name, payload = str(reply.ok.key_expr), reply.ok.payload.to_bytes()
                 with turn:
                     if name not in early:  # else this answer may be the older of the two
@@ -263,21 +289,30 @@ class Bus:
             require(self.role, verb, key)
 
 
-def _bytes(payload: zenoh.ZBytes | None) -> bytes:
-    return payload.to_bytes() if payload is not None else b""
+def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:
+    other = None if model.any_contract or query.encoding is None else other_contract(str(query.encoding))
+    if other is not None:
+        raise InvalidRequest(
+            f"this request is of contract {other}, and {key} speaks {CONTRACT}; run the same version of zarm on both sides "
+            "(`zarm status` shows who runs which)"
+        )
+    return decode(model, query.payload.to_bytes() if query.payload is not None else b"")
 
 
-def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> None:
+def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:
+    """Answer with what `work` makes; `ok`, or the code of the problem that it came to."""
     try:
         message = work()
         payload = encode(message)
     except ZarmError as error:
         _reply_problem(query, error)
+        return error.code
     except Exception:
         log.exception("handler failed key=%s", key)
         _reply_problem(query, InternalError(f"{key} failed on this request; its log holds the trace"))
-    else:
-        query.reply(key, payload, encoding=encoding_of(type(message)))
+        return "internal"
+    query.reply(key, payload, encoding=encoding_of(type(message)))
+    return "ok"
 
 
 def _reply_problem(query: zenoh.Query, error: ZarmError) -> None:

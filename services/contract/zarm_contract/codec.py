@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import re
 from typing import TypeVar
 
 from pydantic import ValidationError
@@ -13,6 +15,9 @@ from zarm_contract.errors import InvalidRequest
 
 M = TypeVar("M", bound=Message)
 
+CONTRACT = "v1"
+"""Version of the messages and keys; whoever speaks on one bus must agree on it."""
+_SCHEMA = re.compile(r"zarm\.\w+\.(v\d+)$")
 MAX_BYTES = Message.max_bytes
 """Largest payload that is read, of any message."""
 QUOTED = 500
@@ -28,7 +33,14 @@ around it, which can add up to seconds and gigabytes."""
 
 def schema(model: type[Message]) -> str:
     """The schema name of a message class: `zarm.Plan.v1`."""
-    return f"zarm.{model.__name__}.v1"
+    return f"zarm.{model.__name__}.{CONTRACT}"
+
+
+@functools.lru_cache(256)
+def other_contract(encoding: str) -> str | None:
+    """The contract that an encoding or the name of a schema states, where it is not this one; None where it states none."""
+    found = _SCHEMA.search(encoding)
+    return found[1] if found is not None and found[1] != CONTRACT else None
 
 
 def encode(message: Message) -> bytes:

@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 import zenoh
 
 from zarm_contract._model import Message
-from zarm_contract.codec import decode, encode, schema
+from zarm_contract.codec import CONTRACT, decode, encode, other_contract, schema
 from zarm_contract.errors import InvalidRequest
 
 log = logging.getLogger(__name__)
@@ -22,7 +22,7 @@ Observer = Callable[[str, bytes], None]
 """Is told key and payload of what passes; called from any thread, the control loop's too, so it must return at once."""
 
 
-def unobserved(_key: str, _payload: bytes) -> None:
+def unobserved(_key: str, _what: object) -> None:
     """The observer of a bus that nobody observes."""
 
 
@@ -142,7 +142,7 @@ class Latest(Generic[M]):
             return None
 
     def _receive(self, sample: zenoh.Sample) -> None:
-        if sample.kind != zenoh.SampleKind.PUT:
+        if not understood(sample):
             return
         payload = sample.payload.to_bytes()
         with self._changed:
@@ -154,6 +154,21 @@ class Latest(Generic[M]):
 def encoding_of(model: type[Message]) -> zenoh.Encoding:
     """JSON with the schema name of the message class."""
     return zenoh.Encoding.APPLICATION_JSON.with_schema(schema(model))
+
+
+def understood(sample: zenoh.Sample) -> bool:
+    """Whether a sample is a publication, and of this version of the contract or of none; what is of another is logged."""
+    if sample.kind != zenoh.SampleKind.PUT:
+        return False
+    other = other_contract(str(sample.encoding))
+    if other is not None:
+        log.warning(
+            "dropped a message key=%s contract=%s here=%s remedy=run_the_same_version_of_zarm_on_both_sides",
+            sample.key_expr,
+            other,
+            CONTRACT,
+        )
+    return other is None
 
 
 def deliver(key: str, payload: bytes, model: type[M], callback: Callable[[str, M], None]) -> None:

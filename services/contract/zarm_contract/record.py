@@ -22,7 +22,7 @@ from mcap.writer import Writer
 from zstandard import ZstdError
 
 from zarm_contract._model import Message
-from zarm_contract.codec import schema
+from zarm_contract.codec import CONTRACT, other_contract, schema
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.recorded import Recorded
@@ -96,7 +96,13 @@ def read_record(path: Path) -> Iterator[Entry]:
     """The messages of a record in the order of their `log_time`. Raises InvalidRequest where it cannot be read."""
     try:
         with path.open("rb") as stream:
-            for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            for described, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+                if described is not None and (other := other_contract(described.name)):
+                    raise InvalidRequest(
+                        f"{path} is a record of contract {other}, and this zarm reads {CONTRACT}; replay it with the zarm that "
+                        "wrote it",
+                        field="file",
+                    )
                 yield message.log_time, channel.topic, message.data
     except OSError as error:
         raise InvalidRequest(f"cannot read {path}: {error.strerror or error}", field="file") from error

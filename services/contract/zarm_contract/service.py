@@ -18,18 +18,17 @@ from pathlib import Path
 
 from zarm_contract.access import SERVICE_ROLES
 from zarm_contract.bus import Bus
+from zarm_contract.codec import CONTRACT as CONTRACT
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
-from zarm_contract.logs import setup_logging
+from zarm_contract.logs import name_robot, setup_logging
 from zarm_contract.messages import Health, Nothing
+from zarm_contract.metrics import Metrics, serve_metrics
 from zarm_contract.robot import Robot, load_robot
 from zarm_contract.security import RENEWAL_DAYS, Certificates, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 log = logging.getLogger(__name__)
-
-CONTRACT = "v1"
-"""Version of the messages and keys; services of one bus must agree on it."""
 
 _WITHDRAWAL = 2.0
 """Seconds that a starting service gives another one that starts at the same moment to withdraw."""
@@ -62,6 +61,8 @@ class Service:
     instance: str = field(default_factory=lambda: f"{time.time_ns() // 1_000_000:011x}{secrets.token_hex(2)}")
     interruptible: Callable[[], None] = lambda: None
     """Raises where this is no moment to start anew; a service that moves something sets it."""
+    metrics: Metrics = field(default_factory=Metrics)
+    """What it counts, of no consequence unless somebody reads it."""
     end: threading.Event = field(default_factory=threading.Event)
     outdated: bool = False
     """Whether the robot's file has changed, and the process starts anew to take it."""
@@ -113,6 +114,28 @@ class Service:
             self.starting("ending to start anew with the changed robot")
             self.end.set()
         return self.health()
+
+    def count(self) -> None:
+        """Have its queries counted, and what it is be read."""
+
+        def answered(key: str, outcome: str) -> None:
+            relative = key.removeprefix(f"zarm/{self.keys.robot}/")
+            self.metrics.count("zarm_queries", "Queries answered, by outcome.", key=relative, outcome=outcome)
+
+        health = self.health()
+        self.bus.watch_answers(answered)
+        self.metrics.read("gauge", "zarm_ready", "Whether the service is ready.", lambda: float(self._ready))
+        self.metrics.read("gauge", "zarm_connected", "Whether it has a router.", lambda: float(self.bus.connected))
+        self.metrics.read(
+            "gauge",
+            "zarm_service_info",
+            "What runs here; always 1.",
+            lambda: 1.0,
+            service=self.name,
+            version=health.version,
+            contract=health.contract,
+            robot_hash=health.robot_hash,
+        )
 
     def claim(self) -> None:
         """Become the one owner of this service for the robot. Raises Unavailable while another one is alive.
@@ -175,14 +198,19 @@ def run_service(
         signal.signal(number, receive)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     try:
+        robots = _robots(options)
+        name_robot(",".join(keys.robot for _, keys in robots))
         if security_on() and role is not None:
             _warn_of_end(Certificates(role))
         with ExitStack() as stack:
+            metrics_of = stack.enter_context(serve_metrics(options.metrics))
             services = [
                 Service(name, robot, keys, stack.enter_context(Bus(options.connect, role=role)), options, end=stop)
-                for robot, keys in _robots(options)
+                for robot, keys in robots
             ]
             for service in services:
+                service.metrics = metrics_of(service.keys.robot)
+                service.count()
                 service.claim()
                 stack.enter_context(start(service))
             refusal = None
@@ -256,6 +284,12 @@ def service_parser(name: str, *, several: bool = False) -> argparse.ArgumentPars
     parser.add_argument("--name", help="the robot's name on the bus (default: the descriptor's)", nargs=count)
     parser.add_argument(
         "--connect", default=os.environ.get("ZARM_CONNECT", DEFAULT_ENDPOINT), help="the router's endpoint"
+    )
+    parser.add_argument(
+        "--metrics",
+        default=os.environ.get("ZARM_METRICS") or None,
+        metavar="HOST:PORT",
+        help="serve metrics for Prometheus there (default: nowhere)",
     )
     parser.add_argument("--state", type=Path, default=default_state(), help="folder for what outlives the process")
     return parser

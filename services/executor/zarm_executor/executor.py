@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import secrets
 import threading
 import time
 
 from zarm_contract.bus import Publisher
-from zarm_contract.errors import Busy, InvalidRequest
+from zarm_contract.errors import Busy, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     Accepted,
     CancelRequest,
@@ -20,6 +21,7 @@ from zarm_contract.messages import (
     StrategyRequest,
 )
 from zarm_contract.robot import Robot
+from zarm_contract.state_file import StateFile
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import executable, startable
 from zarm_executor.goal import Goal
@@ -28,6 +30,8 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.strategies.repertoire import Repertoire
+
+log = logging.getLogger(__name__)
 
 
 class Executor:
@@ -43,6 +47,7 @@ class Executor:
         strategies: Repertoire,
         publisher: Publisher[Strategies],
         speeds: Publisher[Speed],
+        kept_speed: StateFile[Speed],
     ) -> None:
         self._robot = robot
         self._machine = machine
@@ -51,6 +56,7 @@ class Executor:
         self._strategies = strategies
         self._publisher = publisher
         self._speeds = speeds
+        self._kept_speed = kept_speed
         self._admission = admission
         self._describing = threading.Lock()
 
@@ -110,7 +116,14 @@ class Executor:
             self._machine.set_speed(request.speed_scale)
             self._reporter.publish()
             self.publish_speed()
+            self._keep_speed()
         return self._speed()
+
+    def _keep_speed(self) -> None:
+        try:
+            self._kept_speed.save(self._speed())
+        except Unavailable as error:  # the robot is slower at once, whatever becomes of the file
+            log.warning("the speed will not outlive this process reason=%s", error)
 
     def publish_speed(self) -> None:
         """Publish the share of the planned speed at which the robot moves."""

@@ -6,6 +6,7 @@ import logging
 import os
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Callable
 from types import TracebackType
 from typing import Self
@@ -13,6 +14,9 @@ from typing import Self
 from zarm_contract.realtime import CONTROL_PRIORITY, ask_for_realtime
 
 log = logging.getLogger(__name__)
+
+LATE = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
+"""Bounds, s, between which it is counted how late calls are: usually 0.05 ms, 0.3 ms beside a busy planner."""
 
 
 class Loop:
@@ -34,6 +38,12 @@ class Loop:
         self._realtime = realtime
         self._ended = threading.Event()
         self._thread = threading.Thread()
+        self._late_counts = [0] * (len(LATE) + 1)
+        self._late_sum = 0.0
+
+    def lateness(self) -> tuple[list[int], float]:
+        """How many calls were later than one of `LATE` and not than the next, and the sum of all (s)."""
+        return self._late_counts.copy(), self._late_sum
 
     def start(self) -> None:
         """Begin; the first call comes at once. A loop that was stopped may be started again."""
@@ -63,6 +73,8 @@ class Loop:
             while not self._ended.is_set():
                 time.sleep(max(0.0, deadline - time.monotonic()))
                 late = max(0.0, time.monotonic() - deadline)
+                self._late_counts[bisect_left(LATE, late)] += 1
+                self._late_sum += late
                 deadline += self._period * (late // self._period)
                 self._work(deadline)
                 deadline += self._period

@@ -9,11 +9,12 @@ from collections import deque
 from collections.abc import Callable
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import Problem
+from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState
+from zarm_contract.metrics import Metrics
+from zarm_contract.state_file import StateFile
 from zarm_executor.machine import Machine
-from zarm_executor.state_file import StateFile
 
 log = logging.getLogger(__name__)
 
@@ -23,6 +24,8 @@ PROGRESS_PERIOD = 0.1
 """How often (s) the state of a moving goal is published."""
 MISSED_TICKS_PERIOD = 1.0
 """How often (s) at most the executor's state is published for nothing but missed ticks."""
+ENDS = ("succeeded", "cancelled", "aborted")
+"""How goals end."""
 FINISHED_GOALS = 32
 """How many goals at their end stay answerable."""
 
@@ -40,11 +43,17 @@ class Reporter:
         machine: Machine,
         running: StateFile[GoalState],
         on_fault: Callable[[Problem], None],
+        metrics: Metrics,
     ) -> None:
         self._keys = keys
         self._machine = machine
         self._running = running
         self._on_fault = on_fault
+        self._metrics = metrics
+        for status in ENDS:
+            self._count_goal(status, 0)
+        for code in ExecutionFailed.codes:
+            self._count_fault(code, 0)
         self._states = bus.latched(keys.executor_state, ExecutorState)
         self._goals = bus.latched(keys.goal("*"), GoalState)
         self._finished: deque[str] = deque()
@@ -109,9 +118,10 @@ class Reporter:
 
     def _set_goal(self, goal: GoalState) -> None:
         self._goals.set(goal, key=self._keys.goal(goal.goal_id))
-        log.info("goal goal_id=%s status=%s%s", goal.goal_id, goal.status, _reason(goal.problem))
+        _log("goal goal_id=%s status=%s", goal.goal_id, goal.status, problem=goal.problem)
         if not goal.done:
             return
+        self._count_goal(goal.status, 1)
         self._finished.append(goal.goal_id)
         if len(self._finished) > FINISHED_GOALS:
             self._goals.forget(self._keys.goal(self._finished.popleft()))
@@ -119,15 +129,25 @@ class Reporter:
     def _publish_state(self, state: ExecutorState, now: float) -> ExecutorState:
         before = self._state
         if before is None or state != before.model_copy(update={"missed_ticks": state.missed_ticks}):
-            log.info("state mode=%s strategy=%s%s", state.mode, state.strategy, _reason(state.problem))
+            _log("state mode=%s strategy=%s", state.mode, state.strategy, problem=state.problem)
         elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:
             return state
         self._states.set(state)
         if state.mode == "fault" and state.problem is not None and (before is None or before.problem != state.problem):
+            self._count_fault(state.problem.code, 1)
             self._on_fault(state.problem)
         self._state, self._published_state = state, now
         return state
 
+    def _count_goal(self, status: str, by: int) -> None:
+        self._metrics.count("zarm_goals", "Goals at their end, by how they ended.", by, status=status)
 
-def _reason(problem: Problem | None) -> str:
-    return f" reason={problem.code}: {problem.message}" if problem else ""
+    def _count_fault(self, code: str, by: int) -> None:
+        self._metrics.count("zarm_faults", "Faults of the executor, by the code of the problem.", by, code=code)
+
+
+def _log(event: str, *values: object, problem: Problem | None) -> None:
+    if problem is None:
+        log.info(event, *values)
+    else:
+        log.info(f"{event} reason=%s", *values, f"{problem.code}: {problem.message}")

@@ -24,20 +24,22 @@ from zarm_contract.messages import (
     StrategyRequest,
     StreamChunk,
 )
+from zarm_contract.metrics import Metrics
 from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_contract.robot import Robot
 from zarm_contract.service import Service, run_service, service_parser
+from zarm_contract.state_file import StateFile, owned
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.executor import Executor
 from zarm_executor.fault_records import FaultRecords
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
-from zarm_executor.loop import Loop
+from zarm_executor.loop import LATE, Loop
 from zarm_executor.machine import Machine
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
 from zarm_executor.reporter import Reporter
 from zarm_executor.ring import Ring
-from zarm_executor.state_file import StateFile
 from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
 from zarm_executor.streams import Streams
@@ -92,12 +94,13 @@ def start(service: Service) -> Iterator[None]:
     """The executor, from its first tick until the robot rests after the last."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     robot, keys, bus = service.robot, service.keys, service.bus
-    joints, folder = robot.descriptor.joints, service.options.state / keys.robot
+    joints = robot.descriptor.joints
     ring = Ring(keys)
     bus.observe(ring.observe)
     period = robot.descriptor.execution.control_period
     # What a slow reader of the other keys holds up must not hold up the robot: sessions of their own.
     with (
+        owned(service.options.state / keys.robot, service.name) as folder,
         FaultRecords(folder / "records", keys, ring) as records,
         service.open_bus() as command_bus,
         service.open_bus() as stream_bus,
@@ -107,10 +110,13 @@ def start(service: Service) -> Iterator[None]:
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
-        machine = Machine(first, period, speed_scale=robot.descriptor.execution.speed_scale)
+        kept_speed = StateFile(folder / "speed.json", Speed)
+        machine = Machine(first, period, speed_scale=_first_speed(robot, kept_speed))
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
-            reporter = Reporter(bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault)
+            reporter = Reporter(
+                bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault, service.metrics
+            )
             reporter.report_interrupted()
             reporter.publish()
             plans = Plans(
@@ -122,9 +128,11 @@ def start(service: Service) -> Iterator[None]:
             told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
             admission = Admission(machine, reporter)
             streams = Streams(robot, machine, reporter, admission)
-            executor = Executor(robot, machine, reporter, admission, plans, strategies, *told)
+            executor = Executor(robot, machine, reporter, admission, plans, strategies, *told, kept_speed)
+            loop = Loop("control", period, control.tick, realtime=True)
+            _export(service.metrics, machine, loop)
             with (
-                Loop("control", period, control.tick, realtime=True),
+                loop,
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
@@ -148,6 +156,29 @@ def start(service: Service) -> Iterator[None]:
                     reporter.publish()
         finally:
             machine.release()
+
+
+def _first_speed(robot: Robot, kept: StateFile[Speed]) -> float:
+    """The share of the planned speed to begin with: the descriptor's, or what a client of an earlier process set, if less."""
+    speed = kept.load()
+    planned = robot.descriptor.execution.speed_scale
+    return planned if speed is None else min(speed.speed_scale, planned)
+
+
+def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
+    """Have read what the control loop knows, when somebody does: it itself waits for nobody."""
+
+    def age() -> float | None:
+        measured = machine.joint_state()
+        return None if measured is None else time.monotonic() - measured.time
+
+    metrics.read(
+        "counter", "zarm_ticks_missed", "Ticks of the control loop left out.", lambda: machine.state().missed_ticks
+    )
+    metrics.read("gauge", "zarm_joint_state_age_seconds", "How long ago the robot's joints were measured.", age)
+    metrics.read_histogram(
+        "zarm_tick_lateness_seconds", "How late ticks of the control loop began.", LATE, loop.lateness
+    )
 
 
 def _exempt_from_collection() -> None:

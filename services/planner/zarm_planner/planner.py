@@ -53,7 +53,7 @@ from zarm_planner.world import World
 
 log = logging.getLogger(__name__)
 
-_PLANNER: dict[str, PlannerKind] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
+PLANNERS: dict[str, PlannerKind] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
 """Which planner a kind of goal is for."""
 _MARGINS = 4
 """How many margins a scene is kept ready with."""
@@ -96,9 +96,9 @@ class Planner:
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
         kind = request.planner or settings.planner
-        if kind not in ("auto", _PLANNER[request.goal.kind]):
+        if kind not in ("auto", PLANNERS[request.goal.kind]):
             raise InvalidRequest(
-                f"the planner {kind} takes no goal of kind {request.goal.kind}; ask for {_PLANNER[request.goal.kind]} or auto",
+                f"the planner {kind} takes no goal of kind {request.goal.kind}; ask for {PLANNERS[request.goal.kind]} or auto",
                 field="planner",
             )
         options = Options(

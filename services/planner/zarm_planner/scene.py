@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import Literal, assert_never
+from typing import Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.codec import MAX_BYTES, decode, encode
+from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import (
     MAX_OBJECTS,
@@ -25,7 +23,6 @@ from zarm_contract.messages import (
     DetachObject,
     LoadScene,
     Mesh,
-    Message,
     PointCloud,
     RemoveObjects,
     Scene,
@@ -35,6 +32,7 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
+from zarm_contract.state_file import StateFile
 from zarm_planner.carrying import attach, detach, refuse_carried, set_links
 from zarm_planner.meshes import Meshes
 from zarm_planner.voxels import check_reach, voxels_of
@@ -50,9 +48,9 @@ MAX_PARTS = 300_000
 """Objects, occupied cells and shapes of meshes in one scene."""
 
 
-class _File(Message):
-    format: Literal[1] = 1
-    scene: Scene
+def _named(document: Any) -> Any:
+    """The scene in a file of version 0."""
+    return document["scene"]
 
 
 class SceneStore:
@@ -64,19 +62,11 @@ class SceneStore:
 
     def __init__(self, folder: Path, meshes: Meshes | None = None) -> None:
         """Raises Unavailable where the folder cannot be used, or holds the scene of a newer zarm."""
-        self._path = folder / "scene.json"
-        self._broken = folder / "scene.json.broken"
+        self._file = StateFile(folder / "scene.json", Scene, migrations=(_named,), flushed=True)
         self._lock = threading.Lock()
         self.meshes = meshes or Meshes()
         self.lost: str | None = None
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._scene = self._read()
-        except OSError as error:
-            raise Unavailable(
-                f"cannot read the scene {self._path}: {error.strerror or error}; make the folder readable and writable, or "
-                "choose another with --state"
-            ) from error
+        self._scene = self._read()
 
     @property
     def scene(self) -> Scene:
@@ -94,7 +84,7 @@ class SceneStore:
                 raise Unavailable(self.lost)  # such an edit says nothing of what stands around the robot
             scene = _edited(self._scene, request, tip, self.meshes)
             scene = scene.model_copy(update={"revision": self._scene.revision + 1})
-            content = encode(_File(scene=scene))
+            content = encode(scene)
             if len(content) > MAX_BYTES:
                 raise InvalidRequest(
                     f"the scene would take {len(content)} bytes, more than the {MAX_BYTES} of one message; remove objects "
@@ -102,34 +92,20 @@ class SceneStore:
                     field="edit.objects",
                 )
             try:
-                _replace(self._path, content)
-            except OSError as error:
-                raise Unavailable(
-                    f"cannot save the scene to {self._path}: {error.strerror or error}; the edit was not applied. Make room "
-                    "or make the folder writable, then send it again"
-                ) from error
+                self._file.write(content)
+            except Unavailable as error:
+                raise Unavailable(f"the edit was not applied: {error}; then send it again") from error
             self._scene, self.lost = scene, None
             self.meshes.keep(item for item in scene.objects if isinstance(item, Mesh))
             return scene
 
     def _read(self) -> Scene:
-        try:
-            payload = self._path.read_bytes()
-        except FileNotFoundError:
-            if not self._broken.exists():
-                return Scene(revision=0)
-        else:
-            try:
-                return decode(_File, payload).scene
-            except InvalidRequest as error:
-                if error.problem.field == "format":
-                    raise Unavailable(
-                        f"{self._path} was written by another version of zarm; use that one, or move the file away"
-                    ) from error
-                log.error("scene cannot be read path=%s reason=%s", self._path, error)
-                self._path.replace(self._broken)
+        saved = self._file.load()
+        broken = self._file.broken
+        if broken is None:
+            return saved or Scene(revision=0)
         self.lost = (
-            f"the saved scene could not be read and lies in {self._broken}; plans are refused until the scene is edited: "
+            f"the saved scene could not be read and lies in {broken}; plans are refused until the scene is edited: "
             "load or add what stands around the robot, or clear it if nothing does"
         )
         log.error("scene lost remedy=%s", self.lost)
@@ -240,23 +216,3 @@ def _check_size(item: SceneObject | PointCloud, field: str) -> None:
                 f"{item.name}: {size:g} m is outside {_THINNEST:g} to {_FARTHEST:g} m; sizes are in m",
                 field=f"{field}.{name}",
             )
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file so that after a crash at any moment it holds the old content or the new one, whole."""
-    fresh = path.with_name(path.name + ".new")
-    try:
-        with fresh.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
-    except OSError:
-        with suppress(OSError):
-            fresh.unlink()
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)

@@ -28,10 +28,12 @@ from zarm_contract.messages import (
     SceneEdited,
     SettingsChange,
 )
+from zarm_contract.metrics import Metrics
 from zarm_contract.service import Service, run_service, service_parser
+from zarm_contract.state_file import owned
 from zarm_planner.joints import MeasuredJoints
 from zarm_planner.meshes import Meshes
-from zarm_planner.planner import Planner
+from zarm_planner.planner import PLANNERS, Planner
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
 
@@ -46,9 +48,16 @@ PLANS_WAITING = 16
 @contextmanager
 def start(service: Service) -> Iterator[None]:
     """The planner, from warm-up until the last plan in hand is answered."""
+    with owned(service.options.state / service.keys.robot, service.name) as folder:
+        store = SceneStore(folder, Meshes(service.options.meshes))
+        with _serving(service, store):
+            yield
+
+
+@contextmanager
+def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    store = SceneStore(service.options.state / keys.robot, Meshes(service.options.meshes))
     planner = Planner(model, keys.robot, store, MeasuredJoints(model, bus.latest(keys.joint_states, JointState)))
     warm = False
 
@@ -66,9 +75,17 @@ def start(service: Service) -> Iterator[None]:
         try:
             answer = planner.plan(request)
         except ZarmError as error:
+            _count(service.metrics, request, error.code)
             log.info("no plan request=%s code=%s reason=%s", request.request_id, error.code, error)
             raise
         plans.set(answer)
+        _count(service.metrics, request, "ok")
+        service.metrics.time(
+            "zarm_planning_seconds",
+            "How long plans took that were found.",
+            answer.timings.total,
+            planner=PLANNERS[request.goal.kind],
+        )
         log.info(
             "planned request=%s plan=%s seconds=%.3f clearance=%.4f duration=%.2f",
             request.request_id,
@@ -103,6 +120,10 @@ def start(service: Service) -> Iterator[None]:
         yield
     finally:
         planner.close()
+
+
+def _count(metrics: Metrics, request: PlanRequest, outcome: str) -> None:
+    metrics.count("zarm_plans", "Plans asked for, by outcome.", planner=PLANNERS[request.goal.kind], outcome=outcome)
 
 
 def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Scene]) -> None:

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import Name, NonNegative
 
 
 class Nothing(ShortMessage):
-    """A request without content: `{}` or no payload at all."""
+    """A request without content: `{}` or no payload at all. Whoever sends it may speak any version: a stop is a stop."""
+
+    any_contract = True
 
 
 class Health(Message):
-    """How a service is. `activity` says what it is busy with while not `ready`; `uptime` in s."""
+    """How a service is. `activity` says what it is busy with while not `ready`; `uptime` in s.
+
+    It tells who runs which version, so it is read from every version: fields that a later one adds are passed over.
+    """
+
+    any_contract = True
+    model_config = ConfigDict(extra="ignore")
 
     service: Name
     robot: Name

@@ -10,7 +10,7 @@ from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
 from zarm_contract.robot import Robot
-from zarm_executor.state_file import StateFile
+from zarm_contract.state_file import StateFile
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator

@@ -10,10 +10,10 @@ import numpy as np
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_contract.robot import RobotDescriptor
+from zarm_contract.state_file import StateFile
 from zarm_executor.follower import Follower
 from zarm_executor.loop import Loop
 from zarm_executor.path import Array, Path
-from zarm_executor.state_file import StateFile
 from zarm_executor.strategies.base import Measured, Progress, Steerable
 
 log = logging.getLogger(__name__)

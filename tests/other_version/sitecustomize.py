@@ -1,0 +1,11 @@
+"""Makes this whole process one of another zarm; Python imports this file first where its folder is on the path."""
+
+import os
+
+import zarm_contract.codec
+
+zarm_contract.codec.CONTRACT = os.environ.get("ZARM_TEST_CONTRACT", zarm_contract.codec.CONTRACT)
+
+import zarm_contract.service  # noqa: E402 - it takes the contract from there
+
+zarm_contract.service.version = lambda: os.environ["ZARM_TEST_VERSION"]
