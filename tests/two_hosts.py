@@ -18,7 +18,7 @@ from pathlib import Path
 
 from harness import ServiceProcess, eventually
 from launched import ZARM, environment
-from link import Link, link
+from link import link
 from wire import Wire, wire
 
 from zarm_contract.bus import Bus
@@ -47,7 +47,7 @@ def _ip(*words: str) -> None:
 class Host:
     """A network namespace with a router. `bus` is a session on that router for the test, `endpoint` how it gets there."""
 
-    def __init__(self, stack: ExitStack, name: str, address: str, peer: str, device: str, folder: Path) -> None:
+    def __init__(self, stack: ExitStack, name: str, address: str, folder: Path) -> None:
         self.namespace = f"zarm-{os.getpid()}-{name}"
         self.address = address
         self.folder = folder / name
@@ -55,16 +55,19 @@ class Host:
         self._stack = stack
         _ip("netns", "add", self.namespace)
         stack.callback(_ip, "netns", "del", self.namespace)
-        _ip("link", "set", device, "netns", self.namespace)
-        _ip("-n", self.namespace, "address", "add", address, "peer", peer, "dev", device)
-        for each in ("lo", device):
-            _ip("-n", self.namespace, "link", "set", each, "up")
+        _ip("-n", self.namespace, "link", "set", "lo", "up")
         self.endpoint = stack.enter_context(link(LOCAL, self.enter)).endpoint
         self.bus: Bus
 
+    def plug_in(self, device: str, peer: str) -> None:
+        """Give it the end of a wire, at whose other end is the address `peer`."""
+        _ip("link", "set", device, "netns", self.namespace)
+        _ip("-n", self.namespace, "address", "add", self.address, "peer", peer, "dev", device)
+        _ip("-n", self.namespace, "link", "set", device, "up")
+
     def enter(self) -> None:
         """What the calling thread opens from now on, it opens on this host."""
-        with open(f"/run/netns/{self.namespace}") as namespace:
+        with Path("/run/netns", self.namespace).open() as namespace:
             failed = ctypes.CDLL(None, use_errno=True).setns(namespace.fileno(), 0)
         assert not failed, os.strerror(ctypes.get_errno())
 
@@ -74,14 +77,12 @@ class Host:
 
     def start_router(self, *arguments: str) -> None:
         """`zarm router`, until the hosts are gone; waits until it answers."""
-        log = self._stack.enter_context((self.folder / "router.log").open("wb"))
-        command = self.run(ZARM, "router", *arguments)
-        process = subprocess.Popen(command, env=environment(), stdout=log, stderr=log, start_new_session=True)
+        process = self._stack.enter_context(self.runs(ZARM, "router", *arguments))
         self._stack.callback(process.wait)
         self._stack.callback(process.terminate)
 
         def joined() -> Bus | None:
-            assert process.poll() is None, (self.folder / "router.log").read_text()
+            assert process.poll() is None, f"the router ended with {process.returncode}"
             try:
                 return Bus(self.endpoint, timeout=1.0)
             except Unavailable:
@@ -89,9 +90,21 @@ class Host:
 
         self.bus = self._stack.enter_context(eventually(joined, f"the router of {self.namespace} answers"))
 
-    def service(self, name: str, *arguments: str, robot: str = "doosan_m1013", called: str | None = None) -> ServiceProcess:
+    def service(
+        self, name: str, *arguments: str, robot: str = "doosan_m1013", called: str | None = None
+    ) -> ServiceProcess:
         """A service of zarm on this host; use it in `with`."""
         return ServiceProcess(name, LOCAL, self.folder, robot, called, arguments, prefix=tuple(self.run()))
+
+    @contextmanager
+    def runs(self, *command: str) -> Iterator[subprocess.Popen[bytes]]:
+        """A command runs on this host; what is left of it at the end of the block is killed."""
+        process = subprocess.Popen(self.run(*command), env=environment(), start_new_session=True)
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
 
     def zarm(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run `zarm` on this host to its end."""
@@ -102,12 +115,16 @@ class Hosts:
     """The two of them, and the `wire` between."""
 
     def __init__(self, stack: ExitStack, folder: Path) -> None:
+        self.workstation = Host(stack, "workstation", "10.77.0.1", folder)
+        self.robot = Host(stack, "robot", "10.77.0.2", folder)
         self.wire: Wire = stack.enter_context(wire())
-        mine, other = self.wire.ends
-        self.robot = Host(stack, "robot", "10.77.0.2", "10.77.0.1", other, folder)
-        self.workstation = Host(stack, "workstation", "10.77.0.1", "10.77.0.2", mine, folder)
+        for device, host, peer in zip(self.wire.ends, self, reversed(list(self)), strict=True):
+            host.plug_in(device, peer.address)
         self.robot.start_router("--listen", f"tcp/0.0.0.0:{PORT}")
         self.workstation.start_router("--listen", LOCAL, "--link", f"tcp/{self.robot.address}:{PORT}")
+
+    def __iter__(self) -> Iterator[Host]:
+        return iter((self.workstation, self.robot))
 
 
 @contextmanager
