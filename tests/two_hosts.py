@@ -44,6 +44,13 @@ def _ip(*words: str) -> None:
     assert done.returncode == 0, f"ip {' '.join(words)}: {done.stderr}"
 
 
+def enter(namespace: str) -> None:
+    """What the calling thread opens from now on, and each thread that it starts, it opens in this network namespace."""
+    with Path("/run/netns", namespace).open() as file:
+        failed = ctypes.CDLL(None, use_errno=True).setns(file.fileno(), 0)
+    assert not failed, os.strerror(ctypes.get_errno())
+
+
 class Host:
     """A network namespace with a router. `bus` is a session on that router for the test, `endpoint` how it gets there."""
 
@@ -56,7 +63,7 @@ class Host:
         _ip("netns", "add", self.namespace)
         stack.callback(_ip, "netns", "del", self.namespace)
         _ip("-n", self.namespace, "link", "set", "lo", "up")
-        self.endpoint = stack.enter_context(link(LOCAL, self.enter)).endpoint
+        self.endpoint = stack.enter_context(link(LOCAL, lambda: enter(self.namespace))).endpoint
         self.bus: Bus
 
     def plug_in(self, device: str, peer: str) -> None:
@@ -64,12 +71,6 @@ class Host:
         _ip("link", "set", device, "netns", self.namespace)
         _ip("-n", self.namespace, "address", "add", self.address, "peer", peer, "dev", device)
         _ip("-n", self.namespace, "link", "set", device, "up")
-
-    def enter(self) -> None:
-        """What the calling thread opens from now on, it opens on this host."""
-        with Path("/run/netns", self.namespace).open() as namespace:
-            failed = ctypes.CDLL(None, use_errno=True).setns(namespace.fileno(), 0)
-        assert not failed, os.strerror(ctypes.get_errno())
 
     def run(self, *command: str) -> list[str]:
         """The command line that runs a command on this host."""
