@@ -25,6 +25,8 @@ from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 
 PORT = 7447
+SECURITY = ("ZARM_SECURITY", "ZARM_CERTS")
+"""What of the tests' own environment holds on every host."""
 LOCAL = f"tcp/127.0.0.1:{PORT}"
 """The router of a host, as its own processes see it."""
 
@@ -42,6 +44,10 @@ def obstacle() -> str | None:
 def _ip(*words: str) -> None:
     done = subprocess.run(["ip", *words], capture_output=True, text=True)
     assert done.returncode == 0, f"ip {' '.join(words)}: {done.stderr}"
+
+
+def _environment() -> dict[str, str]:
+    return environment(**{name: os.environ[name] for name in SECURITY if name in os.environ})
 
 
 def enter(namespace: str) -> None:
@@ -100,7 +106,7 @@ class Host:
     @contextmanager
     def runs(self, *command: str) -> Iterator[subprocess.Popen[bytes]]:
         """A command runs on this host; what is left of it at the end of the block is killed."""
-        process = subprocess.Popen(self.run(*command), env=environment(), start_new_session=True)
+        process = subprocess.Popen(self.run(*command), env=_environment(), start_new_session=True)
         try:
             yield process
         finally:
@@ -109,7 +115,9 @@ class Host:
 
     def zarm(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run `zarm` on this host to its end."""
-        return subprocess.run(self.run(ZARM, *arguments), env=environment(), capture_output=True, text=True, timeout=60)
+        return subprocess.run(
+            self.run(ZARM, *arguments), env=_environment(), capture_output=True, text=True, timeout=60
+        )
 
 
 class Hosts:
