@@ -58,7 +58,7 @@ def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIE
 class ServiceProcess:
     """One service of zarm as a process of its own; use it in `with`. Leaving stops it with SIGTERM and waits.
 
-    `script` is run in its place.
+    `script` is run in its place; `prefix` is put before the command.
     """
 
     service: str
@@ -69,10 +69,11 @@ class ServiceProcess:
     arguments: tuple[str, ...] = ()
     script: str | None = None
     environment: dict[str, str] = field(default_factory=dict)
+    prefix: tuple[str, ...] = ()
 
     def __enter__(self) -> Self:
         program = [self.script] if self.script else ["-m", f"zarm_{self.service}.service"]
-        command = [sys.executable, *program, "--robot", self.robot]
+        command = [*self.prefix, sys.executable, *program, "--robot", self.robot]
         command += ["--connect", self.endpoint, "--state", str(self.state)]
         command += [*(["--name", self.name] if self.name else []), *self.arguments]
         self.log = self.state / f"{self.service}-{time.monotonic_ns()}.log"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from harness import free_endpoint
@@ -20,11 +20,12 @@ def _address(endpoint: str) -> tuple[str, int]:
 
 
 class Link:
-    """Passes on what comes in at `endpoint` to the router, and back."""
+    """Passes on what comes in at `endpoint` to the router, and back; `enter` takes a thread to where the router is."""
 
-    def __init__(self, router: str) -> None:
+    def __init__(self, router: str, enter: Callable[[], None] = lambda: None) -> None:
         self.endpoint = free_endpoint()
         self._router = _address(router)
+        self._enter = enter
         self._listener = socket.create_server(_address(self.endpoint))
         self._ends: list[socket.socket] = []
         self._lock = threading.Lock()
@@ -62,6 +63,7 @@ class Link:
         self.cut()
 
     def _accept(self) -> None:
+        self._enter()
         with suppress(OSError):
             while True:
                 self._join(self._listener.accept()[0])
@@ -93,9 +95,9 @@ class Link:
 
 
 @contextmanager
-def link(router: str) -> Iterator[Link]:
+def link(router: str, enter: Callable[[], None] = lambda: None) -> Iterator[Link]:
     """A link to the router, until the end of the block."""
-    wire = Link(router)
+    wire = Link(router, enter)
     try:
         yield wire
     finally:

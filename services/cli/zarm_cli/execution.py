@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import secrets
 import time
@@ -24,6 +25,7 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     GoalState,
+    Nothing,
     Speed,
     SpeedRequest,
     Strategies,
@@ -32,7 +34,7 @@ from zarm_contract.messages import (
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 _LOOK_SECONDS = 0.5
-_RESTART_SECONDS = 10.0  # within which a restarted executor reports what became of a goal
+_RESTART_SECONDS = 10.0  # within which an executor that was started anew, or is heard again, tells what became of a goal
 _STOP_SECONDS = 30.0
 
 
@@ -77,10 +79,9 @@ def _saved(file: Path) -> ExecuteRequest:
 
 def _bring_to_rest(client: Client) -> None:
     """Cancel the goal that runs, if any, and wait for its end: a motion is planned from where the robot rests."""
-    instances = _executors(client)
     goal_id = client.ask(client.keys.cancel, ExecutorState).goal_id
     if goal_id is not None:
-        _Goal(client, goal_id, instances).follow(lambda _: None, _STOP_SECONDS)
+        _Goal(client, goal_id).follow(lambda _: None, _STOP_SECONDS)
 
 
 def demand_success(last: GoalState) -> None:
@@ -91,7 +92,6 @@ def demand_success(last: GoalState) -> None:
 
 def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
-    instances = _executors(client)
     goal_id = f"cli-{secrets.token_hex(8)}"
     with uninterrupted():
         try:
@@ -101,7 +101,7 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
             with suppress(Unavailable):
                 client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
             raise
-        goal = _Goal(client, goal_id, instances)
+        goal = _Goal(client, goal_id)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(None),
@@ -128,38 +128,39 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
             raise
 
 
-def _executors(client: Client) -> list[tuple[str, str, str]]:
-    return client.bus.alive(client.keys.alive("executor", "*"))
-
-
 class _Goal:
-    """The states of one goal, and an eye on the executor that runs it."""
+    """The states of one goal: as they are told, and where none is told for a while, as the executor answers."""
 
-    def __init__(self, client: Client, goal_id: str, instances: list[tuple[str, str, str]]) -> None:
+    def __init__(self, client: Client, goal_id: str) -> None:
         self._client = client
+        self._key = client.keys.goal(goal_id)
         self._id = goal_id
-        self._instances = instances
         self._states: queue.SimpleQueue[GoalState] = queue.SimpleQueue()
-        client.bus.watch(client.keys.goal(goal_id), GoalState, lambda _, state: self._states.put(state))
+        client.bus.watch(self._key, GoalState, lambda _, state: self._states.put(state))
 
-    def follow(self, show: Callable[[GoalState], None], timeout: float | None = None) -> GoalState:
-        """The last state. Raises Unavailable when the executor is gone and no other one reports the goal's end."""
-        deadline = None if timeout is None else time.monotonic() + timeout
+    def follow(self, show: Callable[[GoalState], None], timeout: float = math.inf) -> GoalState:
+        """The last state. Raises Unavailable where it is not there `timeout` s from now, or nothing is heard of the goal."""
+        end = time.monotonic() + timeout
+        silent = time.monotonic() + _RESTART_SECONDS
         while True:
-            try:
-                state = self._states.get(timeout=_LOOK_SECONDS)
-            except queue.Empty:
-                if deadline is None and _executors(self._client) != self._instances:
-                    deadline = time.monotonic() + _RESTART_SECONDS
-                if deadline is not None and time.monotonic() > deadline:
-                    raise Unavailable(
-                        f"the end of the goal {self._id} is unknown: its executor does not answer; make sure that the "
-                        "robot stands still, then see `zarm status`"
-                    ) from None
-                continue
-            show(state)
-            if state.done:
-                return state
+            if (state := self._next()) is not None:
+                silent = time.monotonic() + _RESTART_SECONDS
+                show(state)
+                if state.done:
+                    return state
+            if time.monotonic() > min(end, silent):
+                raise Unavailable(
+                    f"the end of the goal {self._id} is unknown: its executor does not answer; make sure that the "
+                    "robot stands still, then see `zarm status`"
+                )
+
+    def _next(self) -> GoalState | None:
+        try:
+            return self._states.get(timeout=_LOOK_SECONDS)
+        except queue.Empty:  # held, or told while the way here was cut
+            with suppress(Unavailable):
+                return self._client.bus.call(self._key, Nothing(), GoalState, timeout=_LOOK_SECONDS)
+            return None
 
 
 def _order(key: Callable[[Client], str], doc: str) -> Callable[[bool, str, str | None], None]:

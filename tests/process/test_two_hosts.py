@@ -1,0 +1,167 @@
+"""A workstation that plans and a machine beside the robot that executes, a router on each, and a wire that is cut in motion."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from executor_client import Client
+from harness import PATIENCE, eventually
+from lab import AWAY, Lab
+from launched import ZARM, vector
+from motions import HOME, KEYS, ROBOT, rest_to_rest
+from two_hosts import LOCAL, obstacle
+from wire import Quality
+
+from zarm_contract.errors import ExecutionRefused, Unavailable
+from zarm_contract.messages import (
+    Accepted,
+    CancelRequest,
+    ExecuteRequest,
+    ExecutorState,
+    GoalState,
+    JointState,
+)
+
+pytestmark = pytest.mark.skipif(bool(obstacle()), reason=obstacle() or "")
+
+CUT = Quality(cut=True)
+STREAM = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """The two hosts, which the tests of this file share."""
+    with ExitStack() as stack:
+        yield Lab(stack, tmp_path_factory.mktemp("hosts"))
+
+
+@pytest.fixture(autouse=True)
+def wire_is_whole(place: Lab) -> Iterator[None]:
+    yield
+    place.restore()
+
+
+def end_of(client: Client, goal_id: str) -> GoalState | None:
+    """The last state of a goal, where the client was told of it."""
+    return next((goal for goal in client.goals if goal.goal_id == goal_id and goal.done), None)
+
+
+def in_motion(client: Client, goal_id: str) -> None:
+    """Wait until a goal moves the robot, as the client is told."""
+    eventually(lambda: any(goal.goal_id == goal_id and goal.progress > 0.2 for goal in client.goals), "the robot moves")
+
+
+def slow(place: Lab, seconds: float = 3.0) -> str:
+    """Start a motion from the workstation to the other end, of so many seconds and more; its goal, which moves."""
+    start = place.here.position()
+    target = HOME if np.max(np.abs(start - HOME)) > 0.1 else AWAY
+    motion = rest_to_rest(target, start)
+    goal_id = place.here.execute(rest_to_rest(target, start, slower=max(1.0, seconds / motion.time[-1])))
+    in_motion(place.here, goal_id)
+    return goal_id
+
+
+def test_plan_and_execute_from_the_workstation_and_both_are_told(place: Lab) -> None:
+    planned = place.workstation.zarm("plan", "--joints", vector(tuple(AWAY)), "--json")
+    assert planned.returncode == 0, planned.stderr
+    executed = place.workstation.zarm("execute", "--json")
+    assert executed.returncode == 0, executed.stderr
+    goal_id = json.loads(executed.stdout)["goal_id"]
+    assert json.loads(place.workstation.zarm("status", "--json").stdout)["executor"]["mode"] == "idle"
+    for client in (place.here, place.there):
+        end = eventually(lambda client=client: end_of(client, goal_id), "the end is told")
+        assert end.status == "succeeded"
+        assert client.statuses(goal_id) == ["accepted", "running", "succeeded"]
+        np.testing.assert_allclose(client.position(), AWAY, atol=0.01)
+
+
+def test_an_accepted_goal_goes_on_to_its_end_without_the_wire_and_is_told_when_it_is_back(place: Lab) -> None:
+    with place.driver(place.robot):
+        goal_id = slow(place)
+        place.wire.become(CUT)
+        end = eventually(lambda: end_of(place.there, goal_id), "the goal has ended")
+        assert end.status == "succeeded"
+        assert end_of(place.here, goal_id) is None
+        place.restore()
+        assert place.here.ended(goal_id).status == "succeeded"
+        place.goes_on()
+
+
+def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab) -> None:
+    planned = place.plan(*(HOME if np.max(np.abs(place.here.position() - HOME)) > 0.1 else AWAY))
+    with place.workstation.runs(ZARM, "execute", "--plan-id", planned.plan_id) as command:
+        goal_id = eventually(lambda: place.there.state().goal_id, "the motion begins")
+        in_motion(place.there, goal_id)
+        place.lose_each_other()
+        eventually(lambda: end_of(place.there, goal_id), "the goal has ended")
+        place.restore()
+        assert command.wait(PATIENCE) == 0
+
+
+def test_a_robot_whose_driver_is_beyond_the_wire_rests_and_is_in_fault(place: Lab) -> None:
+    told: list[JointState] = []
+    place.workstation.bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: told.append(state))
+    with place.driver(place.workstation):
+        goal_id = slow(place)
+        assert any(told[-1].velocity)
+        place.wire.become(CUT)
+        end = eventually(lambda: end_of(place.there, goal_id), "the executor has stopped")
+        assert (end.status, end.problem and end.problem.code) == ("aborted", "driver_stalled")
+        assert place.there.state().mode == "fault"
+        eventually(lambda: not any(told[-1].velocity), "the driver has stopped the robot by itself")
+        rested = told[-1].position
+        place.restore()
+        assert place.here.ended(goal_id).status == "aborted"
+        seen = len(told)
+        eventually(lambda: len(told) > seen + 50, "the driver tells the joints")
+        assert {state.position for state in told[seen:]} == {rested}
+        assert place.here.command(KEYS.reset).mode == "idle"
+        place.goes_on()
+
+
+def test_a_stream_from_beyond_the_wire_ends_at_its_deadline(place: Lab) -> None:
+    command = [sys.executable, str(STREAM), "--connect", LOCAL, "--seconds", "60", "--deadline", "1"]
+    with place.workstation.runs(*command, "--joints", *ROBOT.descriptor.joints):
+        goal_id = eventually(lambda: place.there.state().goal_id, "the stream runs")
+        eventually(lambda: abs(place.there.measured[-1].velocity[0]) > 0.15, "the robot moves")
+        place.wire.become(CUT)
+        end = eventually(lambda: end_of(place.there, goal_id), "the stream has ended")
+        assert (end.status, end.problem and end.problem.code) == ("aborted", "timeout")
+        assert place.there.state().mode == "idle"
+        assert place.there.stands()
+        place.restore()
+        assert place.here.ended(goal_id).status == "aborted"
+    place.goes_on()
+
+
+def test_without_the_wire_nothing_is_planned_from_old_joints_and_nothing_executed(place: Lab) -> None:
+    found = place.plan(*AWAY)
+    place.wire.become(CUT)
+
+    def refused() -> bool:
+        try:
+            return place.plan(*AWAY) is None
+        except ExecutionRefused as error:
+            return error.problem.code == "no_joint_state"
+
+    eventually(refused, "the planner misses the joints")
+    bus, given_up = place.workstation.bus, "given-up"
+    with pytest.raises(Unavailable):
+        bus.call(KEYS.execute, ExecuteRequest(plan_id=found.plan_id, goal_id=given_up), Accepted, timeout=0.5)
+    with pytest.raises(Unavailable):
+        bus.call(KEYS.cancel, CancelRequest(goal_id=given_up), ExecutorState, timeout=0.5)
+    place.restore()
+    place.goes_on()
+    assert {goal.status for goal in place.there.goals if goal.goal_id == given_up and goal.done} <= {"cancelled"}
+
+
+def test_a_wire_that_is_late_and_lossy_is_good_enough_to_plan_and_execute(place: Lab) -> None:
+    place.wire.become(Quality(delay=0.02, loss=0.05))
+    for _ in range(2):
+        place.goes_on()

@@ -1,0 +1,31 @@
+"""Two machines whose routers know each other by their certificates."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from lab import AWAY, Lab
+from launched import vector, zarm
+from two_hosts import obstacle
+
+pytestmark = pytest.mark.skipif(bool(obstacle()), reason=obstacle() or "")
+
+
+def test_with_certificates_the_two_are_one_bus_and_are_again_after_a_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = zarm("certs", str(tmp_path / "certs"), "--host", "10.77.0.2")
+    assert made.returncode == 0, made.stderr
+    monkeypatch.setenv("ZARM_SECURITY", "on")
+    monkeypatch.setenv("ZARM_CERTS", str(tmp_path / "certs"))
+    with ExitStack() as stack:
+        lab = Lab(stack, tmp_path)
+        executed = lab.workstation.zarm("execute", "--joints", vector(tuple(AWAY)), "--json")
+        assert executed.returncode == 0, executed.stderr
+        assert json.loads(executed.stdout)["status"] == "succeeded"
+        lab.lose_each_other()
+        lab.restore()
+        lab.goes_on()
