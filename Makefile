@@ -8,7 +8,7 @@ PINNED := pyproject.toml constraints.txt
 BRIDGE := services/ros_bridge
 MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/curobo_msgs/,*.* srv/*.srv action/*.action))
 
-.PHONY: demo test ros lint bench clean
+.PHONY: demo test test-deploy ros lint bench clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
@@ -16,7 +16,16 @@ demo: $(VENV)/.kernels
 # Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest
+	@$(BIN)/pytest --ignore=tests/deploy
+
+# The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.
+COMPOSE = $(if $(shell docker compose version 2>/dev/null),docker compose,docker-compose)
+
+test-deploy: export ZARM_TAG = test
+test-deploy: $(VENV)/.dev
+	@bash -c 'time $(COMPOSE) --project-directory deploy -f deploy/compose.yaml --profile sim build'
+	@docker image ls --filter reference='zarm-*:test'
+	@$(BIN)/pytest tests/deploy
 
 ros: $(VENV)/.ros
 

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
+import sys
+import time
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from harness import eventually, free_endpoint
+from harness import free_endpoint
 from launched import environment, zarm
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
 SERVICES = ("router", "planner", "executor", "ros_bridge")
 TAG = os.environ.get("ZARM_TAG", "0.1.0")
-PATIENCE = 100.0
+PATIENCE = 240.0
 """Seconds until a test gives up waiting for a container."""
-
-
-def engine_runs() -> bool:
-    """Whether there is a Docker engine to talk to."""
-    return shutil.which("docker") is not None and docker("info", check=False).returncode == 0
+_PACE = 0.5
+"""Seconds between two looks at a container: a look costs a process."""
 
 
 def docker(*arguments: str, check: bool = True, given: str | None = None) -> subprocess.CompletedProcess[str]:
@@ -31,6 +30,13 @@ def docker(*arguments: str, check: bool = True, given: str | None = None) -> sub
     done = subprocess.run(["docker", *arguments], input=given, capture_output=True, text=True, timeout=PATIENCE)
     assert not check or done.returncode == 0, f"docker {' '.join(arguments)}: {done.stdout}{done.stderr}"
     return done
+
+
+def _in_time(probe: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not probe():
+        assert time.monotonic() < deadline, f"waited {PATIENCE:g} s in vain until {what}"
+        time.sleep(_PACE)
 
 
 def image(service: str) -> str:
@@ -61,7 +67,7 @@ class Composition:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None:
-            print(self.compose("--profile", "sim", "logs", "--no-color", "--tail=40", check=False))
+            sys.stdout.write(self.compose("--profile", "sim", "logs", "--no-color", "--tail=40", check=False))
         self.down()
 
     def compose(self, *arguments: str, check: bool = True, **settings: str) -> str:
@@ -103,10 +109,9 @@ class Composition:
 
     def wait_healthy(self, service: str) -> None:
         """Wait until the health check of a service succeeds."""
-        eventually(
+        _in_time(
             lambda: self.container(service)["State"].get("Health", {}).get("Status") == "healthy",
             f"{service} is healthy",
-            PATIENCE,
         )
 
     def crash(self, service: str) -> None:
@@ -117,9 +122,7 @@ class Composition:
         before = self.container(service)
         kill = f"import os; os.kill({before['State']['Pid']}, 9)"
         docker("run", "--rm", "--pid=host", "--user=0", "--entrypoint=python", image("router"), "-c", kill)
-        eventually(
-            lambda: self.container(service)["RestartCount"] > before["RestartCount"], f"{service} restarts", PATIENCE
-        )
+        _in_time(lambda: self.container(service)["RestartCount"] > before["RestartCount"], f"{service} restarts")
         self.wait_healthy(service)
 
     def inside(self, service: str, *command: str, check: bool = True) -> str:

@@ -99,12 +99,6 @@ def test_a_container_has_no_more_rights_than_it_needs(robot: Composition, servic
     assert "Uid:\t0" not in status
 
 
-@pytest.mark.parametrize("service", ["router", "executor"])
-def test_what_commands_the_robot_runs_in_real_time(robot: Composition, service: str) -> None:
-    script = "import os; print({os.sched_getscheduler(int(t)) for t in os.listdir('/proc/1/task')} >= {os.SCHED_RR})"
-    assert robot.inside(service, "python", "-c", script) == "True"
-
-
 @pytest.mark.parametrize("service", SERVICES)
 def test_a_service_that_crashes_is_back_with_all_that_it_knew(robot: Composition, bus: Bus, service: str) -> None:
     go(robot, 0.2)

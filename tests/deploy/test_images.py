@@ -18,7 +18,7 @@ OWN = {
     "leeloo_sim": {"rclpy", "curobo_msgs"},
 }
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-READ_ONLY = ("--read-only", "--tmpfs=/tmp", "--network=none", "--cap-drop=ALL")
+READ_ONLY = ("--read-only", "--volume=/var/lib/zarm", "--tmpfs=/tmp", "--network=none", "--cap-drop=ALL")
 every_image = pytest.mark.parametrize("service", OWN)
 
 
@@ -60,7 +60,7 @@ def test_the_files_of_an_image_belong_to_somebody_else(service: str) -> None:
 
 
 def test_the_kernels_in_the_image_of_the_planner_are_used_as_they_are() -> None:
-    options = (*READ_ONLY, "--tmpfs=/var/lib/zarm:mode=1777", "--user=4321", "--env=NUMBA_DEBUG_CACHE=1")
+    options = (*READ_ONLY, "--env=NUMBA_DEBUG_CACHE=1")
     told = said("planner", "python", "-m", "zarm_planner.warm_up", options=options)
     assert "data loaded from '/var/lib/zarm/kernels" in told
     assert "data saved" not in told
@@ -75,5 +75,5 @@ model = RobotModel.of(load_robot("doosan_m1013"))
 print(model.fk_tip(np.array(model.robot.descriptor.home)))
 """
     cpu = ("--env=NUMBA_CPU_NAME=x86-64", "--env=NUMBA_CPU_FEATURES=", "--env=NUMBA_DEBUG_CACHE=1")
-    told = said("planner", "python", "-c", script, options=(*READ_ONLY, "--tmpfs=/var/lib/zarm:mode=1777", *cpu))
+    told = said("planner", "python", "-c", script, options=(*READ_ONLY, *cpu))
     assert "data saved to '/var/lib/zarm/kernels" in told
