@@ -10,7 +10,7 @@ MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/cu
 
 REQUIREMENTS := deploy/requirements
 
-.PHONY: demo test ros lint bench requirements licences audit clean
+.PHONY: demo test test-deploy ros lint bench requirements licences audit clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
@@ -18,7 +18,16 @@ demo: $(VENV)/.kernels
 # Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest
+	@$(BIN)/pytest --ignore=tests/deploy
+
+# The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.
+COMPOSE = $(if $(shell docker compose version 2>/dev/null),docker compose,docker-compose)
+
+test-deploy: export ZARM_TAG = test
+test-deploy: $(VENV)/.dev
+	@bash -c 'time $(COMPOSE) --project-directory deploy -f deploy/compose.yaml --profile sim build'
+	@docker image ls --filter reference='zarm-*:test'
+	@$(BIN)/pytest tests/deploy
 
 ros: $(VENV)/.ros
 

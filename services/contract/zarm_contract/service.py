@@ -274,14 +274,19 @@ def service_parser(name: str, *, several: bool = False) -> argparse.ArgumentPars
     """The command line that every service has; a service adds its own options. `several`: one process may serve several robots."""
     parser = argparse.ArgumentParser(f"zarm-{name.replace('_', '-')}", description=f"The zarm {name} of one robot.")
     count = "+" if several else None
-    robot = os.environ.get("ZARM_ROBOT", "doosan_m1013")
+    robot, instance = os.environ.get("ZARM_ROBOT", "doosan_m1013"), os.environ.get("ZARM_NAME")
     parser.add_argument(
         "--robot",
         default=[robot] if several else robot,
         help="descriptor: a name or a .yaml",
         nargs=count,
     )
-    parser.add_argument("--name", help="the robot's name on the bus (default: the descriptor's)", nargs=count)
+    parser.add_argument(
+        "--name",
+        default=[instance] if several and instance is not None else instance,
+        help="the robot's name on the bus (default: the descriptor's)",
+        nargs=count,
+    )
     parser.add_argument(
         "--connect", default=os.environ.get("ZARM_CONNECT", DEFAULT_ENDPOINT), help="the router's endpoint"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -221,7 +222,10 @@ def _serve(bus: Bus, service: Service, executor: Executor) -> None:
 def main() -> int:
     """Run the executor of one robot until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("executor")
-    parser.add_argument("--strategy", help="control strategy at the start (default: the descriptor's)")
+    strategy = os.environ.get("ZARM_STRATEGY")
+    parser.add_argument(
+        "--strategy", default=strategy, help="control strategy at the start (default: the descriptor's)"
+    )
     # A thread that is put aside while it holds the interpreter holds up the control loop, whatever the priority of that.
     ask_for_realtime(PROCESS_PRIORITY)
     return run_service("executor", parser, start)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
+import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -19,8 +22,22 @@ def _cache_folder() -> str:
     # the old ones. A folder named after the content of all of them cannot hold an old one.
     here = Path(__file__).parent
     content = b"".join(path.read_bytes() for path in sorted(here.glob("*.py")))
-    root = Path(config.CACHE_DIR or here / "__pycache__")
-    return str(root / f"kernels-{hashlib.sha256(content).hexdigest()[:16]}")
+    name = f"kernels-{hashlib.sha256(content).hexdigest()[:16]}"
+    beside = here / "__pycache__" / name
+    if not config.CACHE_DIR:
+        return str(beside)
+    folder = Path(config.CACHE_DIR) / name
+    if beside.is_dir() and not folder.exists():
+        _copy(beside, folder)
+    return str(folder)
+
+
+def _copy(source: Path, folder: Path) -> None:
+    # Whole or not at all, whoever else does the same or kills this process meanwhile: numba would trip over half a file.
+    with suppress(OSError):  # another process was faster, or there is no room: numba goes on by itself
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix="new-") as new:
+            shutil.copytree(source, Path(new, folder.name)).rename(folder)
 
 
 config.CACHE_DIR = _cache_folder()
@@ -29,7 +46,9 @@ config.CACHE_DIR = _cache_folder()
 def kernel(function: F) -> F:
     """Compile on the first call, or load what an earlier process compiled; runs without the GIL.
 
-    Honours NUMBA_CACHE_DIR; otherwise the cache lies in `__pycache__`, or in the user's cache where that is read-only.
+    The cache lies in `__pycache__`, or in the user's cache where that is read-only. With NUMBA_CACHE_DIR it lies there, and
+    begins as a copy of what was compiled into `__pycache__`: numba only reads a cache that it can write, since it may be one
+    of another CPU, for which it compiles anew.
     """
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
