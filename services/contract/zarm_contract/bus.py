@@ -173,8 +173,8 @@ class Bus:
         """
         self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
 
-    def listen(self, key: str, callback: Callable[[str, bytes], None]) -> None:
-        """Call `callback(key, payload)` for each message on `key` as it came, whatever it holds.
+    def listen(self, key: str, callback: Callable[[str, bytes], None]) -> Callable[[], None]:
+        """Call `callback(key, payload)` for each message on `key` as it came, whatever it holds; what ends it.
 
         Nothing is decoded, so high rates are no burden as long as the callback does next to nothing.
         """
@@ -186,7 +186,14 @@ class Bus:
                 observe(name, payload)
                 callback(name, payload)
 
-        self._entities.append(self._session.declare_subscriber(key, receive))
+        subscriber = self._session.declare_subscriber(key, receive)
+        self._entities.append(subscriber)
+
+        def end() -> None:
+            self._entities.remove(subscriber)
+            subscriber.undeclare()
+
+        return end
 
     def watch(self, key: str, model: type[M], callback: Callable[[str, M], None], *, timeout: float = 1.0) -> None:
         """Like `subscribe` on a latched key, and the present values first (waiting for them at most `timeout` s).
