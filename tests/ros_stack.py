@@ -19,8 +19,9 @@ KEYS = Keys("arm")
 
 @dataclass
 class Stack:
-    """A client on ROS and one on the bus, and the processes behind them."""
+    """The router's endpoint, a client on ROS and one on the bus, and the processes behind them."""
 
+    endpoint: str
     ros: RosClient
     bus: Bus
     processes: dict[str, ServiceProcess]
@@ -45,6 +46,6 @@ def stack(folder: Path, *, robot: str = "doosan_m1013", **services: tuple[str, .
         node = started.enter_context(running_node("client"))
         for process in processes.values():
             process.wait_ready(bus, KEYS)
-        yield Stack(RosClient(node), bus, processes)
+        yield Stack(endpoint, RosClient(node), bus, processes)
         for process in processes.values():
             assert process.process.poll() is None, process.output()

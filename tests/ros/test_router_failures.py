@@ -12,6 +12,7 @@ import pytest
 from harness import ServiceProcess, eventually, free_endpoint
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_client import told
 from ros_goals import ABORTED, HOME, SUCCEEDED, TARGET, Actions, Robot
 from ros_node import running_node
 from ros_stack import KEYS, RosClient
@@ -23,6 +24,7 @@ from visualization_msgs.msg import MarkerArray
 
 from curobo_msgs.srv import AddObject, SetRobotStrategy, TrajectoryGeneration
 from zarm_contract.bus import Bus
+from zarm_contract.messages import Plan
 from zarm_contract.session import open_router
 from zarm_ros_bridge.goals import SILENCE
 
@@ -120,12 +122,12 @@ def test_while_the_router_is_away_services_and_goals_say_so_and_then_everything_
     trajectories = place.heard(JointTrajectory, "/trajectory")
     place.switch("joint_speed")
     commands = place.heard(JointTrajectory, "/leeloo/execute_trajectory")
-    plan = place.robot.plan(speed=1.0)
-    eventually(trajectories.__len__, "the plan is shown")
+    plans: list[Plan] = []
+    told(trajectories, lambda: plans.append(place.robot.plan(speed=1.0)), "the plan is shown")
     status, result = place.actions.send().ended()
     assert status == SUCCEEDED, result.message
     assert commands
-    np.testing.assert_allclose(place.robot.joints(), plan.trajectory.position[-1], atol=0.005)
+    np.testing.assert_allclose(place.robot.joints(), plans[-1].trajectory.position[-1], atol=0.005)
     place.switch("emulator")
 
 
