@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
-import ros_controller
 from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
+from harness import ServiceProcess, eventually
 from motions import rest_to_rest
 from rclpy.node import Node
 from ros_client import RosClient, told
+from ros_stack import controller
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
@@ -24,25 +22,9 @@ from trajectory_msgs.msg import JointTrajectory
 from zarm_contract import messages as m
 from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import load_robot
 
 UR5E, M1013 = load_robot("ur5e"), load_robot("doosan_m1013")
-
-
-@contextmanager
-def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
-    """The stand-in for a robot under ros2_control, at home."""
-    descriptor, params = robot.descriptor, robot.descriptor.strategy_params
-    joints = [f"{name}={at}" for name, at in zip(descriptor.joints, descriptor.home, strict=True)]
-    command = [sys.executable, str(Path(ros_controller.__file__)), params.command_topic]
-    process = subprocess.Popen([*command, params.joint_states_topic, *joints], stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout.readline() == "ready\n"
-        yield process
-    finally:
-        process.terminate()
-        process.wait(PATIENCE)
-        process.stdout.close()
 
 
 @pytest.fixture
