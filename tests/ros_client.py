@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,7 +30,10 @@ class RosClient:
         return answer(client.call_async(kind.Request(**request)), f"{name} answers")
 
     def heard(self, kind: type[Any], topic: str, qos: QoSProfile | int = 10) -> list[Any]:
-        """A list to which every message on `topic` is added from now on; the publisher is known when this returns."""
+        """A list to which every message on `topic` is added from now on; the publisher is known when this returns.
+
+        The publisher may not know of the list yet, as DDS finds each direction by itself: see `told`.
+        """
         messages: list[Any] = []
         subscription = self.node.create_subscription(kind, topic, messages.append, qos)
         eventually(subscription.get_publisher_count, f"somebody publishes {topic}")
@@ -39,3 +43,19 @@ class RosClient:
 def one(messages: Sequence[Any], what: str) -> Any:
     """The first message that comes."""
     return eventually(lambda: messages and messages[0], what)
+
+
+def told(messages: Sequence[Any], tell: Callable[[], object], what: str) -> Any:
+    """The first message that comes of what `tell()` has somebody publish; that is done each second until it comes.
+
+    What is published before the publisher knows of the subscriber is lost.
+    """
+
+    def again() -> Any:
+        tell()
+        deadline = time.monotonic() + 1.0
+        while not messages and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return messages and messages[0]
+
+    return eventually(again, what)

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from harness import ServiceProcess, router
+import ros_controller
+from harness import PATIENCE, ServiceProcess, router
 from ros_client import RosClient
 from ros_node import running_node
 
 from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
+from zarm_contract.robot import Robot
 
 KEYS = Keys("arm")
 
 
 @dataclass
 class Stack:
-    """A client on ROS and one on the bus, and the processes behind them."""
+    """The router's endpoint, a client on ROS and one on the bus, and the processes behind them."""
 
+    endpoint: str
     ros: RosClient
     bus: Bus
     processes: dict[str, ServiceProcess]
@@ -45,6 +50,22 @@ def stack(folder: Path, *, robot: str = "doosan_m1013", **services: tuple[str, .
         node = started.enter_context(running_node("client"))
         for process in processes.values():
             process.wait_ready(bus, KEYS)
-        yield Stack(RosClient(node), bus, processes)
+        yield Stack(endpoint, RosClient(node), bus, processes)
         for process in processes.values():
             assert process.process.poll() is None, process.output()
+
+
+@contextmanager
+def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
+    """The stand-in for a robot under ros2_control, at home."""
+    descriptor, params = robot.descriptor, robot.descriptor.strategy_params
+    joints = [f"{name}={at}" for name, at in zip(descriptor.joints, descriptor.home, strict=True)]
+    command = [sys.executable, str(Path(ros_controller.__file__)), params.command_topic]
+    process = subprocess.Popen([*command, params.joint_states_topic, *joints], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "ready\n"
+        yield process
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+        process.stdout.close()

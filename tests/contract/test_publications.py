@@ -12,6 +12,7 @@ import zenoh
 from contract.examples import by_class
 from contract.wire import declared
 from harness import PATIENCE, eventually
+from link import link
 
 from zarm_contract import messages as m
 from zarm_contract.bus import Bus
@@ -111,6 +112,26 @@ def test_a_watcher_of_a_family_sees_every_member_and_new_ones(bus: Bus, other: B
     declared(other)
     goals.set(GOAL, key=KEYS.goal("goal-2"))
     assert inbox.get(timeout=PATIENCE)[0] == KEYS.goal("goal-2")
+
+
+def test_what_a_watcher_missed_while_its_link_was_down_is_told_when_that_is_back(bus: Bus, endpoint: str) -> None:
+    state, goals = bus.latched(KEYS.executor_state, m.ExecutorState), bus.latched(KEYS.goal("*"), m.GoalState)
+    state.set(IDLE)
+    declared(bus)
+    states: queue.SimpleQueue[m.ExecutorState] = queue.SimpleQueue()
+    seen: queue.SimpleQueue[str] = queue.SimpleQueue()
+    with link(endpoint) as wire, Bus(wire.endpoint) as far:
+        far.watch(KEYS.executor_state, m.ExecutorState, lambda _, message: states.put(message))
+        far.watch(KEYS.goal("*"), m.GoalState, lambda key, _: seen.put(key))
+        assert states.get_nowait() == IDLE
+        for value, name in ((RUNNING, "goal-1"), (IDLE, "goal-2")):
+            wire.cut()
+            state.set(value)
+            goals.set(GOAL, key=KEYS.goal(name))
+            assert states.empty()
+            wire.restore()
+            assert states.get(timeout=PATIENCE) == value
+            assert KEYS.goal(name) in iter(lambda: seen.get(timeout=PATIENCE), None)
 
 
 def test_a_key_that_takes_requests_can_be_watched_as_well(bus: Bus, other: Bus) -> None:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
-import ros_controller
 from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
+from harness import ServiceProcess, eventually
 from motions import rest_to_rest
 from rclpy.node import Node
-from ros_client import RosClient, one
+from ros_client import RosClient, told
+from ros_stack import controller
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
@@ -24,25 +22,9 @@ from trajectory_msgs.msg import JointTrajectory
 from zarm_contract import messages as m
 from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import load_robot
 
 UR5E, M1013 = load_robot("ur5e"), load_robot("doosan_m1013")
-
-
-@contextmanager
-def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
-    """The stand-in for a robot under ros2_control, at home."""
-    descriptor, params = robot.descriptor, robot.descriptor.strategy_params
-    joints = [f"{name}={at}" for name, at in zip(descriptor.joints, descriptor.home, strict=True)]
-    command = [sys.executable, str(Path(ros_controller.__file__)), params.command_topic]
-    process = subprocess.Popen([*command, params.joint_states_topic, *joints], stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout.readline() == "ready\n"
-        yield process
-    finally:
-        process.terminate()
-        process.wait(PATIENCE)
-        process.stdout.close()
 
 
 @pytest.fixture
@@ -84,15 +66,17 @@ def test_commands_reach_the_driver_as_they_are(bus: Bus, bridge: ServiceProcess,
     names = M1013.descriptor.joints
     rows = tuple(tuple(0.1 * i + j for j in range(6)) for i in range(2))
     commands = bus.publisher(Keys("doosan_m1013").driver_command, m.DriverCommand)
+    told(heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver")
     commands.put(
         m.DriverCommand(
-            sequence=1, joint_names=names, time=(0.0, 0.02), position=rows, velocity=rows, acceleration=rows
+            sequence=2, joint_names=names, time=(0.0, 0.02), position=rows, velocity=rows, acceleration=rows
         )
     )
-    commands.put(m.DriverCommand(sequence=2, joint_names=names, time=(0.0, 1.5), position=rows))
-    commands.put(m.DriverCommand(sequence=3, joint_names=names))
-    eventually(lambda: len(heard) == 3, "the commands have come")
-    whole, positions, stop = heard
+    commands.put(m.DriverCommand(sequence=3, joint_names=names, time=(0.0, 1.5), position=rows))
+    commands.put(m.DriverCommand(sequence=4, joint_names=names))
+    moving = [True, True, False]
+    eventually(lambda: [bool(one.points) for one in heard[-3:]] == moving, "the commands have come")
+    whole, positions, stop = heard[-3:]
     assert list(whole.joint_names) == list(names)
     for point, row in zip(whole.points, rows, strict=True):
         assert list(point.positions) == list(point.velocities) == list(point.accelerations) == list(row)
@@ -170,10 +154,10 @@ def test_progress_is_of_the_command_that_was_sent_last(bus: Bus, bridge: Service
     eventually(publisher.get_subscription_count, "the bridge listens")
     commands = bus.publisher(keys.driver_command, m.DriverCommand)
     row = (0.0,) * 6
-    commands.put(
-        m.DriverCommand(sequence=7, joint_names=M1013.descriptor.joints, time=(0.0, 0.1, 0.2, 0.3), position=(row,) * 4)
+    command = m.DriverCommand(
+        sequence=7, joint_names=M1013.descriptor.joints, time=(0.0, 0.1, 0.2, 0.3), position=(row,) * 4
     )
-    one(sent, "the command has come")
+    told(sent, lambda: commands.put(command), "the command has come")
     for value in (math.nan, 0.25, 0.5):
         publisher.publish(Float32(data=value))
     eventually(lambda: len(heard) == 2, "the progress has come")

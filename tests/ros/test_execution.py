@@ -12,6 +12,7 @@ from planner_client import BEHIND_POST, POST
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
 from ros_node import answer
 from ros_stack import KEYS, Stack, stack
@@ -187,7 +188,8 @@ def test_a_target_that_cannot_be_is_refused_with_its_field(robot: Robot, actions
 
 def test_a_second_goal_is_rejected_with_the_reason_in_the_log(running: Stack, robot: Robot, actions: Actions) -> None:
     lines: list[Log] = []
-    subscription = running.ros.node.create_subscription(Log, "/rosout", lines.append, 100)
+    kept = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # for whoever is found late
+    subscription = running.ros.node.create_subscription(Log, "/rosout", lines.append, kept)
     eventually(subscription.get_publisher_count, "somebody logs")
     robot.plan()
     first = actions.send()

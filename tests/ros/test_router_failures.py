@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from harness import ServiceProcess, eventually, free_endpoint
+from link import link
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_client import told
 from ros_goals import ABORTED, HOME, SUCCEEDED, TARGET, Actions, Robot
 from ros_node import running_node
 from ros_stack import KEYS, RosClient
@@ -23,6 +25,7 @@ from visualization_msgs.msg import MarkerArray
 
 from curobo_msgs.srv import AddObject, SetRobotStrategy, TrajectoryGeneration
 from zarm_contract.bus import Bus
+from zarm_contract.messages import AddObjects, Cylinder, Plan, SceneEdit, SceneEdited
 from zarm_contract.session import open_router
 from zarm_ros_bridge.goals import SILENCE
 
@@ -31,7 +34,10 @@ ASIDE = [HOME[0] + 0.3, *HOME[1:]]
 
 
 class Place:
-    """Every process of a robot with a driver on ROS, a client on ROS, and a router that can be taken away."""
+    """Every process of a robot with a driver on ROS, a client on ROS, and a router that can be taken away.
+
+    The bridge has a link to the router that can be cut.
+    """
 
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         self._endpoint = free_endpoint()
@@ -40,9 +46,15 @@ class Place:
         self.bus = stack.enter_context(Bus(self._endpoint))
         self.node: Node = stack.enter_context(running_node("client"))
         self.ros, self.actions, self.robot = RosClient(self.node), Actions(self.node), Robot(self.bus, KEYS)
+        self.link = stack.enter_context(link(self._endpoint))
         self.processes = [
-            ServiceProcess(name, self._endpoint, folder, name=KEYS.robot, arguments=arguments)
-            for name, arguments in (("planner", ()), ("executor", ()), ("ros_bridge", ()), ("leeloo_sim", ("--ros",)))
+            ServiceProcess(name, endpoint, folder, name=KEYS.robot, arguments=arguments)
+            for name, endpoint, arguments in (
+                ("planner", self._endpoint, ()),
+                ("executor", self._endpoint, ()),
+                ("ros_bridge", self.link.endpoint, ()),
+                ("leeloo_sim", self._endpoint, ("--ros",)),
+            )
         ]
         for process in self.processes:
             stack.enter_context(process)
@@ -120,12 +132,12 @@ def test_while_the_router_is_away_services_and_goals_say_so_and_then_everything_
     trajectories = place.heard(JointTrajectory, "/trajectory")
     place.switch("joint_speed")
     commands = place.heard(JointTrajectory, "/leeloo/execute_trajectory")
-    plan = place.robot.plan(speed=1.0)
-    eventually(trajectories.__len__, "the plan is shown")
+    plans: list[Plan] = []
+    told(trajectories, lambda: plans.append(place.robot.plan(speed=1.0)), "the plan is shown")
     status, result = place.actions.send().ended()
     assert status == SUCCEEDED, result.message
     assert commands
-    np.testing.assert_allclose(place.robot.joints(), plan.trajectory.position[-1], atol=0.005)
+    np.testing.assert_allclose(place.robot.joints(), plans[-1].trajectory.position[-1], atol=0.005)
     place.switch("emulator")
 
 
@@ -155,3 +167,19 @@ def test_a_goal_of_which_nothing_is_heard_is_aborted_and_the_next_one_runs_when_
     place.robot.plan()
     status, result = place.actions.send().ended()
     assert status == SUCCEEDED, result.message
+
+
+def test_a_bridge_that_alone_lost_its_link_shows_the_scene_that_became_meanwhile(place: Place) -> None:
+    shown = place.heard(MarkerArray, "/unified_planner/obstacles", LATCHED)
+    eventually(shown.__len__, "the scene is shown")
+    for name in ("pillar", "post"):
+        place.link.cut()
+        pole = Cylinder(kind="cylinder", name=name, position=(2.0, 0.0, 0.5), radius=0.1, length=1.0)
+        edit = SceneEdit(edit=AddObjects(op="add", objects=(pole,)))
+        place.bus.call(KEYS.scene_edit, edit, SceneEdited, timeout=10)
+        place.link.restore()
+        eventually(
+            lambda wanted=name: any(marker.ns == wanted for marker in shown[-1].markers),
+            "what came meanwhile is shown",
+        )
+    place.joined()

@@ -11,7 +11,7 @@ from executor_client import Client
 from harness import eventually
 from motions import HOME, ROBOT, moved, rest_to_rest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_client import RosClient, one
+from ros_client import RosClient, one, told
 from ros_stack import KEYS, Stack, stack
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
 from zarm_contract import messages as m
+from zarm_contract.session import open_client
 from zarm_ros_bridge.description import shown_description
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -30,9 +31,11 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
         yield started
 
 
-@pytest.fixture(scope="module")
-def ros(running: Stack) -> RosClient:
-    return running.ros
+@pytest.fixture
+def ros(running: Stack) -> Iterator[RosClient]:
+    yield running.ros
+    for subscription in list(running.ros.node.subscriptions):  # each test listens to what it reads alone
+        running.ros.node.destroy_subscription(subscription)
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +51,9 @@ def _plan(client: Client, *distances: float) -> m.Plan:
 def test_every_plan_is_on_trajectory_and_replayed_by_the_ghost(client: Client, ros: RosClient) -> None:
     trajectories = ros.heard(JointTrajectory, "/trajectory")
     ghost = ros.heard(JointState, "/preview/joint_states")
-    plan = _plan(client, 0.5)
-    message = one(trajectories, "the plan has come")
+    plans: list[m.Plan] = []
+    message = told(trajectories, lambda: plans.append(_plan(client, 0.5)), "the plan has come")
+    plan = plans[-1]  # and every one before it: the same request
     assert list(message.joint_names) == list(plan.trajectory.joint_names)
     for point, at, position, velocity in zip(
         message.points, plan.trajectory.time, plan.trajectory.position, plan.trajectory.velocity, strict=True
@@ -85,6 +89,24 @@ def test_the_robot_is_on_joint_states_whatever_the_strategy_and_the_emulator_on_
         assert len(emulator) == before
     finally:
         client.strategy("emulator")
+
+
+def test_joints_are_received_while_somebody_listens_and_again_for_whoever_comes_later(
+    running: Stack, ros: RosClient
+) -> None:
+    with open_client(running.endpoint) as session:
+        publisher = session.declare_publisher(KEYS.preview_joint_states)
+
+        def received() -> bool:
+            return bool(publisher.matching_status.matching)
+
+        for _ in range(2):
+            eventually(lambda: not received(), "nobody receives them")
+            ghost: list[JointState] = []
+            subscription = ros.node.create_subscription(JointState, "/preview/joint_states", ghost.append, 10)
+            one(ghost, "the ghost is told")
+            assert received()
+            ros.node.destroy_subscription(subscription)
 
 
 def test_the_scene_is_there_as_markers_for_whoever_comes_late(client: Client, ros: RosClient) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
@@ -15,6 +16,7 @@ from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
+from zarm_contract.following import Following
 from zarm_contract.keys import parse_alive
 from zarm_contract.publications import (
     Latched,
@@ -37,6 +39,10 @@ Request = TypeVar("Request", bound=Message)
 Reply = TypeVar("Reply", bound=Message)
 M = TypeVar("M", bound=Message)
 
+OWNERS_BACK, READ_AGAIN = 2.0, 0.1
+"""s: when a link is back, a latched key that nobody answers for is read again and again for so long: where to ask is known a
+moment later, and after a restart of the router the owner of the value may be back half a second later."""
+
 
 class Bus:
     """One session. Use it in `with`; leaving closes every entity and waits for handlers that still run.
@@ -50,6 +56,8 @@ class Bus:
         self._session = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
         self._entities: list[Any] = []
+        self._followed: list[Following] = []
+        self._closing = threading.Event()
         self._observe: Observer = unobserved
         self._answered: Callable[[str, str], object] = unobserved
 
@@ -63,6 +71,7 @@ class Bus:
 
     def close(self) -> None:
         """Undeclare everything, finish running handlers, close the session. Idempotent."""
+        self._closing.set()
         while self._entities:
             self._entities.pop().undeclare()
         while self._pools:
@@ -220,8 +229,8 @@ class Bus:
         """
         self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
 
-    def listen(self, key: str, callback: Callable[[str, bytes], None]) -> None:
-        """Call `callback(key, payload)` for each message on `key` as it came, whatever it holds.
+    def listen(self, key: str, callback: Callable[[str, bytes], None]) -> Callable[[], None]:
+        """Call `callback(key, payload)` for each message on `key` as it came, whatever it holds; what ends it.
 
         Nothing is decoded, so high rates are no burden as long as the callback does next to nothing.
         """
@@ -233,36 +242,40 @@ class Bus:
                 observe(name, payload)
                 callback(name, payload)
 
-        self._entities.append(self._session.declare_subscriber(key, receive))
+        subscriber = self._session.declare_subscriber(key, receive)
+        self._entities.append(subscriber)
+
+        def end() -> None:
+            self._entities.remove(subscriber)
+            subscriber.undeclare()
+
+        return end
 
     def watch(self, key: str, model: type[M], callback: Callable[[str, M], None], *, timeout: float = 1.0) -> None:
         """Like `subscribe` on a latched key, and the present values first (waiting for them at most `timeout` s).
 
-        The last call for a key is always with its newest value.
+        They come again whenever a link to a router that was lost is back, as what was published meanwhile was missed. The last
+        call for a key is always with its newest value.
         """
         self.follow(key, lambda name, payload: deliver(name, payload, model, callback), timeout=timeout)
 
     def follow(self, key: str, callback: Callable[[str, bytes], None], *, timeout: float = 1.0) -> None:
         """`watch` without decoding: `listen` on a latched key, and the present values first."""
-        turn = threading.Lock()
-        early: set[str] = set()  # what is published while the present values are on their way
-        present = threading.Event()
+        if not self._followed:
+            self._entities.append(self._session.info.declare_transport_events_listener(self._linked))
+        following = Following(self._session, key, callback, self._observe, timeout)
+        self._followed.append(following)
+        self.listen(key, following.receive)
+        following.read()
 
-        def receive(name: str, payload: bytes) -> None:
-            with turn:
-                if not present.is_set():
-                    early.add(name)
-                callback(name, payload)
-
-        self.listen(key, receive)
-        for reply in self._session.get(reading(key), timeout=timeout):
-            if reply.ok is not None and understood(reply.ok):
-                name, payload = str(reply.ok.key_expr), reply.ok.payload.to_bytes()
-                with turn:
-                    if name not in early:  # else this answer may be the older of the two
-                        self._observe(name, payload)
-                        callback(name, payload)
-        present.set()
+    def _linked(self, event: zenoh.TransportEvent) -> None:
+        """Called in a thread of its own when a link to a router is there, or gone."""
+        if event.kind != zenoh.SampleKind.PUT:
+            return
+        unanswered, deadline = list(self._followed), time.monotonic() + OWNERS_BACK
+        while (unanswered := [one for one in unanswered if not one.read()]) and time.monotonic() < deadline:
+            if self._closing.wait(READ_AGAIN):
+                return
 
     def latest(self, key: str, model: type[M]) -> Latest[M]:
         """The newest message on a key with a high rate; nothing is decoded until it is asked for."""

@@ -12,11 +12,13 @@ import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
-from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from zarm_ros_bridge.leader_followers import LeaderFollowersExecutor
 
 log = logging.getLogger(__name__)
 
@@ -47,14 +49,15 @@ class Ros:
         self.node = self._node(name, namespace, parameters=parameters)
         self.group = ReentrantCallbackGroup()
         self._listener = self._node(f"{name}_listener", namespace, parameters=False)
-        executors: list[tuple[Executor, Node]] = [
-            (MultiThreadedExecutor(workers, context=self._context), self.node),
-            (SingleThreadedExecutor(context=self._context), self._listener),
+        executors: list[tuple[Executor, Node, int]] = [
+            (LeaderFollowersExecutor(self._context), self.node, workers + 1),  # one of which waits
+            (SingleThreadedExecutor(context=self._context), self._listener, 1),
         ]
-        self._executors = executors
+        self._executors = [(executor, node) for executor, node, _ in executors]
         self._threads = [
             threading.Thread(target=_spin, args=(executor,), name=f"ros {node.get_name()}")
-            for executor, node in executors
+            for executor, node, threads in executors
+            for _ in range(threads)
         ]
 
     def serve(self, kind: type[Any], name: str, answer: Callable[[Any, Any], Any]) -> None:

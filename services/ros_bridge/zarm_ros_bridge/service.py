@@ -44,12 +44,15 @@ def start(service: Service) -> Iterator[None]:
         Kinematics(ros, engine)
         Faults(ros, engine)
         SceneServices(ros, engine, parameters, colours)
-        Topics(ros, engine, colours)
         params = service.robot.descriptor.strategy_params
         if params is not None:
             Drivers(ros, engine, params)
         WorldFile(engine, parameters)
-        with StrategyServices(ros, first, engine, parameters), Execution(ros, engine, parameters):
+        with (
+            Topics(ros, engine, colours),
+            StrategyServices(ros, first, engine, parameters),
+            Execution(ros, engine, parameters),
+        ):
             ros.spin()
             first.spin()
             service.ready()

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from array import array
-
 from sensor_msgs.msg import JointState as RosJointState
-from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from zarm_contract.messages import DriverCommand, Trajectory
@@ -30,13 +27,17 @@ def ros_joint_trajectory(motion: DriverCommand | Trajectory) -> JointTrajectory:
 def ros_joint_states(trajectory: Trajectory, dt: float) -> list[RosJointState]:
     """Positions and velocities every `dt` s from the start of a motion to its end, where it rests.
 
-    What is the same in all of them they share: to make it anew for each takes as long as all the rest.
+    Each is a shallow copy of the first, so that they share what is the same in all: the constructor, which makes every field
+    anew, takes as long as all the rest.
     """
-    header, names, none = Header(), list(trajectory.joint_names), array("d")
+    common = RosJointState(name=list(trajectory.joint_names))
+    fields = [(slot, getattr(common, slot)) for slot in RosJointState.__slots__]
     positions, velocities = sampled(trajectory, dt)
-    return [
-        RosJointState(
-            header=header, name=names, position=array("d", position), velocity=array("d", velocity), effort=none
-        )
-        for position, velocity in zip(positions.tolist(), velocities.tolist(), strict=True)
-    ]
+    messages = []
+    for position, velocity in zip(positions.tolist(), velocities.tolist(), strict=True):
+        message = RosJointState.__new__(RosJointState)
+        for slot, value in fields:
+            setattr(message, slot, value)
+        message.position, message.velocity = position, velocity
+        messages.append(message)
+    return messages
