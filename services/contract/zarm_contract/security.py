@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from zarm_contract.access import Role
+from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest
 
 RENEWAL_DAYS = 60
@@ -30,14 +30,12 @@ def security_on() -> bool:
 
 
 def client_role() -> Role:
-    """The role of a client of the services: `ZARM_ROLE`, operator (the default) or viewer."""
-    match os.environ.get("ZARM_ROLE") or "operator":
-        case "operator":
-            return "operator"
-        case "viewer":
-            return "viewer"
-        case other:
-            raise InvalidRequest(f"ZARM_ROLE={other} is no role of a client; use operator or viewer", field="ZARM_ROLE")
+    """The role of a client of the services: `ZARM_ROLE`, by default operator."""
+    wanted = os.environ.get("ZARM_ROLE") or "operator"
+    role = next((role for role in ROLES if role == wanted), None)
+    if role is None:
+        raise InvalidRequest(f"ZARM_ROLE={wanted} is no role; there are {', '.join(ROLES)}", field="ZARM_ROLE")
+    return role
 
 
 class Certificates:
