@@ -23,6 +23,8 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
 
 _ENDPOINT = re.compile(r"(?:(?:tcp|tls|quic|ws|udp)/\S+:\d+|unixsock-stream/\S+?)(?:[?#]\S*)?")
+ROUTER_MAX_BYTES = 2 * MAX_BYTES
+"""Longest payload that a router passes on. What is a little too long is refused by its receiver, with a sentence."""
 _LOCAL = re.compile(r"\w+/(?:127\.|localhost:|\[::1\])|unixsock-stream/")
 
 
@@ -138,17 +140,17 @@ _ALONE: dict[str, object] = {
 _ROUTER = _ALONE | {
     "connect/timeout_ms": -1,
     "connect/exit_on_failure": False,
-    # No message of zarm's is longer, so nothing longer is passed on to a service or held in memory for long.
     "low_pass_filter": [
         {
-            "id": "no message of zarm is longer",
+            "id": "no message of zarm is half as long",
             "flows": ["ingress"],
             "messages": ["put", "delete", "query", "reply"],
             "key_exprs": ["**"],
-            "size_limit": MAX_BYTES,
+            "size_limit": ROUTER_MAX_BYTES,
         }
     ],
-    "transport/link/rx/max_message_size": 2 * MAX_BYTES,
+    # A message is put together before it is measured; this bounds the memory for that.
+    "transport/link/rx/max_message_size": 2 * ROUTER_MAX_BYTES,
 }
 """What deploy/router.json5 says as well."""
 
