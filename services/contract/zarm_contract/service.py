@@ -16,14 +16,14 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from zarm_contract.access import SERVICE_ROLES
+from zarm_contract.access import SERVICE_ROLES, Role
 from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.logs import setup_logging
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import Robot, load_robot
-from zarm_contract.security import RENEWAL_DAYS, Certificates, security_on
+from zarm_contract.security import RENEWAL_DAYS, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 log = logging.getLogger(__name__)
@@ -176,7 +176,7 @@ def run_service(
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     try:
         if security_on() and role is not None:
-            _warn_of_end(Certificates(role))
+            _warn_of_end(role)
         with ExitStack() as stack:
             services = [
                 Service(name, robot, keys, stack.enter_context(Bus(options.connect, role=role)), options, end=stop)
@@ -204,7 +204,10 @@ def run_service(
     return 0
 
 
-def _warn_of_end(certificates: Certificates) -> None:
+def _warn_of_end(role: Role) -> None:
+    from zarm_contract.certificates import Certificates
+
+    certificates = Certificates(role)
     if certificates.days_left < RENEWAL_DAYS:
         log.warning(
             "certificate ends soon file=%s days=%.0f remedy=zarm_certs_%s",
