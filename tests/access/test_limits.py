@@ -14,10 +14,10 @@ from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Accepted, ExecuteRequest
-from zarm_contract.session import open_client
+from zarm_contract.session import ROUTER_MAX_BYTES, open_client
 
 KEYS = Keys("some_robot")
-LONGER = (MAX_BYTES + 1, 3 * MAX_BYTES)
+LONGER = (ROUTER_MAX_BYTES + 1, 3 * ROUTER_MAX_BYTES)
 """One that the filter drops, and one that is not even put together."""
 
 
@@ -35,10 +35,10 @@ def test_what_is_published_arrives_up_to_the_limit(endpoint: str) -> None:
     with open_client(endpoint, role="executor") as sender, open_client(endpoint, role="viewer") as receiver:
         receiver.declare_subscriber(KEYS.driver_command, lambda sample: arrived.append(len(sample.payload)))
         list(receiver.get(KEYS.executor_state))  # the router knows of the subscriber by now
-        for length in (*LONGER, MAX_BYTES):
+        for length in (*LONGER, ROUTER_MAX_BYTES):
             sender.put(KEYS.driver_command, bytes(length), congestion_control=zenoh.CongestionControl.BLOCK)
         eventually(lambda: arrived, "the longest message arrives")
-    assert arrived == [MAX_BYTES]
+    assert arrived == [ROUTER_MAX_BYTES]
 
 
 def test_requests_and_answers_arrive_up_to_the_limit(endpoint: str) -> None:
@@ -56,7 +56,7 @@ def test_requests_and_answers_arrive_up_to_the_limit(endpoint: str) -> None:
             replies = client.get(f"{KEYS.stop}?{reply}", payload=bytes(request), timeout=10)
             return [len(one.ok.payload) for one in replies if one.ok]
 
-        assert lengths(MAX_BYTES, MAX_BYTES) == [MAX_BYTES]
+        assert lengths(ROUTER_MAX_BYTES, ROUTER_MAX_BYTES) == [ROUTER_MAX_BYTES]
         for length in LONGER:
             assert lengths(1, length) == []
         asked.clear()

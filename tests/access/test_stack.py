@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -40,6 +41,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.session import open_client
 
+DOCUMENTATION = Path(__file__).parents[2] / "deploy" / "access.md"
 EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
 BALL = Sphere(kind="sphere", name="ball", position=(0.0, -1.0, 0.2), radius=0.1)
 THERE = (0.4, *HOME[1:])
@@ -139,6 +141,34 @@ def test_a_viewer_sees_everything_and_may_stop_the_robot(up: Up, tmp_path: Path)
     settings = {name: value for name, value in up.variables.items() if name.startswith("ZARM_")}
     with Command("watch", "--json", folder=tmp_path, **settings, **viewer, ZARM_CONNECT=up.endpoint) as watch:
         watch.wait_for('"position"')
+
+
+def test_the_zenoh_lines_of_the_documentation_work_as_written(up: Up, tmp_path: Path) -> None:
+    block = re.search(r"```sh\n(cat > viewer.*?)```", DOCUMENTATION.read_text(), re.DOTALL)
+    assert block
+    (tmp_path / "certs").symlink_to(up.variables["ZARM_CERTS"])
+    lines = block.group(1).replace("tls/workstation:7447", up.endpoint.replace("tcp/", "tls/"))
+    path = f"{Path(sys.executable).parent}:{up.variables['PATH']}"
+    told = subprocess.run(
+        ["bash", "-c", lines],
+        cwd=tmp_path,
+        env=up.variables | {"PATH": path},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert json.loads(the_one_line(told.stdout))["mode"] == "idle", told.stderr
+
+
+def test_a_service_can_be_asked_how_it_is_with_no_certificate_but_its_own(
+    up: Up, certificates: Path, tmp_path: Path
+) -> None:
+    for name in ("ca.pem", "planner.pem", "planner.key"):
+        (tmp_path / name).symlink_to(certificates / name)
+    done(up, "health", "planner", ZARM_CERTS=str(tmp_path), ZARM_ROLE="planner")
+    refused = run(up, "status", ZARM_ROLE="boss")
+    assert refused.returncode == 1
+    assert "ZARM_ROLE=boss is no role" in the_one_line(refused.stderr)
 
 
 # -- what is not allowed does nothing --

@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from zarm_contract.access import SERVICE_ROLES
+from zarm_contract.access import SERVICE_ROLES, Role
 from zarm_contract.bus import Bus
 from zarm_contract.codec import CONTRACT as CONTRACT
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
@@ -25,7 +25,7 @@ from zarm_contract.logs import name_robot, setup_logging
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.metrics import Metrics, serve_metrics
 from zarm_contract.robot import Robot, load_robot
-from zarm_contract.security import RENEWAL_DAYS, Certificates, security_on
+from zarm_contract.security import RENEWAL_DAYS, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 log = logging.getLogger(__name__)
@@ -201,7 +201,7 @@ def run_service(
         robots = _robots(options)
         name_robot(",".join(keys.robot for _, keys in robots))
         if security_on() and role is not None:
-            _warn_of_end(Certificates(role))
+            _warn_of_end(role)
         with ExitStack() as stack:
             metrics_of = stack.enter_context(serve_metrics(options.metrics))
             services = [
@@ -232,7 +232,10 @@ def run_service(
     return 0
 
 
-def _warn_of_end(certificates: Certificates) -> None:
+def _warn_of_end(role: Role) -> None:
+    from zarm_contract.certificates import Certificates
+
+    certificates = Certificates(role)
     if certificates.days_left < RENEWAL_DAYS:
         log.warning(
             "certificate ends soon file=%s days=%.0f remedy=zarm_certs_%s",

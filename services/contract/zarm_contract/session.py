@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import re
-import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -15,12 +15,18 @@ from zarm_contract.access import Role, access_control
 from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.realtime import PROCESS_PRIORITY, realtime_offspring
-from zarm_contract.security import Certificates, client_role, security_on
+from zarm_contract.security import client_role, security_on
+
+if TYPE_CHECKING:
+    from zarm_contract.certificates import Certificates
 
 log = logging.getLogger(__name__)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
+
+ROUTER_MAX_BYTES = 2 * MAX_BYTES
+"""Longest payload that a router passes on. What is a little too long is refused by its receiver, with a sentence."""
 
 _ENDPOINT = re.compile(r"(?:(?:tcp|tls|quic|ws|udp)/\S+:\d+|unixsock-stream/\S+?)(?:[?#]\S*)?")
 _LOCAL = re.compile(r"\w+/(?:127\.|localhost:|\[::1\])|unixsock-stream/")
@@ -32,7 +38,7 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Ro
     `role` is what it is where ZARM_SECURITY is on (default: what ZARM_ROLE says). Once open it reconnects by itself when the
     router comes back. Raises InvalidRequest for an endpoint or certificates that cannot be used, and Unavailable.
     """
-    certificates = Certificates(role or client_role()) if security_on() else None
+    certificates = _certificates(role or client_role()) if security_on() else None
     place = spoken(endpoint)
     try:
         return zenoh.open(_config(_client_settings(place, timeout) | (certificates.settings() if certificates else {})))
@@ -87,7 +93,7 @@ def router_config(listen: str | None = None, links: Sequence[str] = (), *, confi
     if security_on():
         said = {name: [spoken(one) for one in _endpoints(settings, name)] for name in ("listen", "connect")}
         _set(settings, {f"{name}/endpoints": endpoints for name, endpoints in said.items()})
-        _set(settings, Certificates("router").settings() | {"access_control": access_control()})
+        _set(settings, _certificates("router").settings() | {"access_control": access_control()})
     return settings
 
 
@@ -138,17 +144,17 @@ _ALONE: dict[str, object] = {
 _ROUTER = _ALONE | {
     "connect/timeout_ms": -1,
     "connect/exit_on_failure": False,
-    # No message of zarm's is longer, so nothing longer is passed on to a service or held in memory for long.
     "low_pass_filter": [
         {
-            "id": "no message of zarm is longer",
+            "id": "no message of zarm is half as long",
             "flows": ["ingress"],
             "messages": ["put", "delete", "query", "reply"],
             "key_exprs": ["**"],
-            "size_limit": MAX_BYTES,
+            "size_limit": ROUTER_MAX_BYTES,
         }
     ],
-    "transport/link/rx/max_message_size": 2 * MAX_BYTES,
+    # A message is put together before it is measured; this bounds the memory for that.
+    "transport/link/rx/max_message_size": 2 * ROUTER_MAX_BYTES,
 }
 """What deploy/router.json5 says as well."""
 
@@ -174,7 +180,15 @@ def _address(endpoint: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
+def _certificates(role: Role) -> Certificates:
+    from zarm_contract.certificates import Certificates
+
+    return Certificates(role)
+
+
 def _is_taken(endpoint: str) -> bool:
+    import socket  # needed here alone
+
     if not endpoint.startswith("tcp/"):
         return False
     try:

@@ -50,9 +50,7 @@ def main() -> None:
     parser.add_argument("--joints", nargs="+", required=True, help="names of the joints; the first one moves")
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to follow")
     parser.add_argument("--amplitude", type=float, default=0.3, help="how far the target swings, rad")
-    parser.add_argument(
-        "--deadline", type=float, default=0.2, help="the robot brakes that hears nothing for so long, s"
-    )
+    parser.add_argument("--deadline", type=float, default=0.2, help="how long without a chunk until it brakes, s")
     parser.add_argument("--period", type=float, default=4.0, help="how long it takes to and fro, s")
     options = parser.parse_args()
     config = zenoh.Config.from_file(options.config) if options.config else zenoh.Config()
