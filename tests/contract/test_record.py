@@ -174,3 +174,13 @@ def test_of_a_file_that_is_damaged_nothing_is_read_that_was_not_written(path: Pa
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidRequest, match=r"none\.mcap"):
         list(read_record(tmp_path / "none.mcap"))
+
+
+def test_a_record_of_another_contract_is_refused_with_the_remedy(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zarm_contract.codec.CONTRACT", "v2")
+    write(path, [(1, KEYS.joint_states, b"{}")])
+    monkeypatch.undo()
+    with pytest.raises(
+        InvalidRequest, match="a record of contract v2, and this zarm reads v1; replay it with the zarm"
+    ):
+        list(read_record(path))

@@ -20,6 +20,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from zarm_contract.bus import Bus
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
+from zarm_contract.metrics import serve_metrics
 
 ROBOT = KEYS.robot
 SLOW = rest_to_rest(moved(0.8), slower=3.0)
@@ -122,6 +123,26 @@ def test_a_port_that_is_taken_and_what_is_no_address_end_the_service_with_a_sent
                 assert reason in second.output()
                 assert "--metrics" in second.output()
                 assert "Traceback" not in second.output()
+
+
+def test_several_robots_of_one_process_are_told_apart_by_their_label() -> None:
+    where = free_address()
+    with serve_metrics(where) as metrics_of:
+        for robot, age in (("left", 1.0), ("right", None)):
+            metrics = metrics_of(robot)
+            metrics.count("a", "Counted.", 2, code="x")
+            metrics.read("gauge", "b", "Read.", lambda age=age: age)
+            metrics.read_histogram("c", "Read as a histogram.", (0.1, 1.0), lambda: ([1, 2, 3], 7.5))
+        with urllib.request.urlopen(f"http://{where}/metrics", timeout=PATIENCE) as reply:
+            families = list(text_string_to_metric_families(reply.read().decode()))
+    assert len({family.name for family in families}) == len(families)
+    seen = {(s.name, s.labels.get("robot"), s.labels.get("le")): s.value for family in families for s in family.samples}
+    for robot in ("left", "right"):
+        assert seen["a_total", robot, None] == 2
+        assert [seen["c_bucket", robot, le] for le in ("0.1", "1.0", "+Inf")] == [1, 3, 6]
+        assert (seen["c_count", robot, None], seen["c_sum", robot, None]) == (6, 7.5)
+    assert seen["b", "left", None] == 1.0
+    assert ("b", "right", None) not in seen
 
 
 def test_the_library_is_loaded_only_where_metrics_are_asked_for() -> None:
