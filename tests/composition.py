@@ -56,6 +56,7 @@ class Composition:
             "ZARM_PORT": self.endpoint.rpartition(":")[2],
             "ZARM_TAG": TAG,
             "ZARM_HEALTH_INTERVAL": "5s",
+            "ROS_DOMAIN_ID": "0",
         }
         plugin = docker("compose", "version", check=False).returncode == 0
         self._command = ["docker", "compose"] if plugin else ["docker-compose"]
@@ -121,7 +122,17 @@ class Composition:
         """
         before = self.container(service)
         kill = f"import os; os.kill({before['State']['Pid']}, 9)"
-        docker("run", "--rm", "--pid=host", "--user=0", "--entrypoint=python", image("router"), "-c", kill)
+        docker(
+            "run",
+            "--rm",
+            "--no-healthcheck",
+            "--pid=host",
+            "--user=0",
+            "--entrypoint=python",
+            image("router"),
+            "-c",
+            kill,
+        )
         _in_time(lambda: self.container(service)["RestartCount"] > before["RestartCount"], f"{service} restarts")
         self.wait_healthy(service)
 

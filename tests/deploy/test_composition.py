@@ -114,8 +114,8 @@ def test_a_service_that_crashes_is_back_with_all_that_it_knew(robot: Composition
 def test_a_robot_in_motion_is_brought_to_rest_before_its_container_stops(robot: Composition, bus: Bus) -> None:
     client = Client(bus)
     start = joints(bus)
-    goal = client.execute(rest_to_rest(moved(1.2), start))
-    client.under_way(goal)
+    goal = client.execute(rest_to_rest(moved(1.2), start, slower=10.0))  # compose takes its time
+    client.under_way(goal, 0.1)
     robot.compose("stop", "executor")
     state = robot.container("executor")["State"]
     assert (state["ExitCode"], state["OOMKilled"]) == (0, False)

@@ -25,7 +25,9 @@ every_image = pytest.mark.parametrize("service", OWN)
 def said(service: str, *command: str, options: tuple[str, ...] = ()) -> str:
     """What a command says in a fresh container of an image."""
     program, *arguments = command
-    return docker("run", "--rm", *options, f"--entrypoint={program}", image(service), *arguments).stdout.strip()
+    return docker(
+        "run", "--rm", "--no-healthcheck", *options, f"--entrypoint={program}", image(service), *arguments
+    ).stdout.strip()
 
 
 @every_image
