@@ -93,7 +93,7 @@ def driven(
     with ExitStack() as stack:
         arm = Driven(bus, endpoint, folder, strategy, robot)
         arm.driver = stack.enter_context(arm.new_driver(*driver))
-        arm.executor = stack.enter_context(arm.new_executor())
         arm.driver.wait_ready(bus, arm.keys)
+        arm.executor = stack.enter_context(arm.new_executor())
         arm.executor.wait_ready(bus, arm.keys)
         yield arm
