@@ -50,9 +50,9 @@ COMPILE := $(BIN)/uv pip compile --quiet --no-config --python-version 3.11 --pyt
 requirements: $(VENV)/.dev
 	@rm -f $(REQUIREMENTS)/*.txt
 	$(COMPILE) --group wheel -o $(REQUIREMENTS)/wheel.txt
-	$(COMPILE) pyproject.toml -o $(REQUIREMENTS)/executor.txt
-	$(COMPILE) pyproject.toml --extra planner -o $(REQUIREMENTS)/planner.txt
-	$(COMPILE) pyproject.toml --extra ros --no-emit-package empy -o $(REQUIREMENTS)/ros_bridge.txt
+	$(COMPILE) pyproject.toml --extra metrics -o $(REQUIREMENTS)/executor.txt
+	$(COMPILE) pyproject.toml --extra metrics --extra planner -o $(REQUIREMENTS)/planner.txt
+	$(COMPILE) pyproject.toml --extra metrics --extra ros --no-emit-package empy -o $(REQUIREMENTS)/ros_bridge.txt
 	$(COMPILE) pyproject.toml --extra ros --extra ros-messages -o $(REQUIREMENTS)/ros_build.txt
 
 licences: $(VENV)/.dev $(VENV)/.ros_packages

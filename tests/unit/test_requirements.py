@@ -13,7 +13,12 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-EXTRAS = {"executor": (), "planner": ("planner",), "ros_bridge": ("ros",), "ros_build": ("ros", "ros-messages")}
+EXTRAS = {
+    "executor": ("metrics",),
+    "planner": ("metrics", "planner"),
+    "ros_bridge": ("metrics", "ros"),
+    "ros_build": ("ros", "ros-messages"),
+}
 FILES = [*EXTRAS, "wheel"]
 GENERATES_ONLY = {"empy"}
 """What ROS declares and only the generation of messages imports: PyPI has no wheel of it."""

@@ -34,9 +34,7 @@ from zarm_contract.messages import (
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 _LOOK_SECONDS = 0.5
-_RESTART_SECONDS = (
-    10.0  # within which an executor that was started anew, or is heard again, tells what became of a goal
-)
+_RESTART_SECONDS = 10.0  # within which an executor, started anew or heard again, tells what became of a goal
 _STOP_SECONDS = 30.0
 
 
