@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from askers import asking
+from burden import favour
 from driven import THERE, driven
 from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
@@ -125,6 +126,7 @@ def test_a_driver_is_replaced_while_the_robot_rests_and_the_executor_goes_on(
                 arm.client.execute(THERE)
             new = stack.enter_context(arm.new_driver())
             new.wait_ready(bus, KEYS)
+            favour(new, arm.executor)
             eventually(lambda: _available(bus), "the executor hears the driver")
             askers.all_right_again()
         assert arm.client.ended(arm.client.execute(THERE)).status == "succeeded"

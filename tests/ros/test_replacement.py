@@ -8,7 +8,6 @@ from pathlib import Path
 from executor_client import Client
 from harness import PATIENCE, ServiceProcess
 from motions import moved, rest_to_rest
-from ros_goals import ABORTED, SUCCEEDED, Actions, Robot
 from ros_stack import KEYS, stack
 from std_srvs.srv import Trigger
 
@@ -32,28 +31,3 @@ def test_a_bridge_is_replaced_while_the_robot_moves_and_clients_on_ros_go_on(tmp
         assert ask() == before
         assert client.ended(goal).status == "succeeded"
         assert client.statuses(goal) == ["accepted", "running", "succeeded"]
-
-
-def test_a_goal_of_a_client_on_ros_is_told_that_its_bridge_ends_and_the_next_one_runs_through_the_new(
-    tmp_path: Path,
-) -> None:
-    with ExitStack() as later, stack(tmp_path) as zarm:
-        client = Client(zarm.bus, KEYS)
-        actions = Actions(zarm.ros.node)
-        robot = Robot(zarm.bus, KEYS)
-        robot.plan(speed=0.1)
-        sent = actions.send()
-        sent.under_way()
-        old = zarm.processes["ros_bridge"]
-        old.process.terminate()
-        status, result = sent.ended()
-        assert (status, result.success) == (ABORTED, False)
-        assert "goes on" in result.message
-        assert old.process.wait(PATIENCE) == 0
-        new = later.enter_context(ServiceProcess("ros_bridge", old.endpoint, tmp_path, name=KEYS.robot))
-        zarm.processes["ros_bridge"] = new
-        new.wait_ready(zarm.bus, KEYS)
-        robot.wait_rest()
-        assert [goal.status for goal in client.goals if goal.done] == ["succeeded"]
-        robot.plan()
-        assert Actions(zarm.ros.node).send().ended()[0] == SUCCEEDED
