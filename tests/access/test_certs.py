@@ -152,3 +152,15 @@ def test_every_role_may_connect(role: Role, secured: Path) -> None:
     endpoint = free_endpoint()
     with open_router(endpoint), open_client(endpoint, role=role) as session:
         assert list(session.info.routers_zid())
+
+
+@pytest.mark.parametrize("command", ["router", "up"])
+def test_whoever_listens_beyond_this_machine_without_certificates_is_warned(command: str, certificates: Path) -> None:
+    elsewhere = "tcp/192.0.2.1:7447"  # no address of this machine's: nothing is opened, and the command ends
+    with_security = {"ZARM_SECURITY": "on", "ZARM_CERTS": str(certificates)}
+    warned = zarm(command, "--listen", elsewhere)
+    silent = zarm(command, "--listen", elsewhere, **with_security)
+    assert (warned.returncode, silent.returncode) == (3, 3)
+    assert f"whoever reaches {elsewhere} from another machine may move the robot" in warned.stderr
+    assert "zarm certs" in warned.stderr
+    assert "whoever" not in silent.stderr
