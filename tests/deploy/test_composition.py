@@ -137,6 +137,7 @@ def test_the_simulated_driver_is_moved_over_ros(robot: Composition, bus: Bus) ->
     assert joints(bus)[0] == pytest.approx(before + 0.3, abs=0.01)
     robot.crash("executor")
     assert bus.call(KEYS.strategy, Nothing(), Strategies, timeout=10).active == "joint_speed"
+    robot.compose("--profile", "sim", "rm", "-sf", "leeloo_sim")
 
 
 def test_another_robot_and_one_of_the_users_own_are_a_setting_away(
