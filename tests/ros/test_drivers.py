@@ -179,6 +179,26 @@ def test_a_driver_that_comes_late_and_again_is_heard(bus: Bus, bridge: ServicePr
         ros.node.destroy_publisher(publisher)
 
 
+def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
+    bus: Bus, endpoint: str, tmp_path: Path, ros: RosClient
+) -> None:
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
+    for stamp in (1, 2, 3):
+        state = _state(HUMBLE, VALUES)
+        state.header.stamp.sec = stamp
+        with ServiceProcess("ros_bridge", endpoint, tmp_path) as bridge:
+            bridge.wait_ready(bus, Keys("doosan_m1013"))
+            eventually(publisher.get_subscription_count, "the bridge listens")
+            telling = ros.node.create_timer(0.0005, lambda state=state: publisher.publish(state))
+            eventually(
+                lambda stamp=stamp: (told := latest.get()) and told.stamp == stamp, "the bridge carries its joints"
+            )
+        ros.node.destroy_timer(telling)
+        assert "Traceback" not in bridge.output()
+    ros.node.destroy_publisher(publisher)
+
+
 def test_two_robots_in_one_bridge_have_namespaces_and_their_own_drivers(
     bus: Bus, endpoint: str, tmp_path: Path, ros: RosClient
 ) -> None:

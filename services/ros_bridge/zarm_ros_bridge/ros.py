@@ -75,6 +75,13 @@ class Ros:
         for thread in self._threads:
             thread.start()
 
+    def stop_listening(self) -> None:
+        """Call no callback of `listen` any more, once the one that runs is at its end."""
+        executor, _ = self._executors[-1]
+        executor.shutdown()
+        if self._threads[-1].is_alive():
+            self._threads[-1].join()
+
     def __enter__(self) -> Self:
         return self
 

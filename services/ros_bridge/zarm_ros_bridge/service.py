@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.service import Service, run_service, service_parser
@@ -35,8 +35,10 @@ def start(service: Service) -> Iterator[None]:
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"{NODE}_v1", namespace, workers=2) as first,
-        service.open_bus() as bus,  # closed first: nothing comes from it for nodes that are gone
+        service.open_bus() as bus,  # closed before the nodes go: nothing comes from it for nodes that are gone
+        ExitStack() as listening,  # nor from a driver for a bus that is closed
     ):
+        listening.callback(ros.stop_listening)
         engine = Engine(bus, service.keys, service.robot)
         parameters = Parameters(ros.node, engine)
         colours: dict[str, Colour] = {}
