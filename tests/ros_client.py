@@ -10,6 +10,8 @@ from typing import Any
 from harness import PATIENCE, eventually
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile
 from ros_node import answer
 
@@ -59,3 +61,13 @@ def told(messages: Sequence[Any], tell: Callable[[], object], what: str) -> Any:
         return messages and messages[0]
 
     return eventually(again, what)
+
+
+def robot_type(node: Node, value: str | None = None) -> str:
+    """The parameter robot_type, set to `value` before where that is given."""
+    client = AsyncParameterClient(node, "/unified_planner")
+    assert client.wait_for_services(PATIENCE)
+    if value is not None:
+        result = answer(client.set_parameters([Parameter("robot_type", value=value)]), "it is set").results[0]
+        assert result.successful, result.reason
+    return str(parameter_value_to_python(answer(client.get_parameters(["robot_type"]), "it is told").values[0]))

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from threading import Barrier, Thread
 
 import pytest
 from harness import PATIENCE, eventually
 from rclpy.node import Node
-from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
-from ros_node import answer, running_node
-from ros_stack import KEYS, RosClient, Stack, controller, stack
+from ros_client import robot_type
+from ros_node import running_node
+from ros_stack import KEYS, RosClient, Stack, stack
 from std_srvs.srv import Trigger
 
 from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
 from zarm_contract.messages import Strategies, StrategyRequest
-from zarm_contract.robot import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -38,16 +35,6 @@ def first(running: Stack, first_node: Node) -> RosClient:
     running.bus.call(KEYS.strategy, StrategyRequest(strategy="emulator"), Strategies, timeout=20)
     eventually(lambda: robot_type(first_node) == "emulator", "robot_type follows")
     return RosClient(first_node)
-
-
-def robot_type(node: Node, value: str | None = None) -> str:
-    """The parameter robot_type, set to `value` before where that is given."""
-    client = AsyncParameterClient(node, "/unified_planner")
-    assert client.wait_for_services(PATIENCE)
-    if value is not None:
-        result = answer(client.set_parameters([Parameter("robot_type", value=value)]), "it is set").results[0]
-        assert result.successful, result.reason
-    return str(parameter_value_to_python(answer(client.get_parameters(["robot_type"]), "it is told").values[0]))
 
 
 def active(running: Stack) -> str:
@@ -116,37 +103,3 @@ def test_the_strategies_are_listed_with_the_active_one(running: Stack, first: Ro
     assert told.current_strategy_name == told.strategy_names[told.current_strategy_id] == "emulator"
     answered = running.ros.call(Trigger, "get_robot_strategy")
     assert (answered.success, answered.message) == (True, "Active strategy: 'emulator'")
-
-
-def test_the_type_of_a_ur5e_is_its_own_name_in_both_versions(tmp_path: Path) -> None:
-    with stack(tmp_path, robot="ur5e") as ur5e, running_node("client_v1") as node:
-        first = RosClient(node)
-        assert robot_type(node) == "emulator"
-        refused = answer(
-            AsyncParameterClient(node, "/unified_planner").set_parameters(
-                [Parameter("robot_type", value="doosan_m1013")]
-            ),
-            "it is refused",
-        ).results[0]
-        assert not refused.successful
-        assert "ghost, emulator, ur5e, joint_speed, joint_pose" in refused.reason
-
-        assert robot_type(node, "ur5e") == "ur5e"
-        without_controller = first.call(Trigger, "set_robot_strategy")
-        assert not without_controller.success
-        assert robot_type(node) == "emulator"
-
-        with controller(load_robot("ur5e")):
-
-            def moved() -> bool:
-                robot_type(node, "ur5e")
-                answered = first.call(Trigger, "set_robot_strategy")
-                return answered.success and answered.message == "Strategy switched from 'emulator' to 'ur5e'"
-
-            eventually(moved, "the controller is heard, and the robot is what moves")
-            assert active(ur5e) == "joint_trajectory"
-            told = ur5e.ros.call(Trigger, "get_robot_strategy").message
-            assert told == "Active strategy: 'joint_trajectory' (robot_type 'ur5e')"
-            second = ur5e.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy="emulator")
-            assert second.message == "Strategy switched from 'joint_trajectory' to 'emulator'"
-            eventually(lambda: robot_type(node) == "emulator", "robot_type follows")

@@ -1,0 +1,49 @@
+"""The names of a robot other than the default one, in both versions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from harness import eventually
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from ros_client import RosClient, robot_type
+from ros_node import answer, running_node
+from ros_stack import controller, stack
+from std_srvs.srv import Trigger
+
+from curobo_msgs.srv import SetRobotStrategy
+from zarm_contract.robot import load_robot
+
+
+def test_the_type_of_a_ur5e_is_its_own_name_in_both_versions(tmp_path: Path) -> None:
+    with stack(tmp_path, robot="ur5e") as ur5e, running_node("client_v1") as node:
+        first = RosClient(node)
+        assert robot_type(node) == "emulator"
+        refused = answer(
+            AsyncParameterClient(node, "/unified_planner").set_parameters(
+                [Parameter("robot_type", value="doosan_m1013")]
+            ),
+            "it is refused",
+        ).results[0]
+        assert not refused.successful
+        assert "ghost, emulator, ur5e, joint_speed, joint_pose" in refused.reason
+
+        assert robot_type(node, "ur5e") == "ur5e"
+        without_controller = first.call(Trigger, "set_robot_strategy")
+        assert not without_controller.success
+        assert robot_type(node) == "emulator"
+
+        with controller(load_robot("ur5e")):
+
+            def moved() -> bool:
+                robot_type(node, "ur5e")
+                answered = first.call(Trigger, "set_robot_strategy")
+                return answered.success and answered.message == "Strategy switched from 'emulator' to 'ur5e'"
+
+            eventually(moved, "the controller is heard, and the robot is what moves")
+            told = ur5e.ros.call(Trigger, "get_robot_strategy").message
+            assert told == "Active strategy: 'joint_trajectory' (robot_type 'ur5e')"
+            second = ur5e.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy="emulator")
+            assert second.message == "Strategy switched from 'joint_trajectory' to 'emulator'"
+            eventually(lambda: robot_type(node) == "emulator", "robot_type follows")
