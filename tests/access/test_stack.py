@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from harness import PATIENCE, free_endpoint
+from harness import PATIENCE, eventually, free_endpoint
 from issued import issue
 from launched import HOME, Command, Up, the_one_line, vector, zarm
 
@@ -20,6 +20,7 @@ from zarm_cli.authority import Authority, today
 from zarm_contract.access import Role
 from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
+from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     AddObjects,
     ClearScene,
@@ -42,7 +43,8 @@ from zarm_contract.messages import (
 from zarm_contract.session import open_client
 
 DOCUMENTATION = Path(__file__).parents[2] / "deploy" / "access.md"
-EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
+EXAMPLES = Path(__file__).parents[2] / "services" / "executor" / "examples"
+JOINT_NAMES = [f"joint_{number}" for number in range(1, 7)]
 BALL = Sphere(kind="sphere", name="ball", position=(0.0, -1.0, 0.2), radius=0.1)
 THERE = (0.4, *HOME[1:])
 
@@ -114,21 +116,40 @@ def test_an_operator_changes_scene_and_speed_and_stops_the_robot(up: Up, operato
 
 def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: Up, tmp_path: Path) -> None:
     done(up, "strategy", "emulator")
-    certificates = up.variables["ZARM_CERTS"]
-    tls = {
-        "root_ca_certificate": f"{certificates}/ca.pem",
-        "connect_certificate": f"{certificates}/operator.pem",
-        "connect_private_key": f"{certificates}/operator.key",
-        "enable_mtls": True,
-    }
-    (tmp_path / "operator.json5").write_text(json.dumps({"transport": {"link": {"tls": tls}}}))
-    names = [f"joint_{number}" for number in range(1, 7)]
-    where = ("--connect", up.endpoint.replace("tcp/", "tls/"), "--config", str(tmp_path / "operator.json5"))
     followed = subprocess.run(
-        [sys.executable, str(EXAMPLE), *where, "--seconds", "1", "--joints", *names], timeout=PATIENCE, check=False
+        [*example("stream_client.py", "operator", up, tmp_path), "--seconds", "1"], timeout=PATIENCE, check=False
     )
     assert followed.returncode == 0
     done(up, "strategy", "joint_speed")
+
+
+def test_a_driver_without_zarm_tells_its_joints_with_the_certificate_of_one(
+    up: Up, operator: Bus, tmp_path: Path
+) -> None:
+    told = operator.latest(Keys("other").driver_joint_states, JointState)
+    driver = subprocess.Popen(
+        [*example("zenoh_driver.py", "driver", up, tmp_path), "--robot", "other", "--at", *map(str, HOME)]
+    )
+    try:
+        eventually(lambda: (state := told.get()) and state.position == tuple(HOME), "the driver tells its joints")
+    finally:
+        driver.terminate()
+        driver.wait(PATIENCE)
+
+
+def example(program: str, role: str, up: Up, folder: Path) -> list[str]:
+    """An example's command line, with the certificate of `role`."""
+    certificates = up.variables["ZARM_CERTS"]
+    tls = {
+        "root_ca_certificate": f"{certificates}/ca.pem",
+        "connect_certificate": f"{certificates}/{role}.pem",
+        "connect_private_key": f"{certificates}/{role}.key",
+        "enable_mtls": True,
+    }
+    config = folder / "certified.json5"
+    config.write_text(json.dumps({"transport": {"link": {"tls": tls}}}))
+    where = ("--connect", up.endpoint.replace("tcp/", "tls/"), "--config", str(config))
+    return [sys.executable, str(EXAMPLES / program), *where, "--joints", *JOINT_NAMES]
 
 
 def test_a_viewer_sees_everything_and_may_stop_the_robot(up: Up, tmp_path: Path) -> None:

@@ -2,11 +2,10 @@
 
     python zenoh_driver.py --joints joint_1 joint_2 joint_3 joint_4 joint_5 joint_6 --at 0 0 1.570796 0 1.570796 0
 
-It needs `eclipse-zenoh` and nothing of zarm, so that it can be rewritten in any language that has Zenoh. Put the calls of
-your controller into `Arm`. What zarm expects of a driver:
+It needs `eclipse-zenoh` and nothing of zarm, so any language with Zenoh will do. Your controller is called in `Arm`. zarm expects:
 
-- it publishes its joints on `zarm/<robot>/driver/joint_states`, at 100 Hz better than at 20, moving or not, with another
-  `stamp` for each measurement: what is told again with an old one counts as silence;
+- it publishes its joints on `zarm/<robot>/driver/joint_states`, at 100 Hz better than at 20, moving or not, each time with
+  another `stamp`: what is told again with an old one counts as silence;
 - it plays the newest `driver/command` from its arrival on, one point each `time`, instead of what was left of the last;
 - a command without points, and points that run out, bring the robot to rest: that is the watchdog for a dead executor;
 - it publishes on `driver/progress` how much of the command is played, or leaves `state_topic` out of the descriptor;
@@ -85,10 +84,11 @@ def main() -> None:
     parser.add_argument("--robot", default="doosan_m1013", help="the robot's name on the bus")
     parser.add_argument("--joints", nargs="+", required=True, help="names of the joints, in the driver's order")
     parser.add_argument("--at", nargs="+", type=float, required=True, help="where the arm stands, rad")
+    parser.add_argument("--config", help="Zenoh's configuration of a client, where certificates are asked for")
     options = parser.parse_args()
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([options.connect]))
+    config = zenoh.Config.from_file(options.config) if options.config else zenoh.Config()
+    for setting, value in (("mode", "client"), ("connect/endpoints", [options.connect])):
+        config.insert_json5(setting, json.dumps(value))
     with zenoh.open(config) as session:
         driver = Driver(session, options.robot, options.joints, Arm(options.at))
         while not threading.Event().wait(PERIOD):
