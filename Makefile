@@ -18,7 +18,7 @@ demo: $(VENV)/.kernels
 # Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest --ignore=tests/deploy
+	@$(BIN)/pytest --numprocesses=2 --ignore=tests/deploy
 
 # The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.
 COMPOSE = $(if $(shell docker compose version 2>/dev/null),docker compose,docker-compose)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,11 +9,23 @@ from executor_client import Client
 from harness import ServiceProcess, router
 from hypothesis import settings
 from motions import KEYS
+from workers import ByTime, give_way
 
 from zarm_contract.bus import Bus
 
 settings.register_profile("untimed", deadline=None)  # nothing timed is asserted: machines differ
 settings.load_profile("untimed")
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByTime:
+    """One worker for what must be in time, one for the rest."""
+    return ByTime(config, log)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """In a run of two workers the one that is in no hurry gives way."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        give_way(item.nodeid)
 
 
 @pytest.fixture
