@@ -73,7 +73,7 @@ def test_a_planner_is_replaced_while_the_robot_moves_and_clients_ask(
         new = stack.enter_context(ServiceProcess("planner", endpoint, tmp_path))
         new.wait_ready(bus, KEYS)
         assert client.ended(goal).status == "succeeded"
-        assert client.statuses(goal) == ["accepted", "running", "succeeded"]
+        eventually(lambda: client.statuses(goal) == ["accepted", "running", "succeeded"], "each state has been heard")
         client.ended(client.execute(rest_to_rest(HOME, moved(0.8))))
         assert client.ended(client.execute(made.trajectory, scene_revision=made.scene_revision)).status == "succeeded"
         askers.all_right_again()

@@ -144,9 +144,11 @@ _ALONE: dict[str, object] = {
 _ROUTER = _ALONE | {
     "connect/timeout_ms": -1,
     "connect/exit_on_failure": False,
-    # A link that is silent is given up after 2 s and made anew: TCP alone, or Zenoh's own 10 s, leaves it silent for as long
-    # again as it was cut. What waits for room on such a link holds up everything else from the same client.
-    "transport/link/tx/lease": 2000,
+    # A link that is silent is given up after 5 s and made anew: TCP alone, or Zenoh's own 10 s, leaves it silent for as long
+    # again as it was cut. Not sooner: an executor that hears nothing brakes and then empties its driver, within 4 s, and of
+    # what a silent link holds up the driver must get the last, not the braking alone.
+    # What waits for room on such a link holds up everything else from the same client.
+    "transport/link/tx/lease": 5000,
     "transport/unicast/open_timeout": 2000,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
     "low_pass_filter": [
