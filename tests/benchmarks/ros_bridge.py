@@ -2,20 +2,25 @@
 
     python tests/benchmarks/ros_bridge.py [--plans 200] [--seconds 10]
 
-The same plan over Zenoh and from rclpy in turn, pair by pair; joint states from a driver on ROS to a client on Zenoh at 100
+The same plan over Zenoh and from rclpy in turn, pair by pair, and beside them what ROS itself takes to carry a trajectory
+of as many points from a server of plain rclpy that has it ready; joint states from a driver on ROS to a client on Zenoh at 100
 and 1000 Hz, with what was lost; the processor time and the memory of a bridge whose robot stands.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import psutil
+from rclpy.client import Client
 from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import JointState as RosJointState
@@ -23,6 +28,7 @@ from sensor_msgs.msg import JointState as RosJointState
 from curobo_msgs.srv import SetPlanner, TrajectoryGeneration
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+import ros_ready_made
 from harness import PATIENCE, eventually
 from motions import HOME, ROBOT, moved
 from ros_client import RosClient
@@ -36,13 +42,40 @@ from zarm_contract.bus import Bus
 GOALS = [moved(0.6, 0.2), moved(-0.5, 0.3, -0.2), moved(0.2, -0.3, 0.4, 0.5), moved(1.0)]
 
 
-def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float]]:
-    """Seconds of the same plans over Zenoh and over ROS, in turn."""
-    ros.call(SetPlanner, "set_planner", planner_type=SetPlanner.Request.JOINT_SPACE)
-    client = ros.node.create_client(TrajectoryGeneration, "/unified_planner/generate_trajectory")
+@contextmanager
+def ready_made(points: int) -> Iterator[str]:
+    """The name of a service that answers so many points at once."""
+    program = [sys.executable, str(Path(ros_ready_made.__file__)), "/ready_made", str(points)]
+    process = subprocess.Popen([*program, *ROBOT.descriptor.joints])
+    try:
+        yield "/ready_made"
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+
+
+def asked_of(ros: RosClient, service: str) -> Client:
+    """A client of a trajectory's service that is there."""
+    client = ros.node.create_client(TrajectoryGeneration, service)
     client.wait_for_service(PATIENCE)
+    return client
+
+
+def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float], list[float]]:
+    """Seconds of the same plans over Zenoh and over ROS, and of an answer that is ready made, in turn."""
+    goal = m.JointGoal(kind="joints", position=tuple(GOALS[0].tolist()))
+    plan = bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), m.Plan, timeout=30)
+    points = round(plan.trajectory.duration / ROBOT.descriptor.interpolation_dt) + 1
+    with ready_made(points) as service:
+        return measured_plans(bus, ros, count, asked_of(ros, service))
+
+
+def measured_plans(bus: Bus, ros: RosClient, count: int, ready: Client) -> tuple[list[float], list[float], list[float]]:
+    """See `plans`."""
+    ros.call(SetPlanner, "set_planner", planner_type=SetPlanner.Request.JOINT_SPACE)
+    client = asked_of(ros, "/unified_planner/generate_trajectory")
     start = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist())
-    over_zenoh, over_ros = [], []
+    over_zenoh, over_ros, by_ros = [], [], []
     for index in range(count):
         goal = GOALS[index % len(GOALS)].tolist()
         request = m.PlanRequest(
@@ -57,11 +90,14 @@ def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float
         bus.call(KEYS.plan, request, m.Plan, timeout=30)
         between = time.perf_counter()
         answered = answer(client.call_async(asked), "the bridge plans")
-        over_ros.append(time.perf_counter() - between)
+        after = time.perf_counter()
+        answer(ready.call_async(asked), "the trajectory that is ready comes")
+        by_ros.append(time.perf_counter() - after)
+        over_ros.append(after - between)
         over_zenoh.append(between - began)
         if not answered.success:
             raise SystemExit(answered.message)
-    return over_zenoh, over_ros
+    return over_zenoh, over_ros, by_ros
 
 
 def joint_states(bus: Bus, ros: RosClient, rate: float, seconds: float) -> tuple[list[float], int]:
@@ -108,10 +144,11 @@ def main() -> None:
         bus, ros = running.bus, running.ros
         bridge = psutil.Process(running.processes["ros_bridge"].process.pid)
         plans(bus, ros, 10)
-        over_zenoh, over_ros = plans(bus, ros, options.plans)
+        over_zenoh, over_ros, by_ros = plans(bus, ros, options.plans)
         table.add_row("plan over Zenoh", *milliseconds(over_zenoh), "")
         table.add_row("plan over ROS", *milliseconds(over_ros), "")
         table.add_row("what the bridge adds", *milliseconds(np.subtract(over_ros, over_zenoh)), "pair by pair")
+        table.add_row("ROS alone, ready made", *milliseconds(by_ros), "no planner, no bridge")
         for rate in (100.0, 1000.0):
             arrived, sent = joint_states(bus, ros, rate, options.seconds)
             lost = f"{sent - len(arrived)} of {sent} lost"

@@ -80,7 +80,7 @@ def test_a_record_has_channels_schemas_statistics_and_an_index_that_viewers_need
     assert all(index.message_index_offsets for index in summary.chunk_indexes)
 
 
-@pytest.mark.parametrize("model", set(RECORDED.models.values()), ids=schema)
+@pytest.mark.parametrize("model", sorted(set(RECORDED.models.values()), key=schema), ids=schema)
 def test_the_schema_of_every_recorded_class_is_one_that_foxglove_reads(model: type) -> None:
     def readable(node: dict[str, Any]) -> None:  # as parseJsonSchema of foxglove/studio has it
         for name, field in node["properties"].items():

@@ -1,0 +1,31 @@
+"""What ROS itself costs: a server of plain rclpy that has nothing to do but answer a trajectory that it made before.
+
+python ros_ready_made.py SERVICE POINTS JOINT ...
+"""
+
+from __future__ import annotations
+
+import sys
+
+import rclpy
+from sensor_msgs.msg import JointState
+
+from curobo_msgs.srv import TrajectoryGeneration
+
+
+def main(service: str, points: str, *joints: str) -> None:
+    values = [float(index) for index in range(len(joints))]
+    ready = TrajectoryGeneration.Response(
+        success=True,
+        trajectory=[
+            JointState(name=list(joints), position=values, velocity=values, effort=[]) for _ in range(int(points))
+        ],
+    )
+    rclpy.init(args=[])
+    node = rclpy.create_node("ready_made")
+    node.create_service(TrajectoryGeneration, service, lambda _request, _response: ready)
+    rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
