@@ -9,7 +9,9 @@ from xdist.scheduler import LoadScopeScheduling
 
 NICENESS = 10
 IN_TIME = (
+    "tests/access/test_stack",
     "tests/fault/",
+    "tests/process/test_deploy_readme",
     "tests/process/test_driver_strategies",
     "tests/process/test_executor",
     "tests/process/test_leeloo_sim",
