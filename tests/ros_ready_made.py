@@ -6,8 +6,10 @@ python ros_ready_made.py SERVICE POINTS JOINT ...
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from sensor_msgs.msg import JointState
 
 from curobo_msgs.srv import TrajectoryGeneration
@@ -24,7 +26,8 @@ def main(service: str, points: str, *joints: str) -> None:
     rclpy.init(args=[])
     node = rclpy.create_node("ready_made")
     node.create_service(TrajectoryGeneration, service, lambda _request, _response: ready)
-    rclpy.spin(node)
+    with suppress(ExternalShutdownException):
+        rclpy.spin(node)
 
 
 if __name__ == "__main__":
