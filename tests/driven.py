@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
+from burden import favour
 from executor_client import Client
 from harness import ServiceProcess, eventually
 from motions import HOME, ROBOT, moved, rest_to_rest
@@ -96,4 +97,5 @@ def driven(
         arm.driver.wait_ready(bus, arm.keys)
         arm.executor = stack.enter_context(arm.new_executor())
         arm.executor.wait_ready(bus, arm.keys)
+        favour(arm.driver, arm.executor)
         yield arm

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from harness import PATIENCE, ServiceProcess, router
+from harness import PATIENCE, ServiceProcess, eventually, router
 from ros_stack import KEYS
 
 from zarm_contract.bus import Bus
@@ -110,8 +110,8 @@ def test_version_1_emulator(bus: Bus) -> None:
 
 def test_version_1_doosan(bus: Bus) -> None:
     assert rate(ros2(DRIVER_HZ)) > 20
-    assert "/leeloo/execute_trajectory" in ros2(TOPICS).splitlines()
-    assert "Subscription count: 1" in ros2(COMMAND_INFO)
+    eventually(lambda: "/leeloo/execute_trajectory" in ros2(TOPICS).splitlines(), "the driver's topic is found")
+    eventually(lambda: "Subscription count: 1" in ros2(COMMAND_INFO), "the driver is found to listen")
     ros2(CHOOSE["emulator"])
     ros2(APPLY)
     ros2(CHOOSE["doosan_m1013"])
