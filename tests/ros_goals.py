@@ -44,18 +44,21 @@ class Sent:
 
     def under_way(self) -> None:
         """Wait until the robot is in the middle of the motion."""
-        assert self.accepted
         moving = lambda: any(0.1 < told.step_progression < 0.9 for told in self.feedback)  # noqa: E731
-        eventually(lambda: moving() or (self.feedback and self.feedback[-1].state == "aborted"), "the robot moves")
-        assert moving(), self.ended()[1].message
+        ended = self._ask_for_result()
+        eventually(lambda: moving() or ended.done(), "the robot moves")
+        assert moving(), ended.result().result.message
 
     def ended(self) -> tuple[int, Any]:
         """The status at the end, and the result."""
+        response = answer(self._ask_for_result(), "the goal ends")
+        return response.status, response.result
+
+    def _ask_for_result(self) -> Any:
         assert self.accepted
         if self._result is None:
             self._result = on_its_thread(self._node, self.handle.get_result_async)
-        response = answer(self._result, "the goal ends")
-        return response.status, response.result
+        return self._result
 
     def cancel(self) -> None:
         """Ask for its end, which is granted."""

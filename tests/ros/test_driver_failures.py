@@ -47,9 +47,14 @@ class Lab:
         """A driver with its arm at `at`: the real arm is where it was when its driver comes again."""
         options = ("--ros", "--at", *map(str, at))
         driver = ServiceProcess("leeloo_sim", self._endpoint, self._folder, name=KEYS.robot, arguments=options)
+        known = self._came()
         self.drivers.enter_context(driver).wait_ready(self.bus, KEYS)
         favour(driver)
+        eventually(lambda: self._came() > known, "its commands would reach it")
         return driver
+
+    def _came(self) -> int:
+        return self.bridge.output().count("a driver has come")
 
     def switch(self, strategy: str) -> None:
         """Switch as soon as the driver is heard."""
@@ -58,8 +63,12 @@ class Lab:
             return self.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy=strategy).success
 
         eventually(switched, f"{strategy} is active")
+        self.measured()
+
+    def measured(self) -> None:
+        """Wait until everybody has heard of the robot's joints."""
         seen = len(self.client.measured)
-        eventually(lambda: len(self.client.measured) > seen + 20, "the robot is measured under it")
+        eventually(lambda: len(self.client.measured) > seen + 20, "the robot is measured")
 
     def under_way(self) -> Sent:
         self.robot.plan(speed=0.15)
@@ -104,6 +113,7 @@ def lab(running: Stack, tmp_path: Path) -> Iterator[Lab]:
     one = Lab(running, tmp_path)
     with one.drivers:
         yield one
+        one.ros.call(Trigger, "reset_fault")  # which a test that failed has left
         one.switch("emulator")
 
 
@@ -117,6 +127,7 @@ def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_rob
     driver.kill()
     lab.stopped(goal)
     lab.new_driver(lab.client.measured[-1].position)
+    lab.measured()
     lab.goes_on()
 
 
@@ -138,4 +149,5 @@ def test_a_robot_whose_driver_tells_only_what_cannot_be_read_is_stopped(lab: Lab
     for fault in NONSENSE:
         assert lab.bridge.output().count(fault) == 1, lab.bridge.output()
     lab.bus.call(KEYS.simulated_fault, DriverFault(), Nothing, timeout=10)
+    lab.measured()
     lab.goes_on()

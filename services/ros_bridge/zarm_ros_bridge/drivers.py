@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import math
 import threading
+from typing import Any
 
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState as RosJointState
 from std_msgs.msg import Float32
@@ -31,7 +33,8 @@ class Drivers:
     """Carries commands out (reliable), joint states and progress in; topics are those of `params`.
 
     What a driver says that cannot be read goes no further; each kind of fault is logged once. Then the executor hears
-    nothing, and stops the robot. A driver may come late, go, and come again.
+    nothing, and stops the robot. A driver may come late, go, and come again. DDS finds each direction by itself: joint states
+    may come before commands can go, so that who listens to commands is logged whenever that changes.
     """
 
     def __init__(self, ros: Ros, engine: Engine, params: StrategyParams) -> None:
@@ -44,7 +47,12 @@ class Drivers:
         self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
         self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
         self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
-        self._commands = ros.node.create_publisher(JointTrajectory, params.command_topic, COMMAND_DEPTH)
+        self._commands = ros.node.create_publisher(
+            JointTrajectory,
+            params.command_topic,
+            COMMAND_DEPTH,
+            event_callbacks=PublisherEventCallbacks(matched=self._matched),
+        )
         ros.listen(RosJointState, params.joint_states_topic, self._joint_states, qos_profile_sensor_data)
         if params.state_topic is not None:
             ros.listen(Float32, params.state_topic, self._state, COMMAND_DEPTH)
@@ -55,6 +63,10 @@ class Drivers:
         with self._turn:
             self._progress.sent(command.sequence, len(command.time))
             self._commands.publish(message)
+
+    def _matched(self, listeners: Any) -> None:
+        change = "come" if listeners.current_count_change > 0 else "gone"
+        log.info("a driver has %s topic=%s listeners=%d", change, self._commands.topic_name, listeners.current_count)
 
     def _joint_states(self, message: RosJointState) -> None:
         try:
