@@ -43,14 +43,17 @@ GOALS = [moved(0.6, 0.2), moved(-0.5, 0.3, -0.2), moved(0.2, -0.3, 0.4, 0.5), mo
 
 
 @contextmanager
-def ready_made(points: int) -> Iterator[str]:
-    """The name of a service that answers so many points at once."""
+def ready_made(bus: Bus) -> Iterator[str]:
+    """The name of a service that answers at once, with as many points as a plan has."""
+    goal = m.JointGoal(kind="joints", position=tuple(GOALS[0].tolist()))
+    plan = bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), m.Plan, timeout=30)
+    points = round(plan.trajectory.duration / ROBOT.descriptor.interpolation_dt) + 1
     program = [sys.executable, str(Path(ros_ready_made.__file__)), "/ready_made", str(points)]
     process = subprocess.Popen([*program, *ROBOT.descriptor.joints])
     try:
         yield "/ready_made"
     finally:
-        process.terminate()
+        process.kill()
         process.wait(PATIENCE)
 
 
@@ -61,17 +64,8 @@ def asked_of(ros: RosClient, service: str) -> Client:
     return client
 
 
-def plans(bus: Bus, ros: RosClient, count: int) -> tuple[list[float], list[float], list[float]]:
+def plans(bus: Bus, ros: RosClient, ready: Client, count: int) -> tuple[list[float], list[float], list[float]]:
     """Seconds of the same plans over Zenoh and over ROS, and of an answer that is ready made, in turn."""
-    goal = m.JointGoal(kind="joints", position=tuple(GOALS[0].tolist()))
-    plan = bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), m.Plan, timeout=30)
-    points = round(plan.trajectory.duration / ROBOT.descriptor.interpolation_dt) + 1
-    with ready_made(points) as service:
-        return measured_plans(bus, ros, count, asked_of(ros, service))
-
-
-def measured_plans(bus: Bus, ros: RosClient, count: int, ready: Client) -> tuple[list[float], list[float], list[float]]:
-    """See `plans`."""
     ros.call(SetPlanner, "set_planner", planner_type=SetPlanner.Request.JOINT_SPACE)
     client = asked_of(ros, "/unified_planner/generate_trajectory")
     start = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist())
@@ -143,8 +137,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, stack(Path(folder)) as running:
         bus, ros = running.bus, running.ros
         bridge = psutil.Process(running.processes["ros_bridge"].process.pid)
-        plans(bus, ros, 10)
-        over_zenoh, over_ros, by_ros = plans(bus, ros, options.plans)
+        with ready_made(bus) as service:
+            ready = asked_of(ros, service)
+            plans(bus, ros, ready, 10)
+            over_zenoh, over_ros, by_ros = plans(bus, ros, ready, options.plans)
         table.add_row("plan over Zenoh", *milliseconds(over_zenoh), "")
         table.add_row("plan over ROS", *milliseconds(over_ros), "")
         table.add_row("what the bridge adds", *milliseconds(np.subtract(over_ros, over_zenoh)), "pair by pair")
