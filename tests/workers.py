@@ -16,6 +16,7 @@ IN_TIME = (
     "tests/process/test_executor",
     "tests/process/test_leeloo_sim",
     "tests/process/test_many_arms",
+    "tests/process/test_metrics",
     "tests/process/test_preemption",
     "tests/process/test_streams",
     "tests/process/test_two_hosts",
@@ -26,6 +27,7 @@ IN_TIME = (
     "tests/ros/test_router_failures",
     "tests/ros/test_tutorials",
     "tests/ros/test_up",
+    "tests/ros/test_ur5e",
 )
 """Where tests have a robot that stops when it does not hear its driver for 0.1 s."""
 
