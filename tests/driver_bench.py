@@ -53,7 +53,7 @@ class Case:
     params: tuple[tuple[str, Any], ...] = ()
 
     def __str__(self) -> str:
-        return "-".join((self.strategy, *(str(value) for _, value in self.params)))
+        return "-".join((self.strategy, self.plays, *(f"{name}={value}" for name, value in self.params)))
 
 
 EVERY = (("strategies", ("joint_speed", "joint_pose", "joint_trajectory")),)
@@ -63,6 +63,7 @@ MOVING = (
     Case("joint_pose", "position", EVERY),
     Case("joint_trajectory"),
     Case("joint_trajectory", "position", (("state_topic", None),)),
+    Case("joint_trajectory", "velocity", (("state_topic", None),)),
     Case("joint_trajectory", "velocity", (("stop", "empty"),)),
 )
 

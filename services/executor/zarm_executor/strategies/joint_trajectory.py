@@ -44,6 +44,7 @@ class JointTrajectory(DriverStrategy):
         self._sent_at = 0.0
         self._index = 0.0
         self._clock = 0.0
+        self._gone_on = False
         self._braking = False
         self._unsent = False
         self._speed = 1.0
@@ -95,11 +96,12 @@ class JointTrajectory(DriverStrategy):
             return
         if not self._unsent:
             self._clock = (now - self._sent_at) / command.dt
-            self._index = min(max(self._index, self._reached(command, dt)), command.last)
+            index = min(max(self._index, self._reached(command, dt)), command.last)
+            self._gone_on, self._index = index > self._index, index
         if self._stopping:
             self._brake(command, now)
         elif self._repacing and not self._braking:
-            self._repace(command, now)
+            self._repace(command, now, dt)
         if self._unsent:
             self._transmit(now)
         elif self._braking and self._index == command.last:
@@ -135,20 +137,32 @@ class JointTrajectory(DriverStrategy):
         silence = 0.0 if measured is None else now - measured.time
         return silence if silence > self.link.execution.joint_state_timeout else 0.0
 
-    def _repace(self, command: Stretch, now: float) -> None:
-        """Have the rest played at the new path speed, from where the driver will be when it has it.
-
-        By then it has played as many points more as go by while the rest is encoded.
-        """
+    def _repace(self, command: Stretch, now: float, dt: float) -> None:
+        """Have the rest played at the new path speed, from where the driver will be when it has it."""
         if self._path is None or (not self._unsent and now - self._sent_at < _PACE_PERIOD):
             return
-        index = self._index
-        if not self._unsent:
-            index = self._playing(command) + int(_ENCODING * (command.last - index) / command.dt)
+        index = self._index if self._unsent else self._next(command, dt)
+        if index is None:
+            return
         time, speed, _ = command.at(index)
         self._repacing = False
         if time < self._path.duration:
             self._play(self._along(self._path, time, self._speed if self._unsent else speed))
+
+    def _next(self, command: Stretch, dt: float) -> float | None:
+        """The index of the point that comes next when the driver has what is sent in this tick, of period `dt` s.
+
+        A driver plays whole points, at times of its own. One that tells them has the time of a point from when it has told of one: None
+        in the ticks in between. One that tells nothing began to play as long after it was sent something as it will now, so that it
+        is a whole number of points on where that many have gone by: None in other ticks. What takes long to encode comes later.
+        """
+        encoding = _ENCODING * (command.last - self._index) / command.dt
+        if self.link.params.state_topic is not None:
+            return self._playing(command) + int(encoding) if self._gone_on else None
+        if not self._on_time(command):
+            return self._playing(command) + int(encoding)
+        due = self._clock + encoding - _ENCODING * len(command.time) / command.dt
+        return float(round(due)) if abs(due - round(due)) * command.dt <= dt / 2 else None
 
     def _playing(self, command: Stretch) -> float:
         """The index of the point that the driver plays when it learns of something.
@@ -158,8 +172,11 @@ class JointTrajectory(DriverStrategy):
         """
         if self.link.params.state_topic is not None:
             return self._index + 1.0
-        delay, slack = self.link.params.delay / command.dt, _ON_TIME / command.dt
-        return self._clock + 1.0 if self._clock - self._index <= delay + slack else self._index + delay
+        return self._clock + 1.0 if self._on_time(command) else self._index + self.link.params.delay / command.dt
+
+    def _on_time(self, command: Stretch) -> bool:
+        """Whether the robot is not further behind the clock than one is whose driver keeps time."""
+        return (self._clock - self._index) * command.dt <= self.link.params.delay + _ON_TIME
 
     def _along(self, path: Path, time: float, speed: float) -> Follower:
         return Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=self._speed)
