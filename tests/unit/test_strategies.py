@@ -17,6 +17,11 @@ from zarm_executor.machine import STALL_LIMIT
 at_every_rate = pytest.mark.parametrize("rate", [100.0, 130.0, 250.0, 500.0])
 """Of the control loop, Hz; at 130 no period of chunks or of points is one of ticks."""
 
+at_every_phase = pytest.mark.parametrize(
+    ("rate", "phase"), [(100.0, 0.0), (100.0, 0.009), (130.0, 0.003), (250.0, 0.003), (250.0, 0.009)]
+)
+"""Where (s) between two ticks of the control loop (Hz) those of the driver are."""
+
 
 @pytest.fixture
 def rate() -> float:
@@ -124,7 +129,7 @@ def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) ->
     assert bench.rests()
 
 
-@at_every_rate
+@at_every_phase
 def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> None:
     bench.execute()
     bench.run(1.0)
@@ -133,6 +138,8 @@ def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> Non
     bench.machine.resume()
     bench.until("idle")
     assert bench.statuses()[-1] == "succeeded"
+    if bench.case.params != (("stop", "empty"),):
+        assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
 def test_a_goal_cancelled_as_soon_as_it_goes_on_again_ends_at_rest_without_a_fault(bench: DriverBench) -> None:

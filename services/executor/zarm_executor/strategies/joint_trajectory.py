@@ -44,12 +44,14 @@ class JointTrajectory(DriverStrategy):
         self._sent_at = 0.0
         self._index = 0.0
         self._clock = 0.0
+        self._told = 0.0
         self._gone_on = False
         self._braking = False
         self._unsent = False
         self._speed = 1.0
         self._repacing = False
         self._stopping = False
+        self._waited = 0.0
         self._resuming = False
 
     def start(self, path: Path, speed: float) -> None:
@@ -62,6 +64,7 @@ class JointTrajectory(DriverStrategy):
         """Have the robot brake along the path, from the next tick on."""
         self._resuming = False
         self._stopping = self._command is not None and not self._braking
+        self._waited = 0.0
 
     def move(self, speed: float) -> None:
         """Have the rest of the path played at this path speed.
@@ -69,25 +72,9 @@ class JointTrajectory(DriverStrategy):
         It begins where the robot came to rest, or where the driver will be in what it is playing or braking through.
         """
         self._stopping = False
-        path, command = self._path, self._command
         self._repacing = self._repacing or speed != self._speed
         self._speed = speed
-        if path is None or command is None or not self._braking:
-            return
-        self._resuming = self.link.params.stop == "empty" and self._index < command.last
-        if self._resuming:
-            return  # nobody knows what the driver is braking through
-        self._braking = False
-        if self._index == command.last:
-            # Where the robot came to rest is not just where it should have: the driver was on its way.
-            measured, time = self.link.measured(), float(command.time[-1])
-            if measured is not None:
-                time = path.nearest(measured.position, command.time[0] - _OVERRUN, time + _OVERRUN)
-            self._play(self._along(path, time, 0.0))
-            self._lead_back()
-        else:
-            time, speed, _ = command.at(self._clock + 1.0)
-            self._play(self._along(path, time, speed))
+        self._resuming = self._braking
 
     def tick(self, now: float, dt: float) -> None:
         """See how far the driver is, and send what is to be played next."""
@@ -96,19 +83,19 @@ class JointTrajectory(DriverStrategy):
             return
         if not self._unsent:
             self._clock = (now - self._sent_at) / command.dt
-            index = min(max(self._index, self._reached(command, dt)), command.last)
-            self._gone_on, self._index = index > self._index, index
+            told = self._told_of(command)
+            self._gone_on, self._told = told > self._told, told
+            self._index = min(max(self._index, self._reached(command, dt)), command.last)
         if self._stopping:
-            self._brake(command, now)
+            self._brake(command, now, dt)
+        elif self._resuming:
+            self._resume(command, dt)
         elif self._repacing and not self._braking:
             self._repace(command, now, dt)
         if self._unsent:
             self._transmit(now)
         elif self._braking and self._index == command.last:
-            if self._resuming:
-                self.move(self._speed)
-            else:
-                self.hold(now)
+            self.hold(now)
 
     def progress(self) -> Progress:
         """How far the robot is."""
@@ -118,18 +105,48 @@ class JointTrajectory(DriverStrategy):
         time, speed, position = command.at(self._index)
         return Progress(time, speed, position, finished=time >= path.duration)
 
-    def _brake(self, command: Stretch, now: float) -> None:
+    def _brake(self, command: Stretch, now: float, dt: float) -> None:
         """Brake from where the driver will be when it learns of it."""
+        index = self._index if self._unsent else self._brakes_from(command, now, dt)
+        if index is None:
+            self._waited += dt
+            return
         self._stopping = False
         self._braking = True
-        index = self._index
-        if not self._unsent:
-            index = self._playing(command) + self._unheard(now) / command.dt
-            if self.link.params.state_topic is None:
-                index -= _UNTOLD
         time, speed, _ = command.at(min(index, command.last))
         if self._path is not None:
             self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
+
+    def _brakes_from(self, command: Stretch, now: float, dt: float) -> float | None:
+        """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
+        late = self._late(command)
+        known = None if late else self._next(command, dt)
+        if known is not None or not (late or self._waited >= command.dt):
+            return known
+        index = self._playing(command) + self._unheard(now) / command.dt
+        return index - _UNTOLD if self.link.params.state_topic is None else index
+
+    def _resume(self, command: Stretch, dt: float) -> None:
+        """Have the rest of the path played, from where the robot came to rest or is in its braking."""
+        path = self._path
+        if path is None:
+            return
+        if self._index == command.last:
+            # Where the robot came to rest is not just where it should have: the driver was on its way.
+            measured, time = self.link.measured(), float(command.time[-1])
+            if measured is not None:
+                time = path.nearest(measured.position, command.time[0] - _OVERRUN, time + _OVERRUN)
+            self._play(self._along(path, time, 0.0))
+            self._lead_back()
+        elif self.link.params.stop == "empty":
+            return  # nobody knows what the driver is braking through
+        else:
+            index = self._next(command, dt, encoded=(path.duration - float(command.time[-1])) / command.dt)
+            if index is None:
+                return
+            time, speed, _ = command.at(index)
+            self._play(self._along(path, time, speed))
+        self._braking = self._resuming = False
 
     def _unheard(self, now: float) -> float:
         """How long (s) a driver that has fallen silent has played on since it was heard last; 0 where it is heard."""
@@ -141,7 +158,7 @@ class JointTrajectory(DriverStrategy):
         """Have the rest played at the new path speed, from where the driver will be when it has it."""
         if self._path is None or (not self._unsent and now - self._sent_at < _PACE_PERIOD):
             return
-        index = self._index if self._unsent else self._next(command, dt)
+        index = self._index if self._unsent else self._next(command, dt, encoded=command.last - self._index)
         if index is None:
             return
         time, speed, _ = command.at(index)
@@ -149,17 +166,18 @@ class JointTrajectory(DriverStrategy):
         if time < self._path.duration:
             self._play(self._along(self._path, time, self._speed if self._unsent else speed))
 
-    def _next(self, command: Stretch, dt: float) -> float | None:
-        """The index of the point that comes next when the driver has what is sent in this tick, of period `dt` s.
+    def _next(self, command: Stretch, dt: float, encoded: float = 0.0) -> float | None:
+        """The index of the point that comes next when the driver has what is sent in this tick; None where that is not known.
 
-        A driver plays whole points, at times of its own. One that tells them has the time of a point from when it has told of one: None
-        in the ticks in between. One that tells nothing began to play as long after it was sent something as it will now, so that it
-        is a whole number of points on where that many have gone by: None in other ticks. What takes long to encode comes later.
+        A driver plays whole points, at times of its own. One that tells them has the time of a point from when it has told of one,
+        and in the ticks (of `dt` s) in between it is not known. One that tells nothing began to play as long after it was sent
+        something as it will now, so that it is a whole number of points on in a tick in which that many have gone by. So
+        many points (`encoded`) that are encoded first come later.
         """
-        encoding = _ENCODING * (command.last - self._index) / command.dt
+        encoding = _ENCODING * encoded / command.dt
         if self.link.params.state_topic is not None:
-            return self._playing(command) + int(encoding) if self._gone_on else None
-        if not self._on_time(command):
+            return self._told + 1.0 + int(encoding) if self._gone_on else None
+        if self._late(command):
             return self._playing(command) + int(encoding)
         due = self._clock + encoding - _ENCODING * len(command.time) / command.dt
         return float(round(due)) if abs(due - round(due)) * command.dt <= dt / 2 else None
@@ -172,11 +190,12 @@ class JointTrajectory(DriverStrategy):
         """
         if self.link.params.state_topic is not None:
             return self._index + 1.0
-        return self._clock + 1.0 if self._on_time(command) else self._index + self.link.params.delay / command.dt
+        return self._index + self.link.params.delay / command.dt if self._late(command) else self._clock + 1.0
 
-    def _on_time(self, command: Stretch) -> bool:
-        """Whether the robot is not further behind the clock than one is whose driver keeps time."""
-        return (self._clock - self._index) * command.dt <= self.link.params.delay + _ON_TIME
+    def _late(self, command: Stretch) -> bool:
+        """Whether a driver that tells nothing does not keep time: the robot is further behind than a robot is."""
+        behind = (self._clock - self._index) * command.dt
+        return self.link.params.state_topic is None and behind > self.link.params.delay + _ON_TIME
 
     def _along(self, path: Path, time: float, speed: float) -> Follower:
         return Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=self._speed)
@@ -193,7 +212,7 @@ class JointTrajectory(DriverStrategy):
 
     def _play(self, follower: Follower) -> None:
         self._command = follower.ahead(self.link.params.point_dt)
-        self._index = self._clock = 0.0
+        self._index = self._clock = self._told = 0.0
         self._unsent = True
         self._repacing = self._repacing and follower.target != self._speed
 
@@ -204,6 +223,10 @@ class JointTrajectory(DriverStrategy):
         if self.link.params.state_topic is None:
             window = max(_WINDOW, dt) / command.dt
             return self._nearest(self._index - window, min(self._index + window, self._clock))
+        return self._told
+
+    def _told_of(self, command: Stretch) -> float:
+        """The index of the point that the driver has told of last; 0 before it has told of any."""
         fraction = None if self._sequence is None else self.link.fraction(self._sequence)
         return 0.0 if fraction is None else fraction * len(command.time) - 1.0
 
