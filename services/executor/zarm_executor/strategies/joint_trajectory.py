@@ -119,11 +119,12 @@ class JointTrajectory(DriverStrategy):
 
     def _brakes_from(self, command: Stretch, now: float, dt: float) -> float | None:
         """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
-        late = self._late(command)
-        known = None if late else self._next(command, dt)
-        if known is not None or not (late or self._waited >= command.dt):
-            return known
-        index = self._playing(command) + self._unheard(now) / command.dt
+        unheard = self._unheard(now)
+        if not self._late(command) and not unheard:
+            known = self._next(command, dt)
+            if known is not None or self._waited < command.dt:
+                return known
+        index = self._playing(command) + unheard / command.dt
         return index - _UNTOLD if self.link.params.state_topic is None else index
 
     def _resume(self, command: Stretch, dt: float) -> None:
