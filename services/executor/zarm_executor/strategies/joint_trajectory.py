@@ -63,8 +63,9 @@ class JointTrajectory(DriverStrategy):
     def stop(self) -> None:
         """Have the robot brake along the path, from the next tick on."""
         self._resuming = False
-        self._stopping = self._command is not None and not self._braking
-        self._waited = 0.0
+        if not self._stopping:
+            self._stopping = self._command is not None and not self._braking
+            self._waited = 0.0
 
     def move(self, speed: float) -> None:
         """Have the rest of the path played at this path speed.
