@@ -18,12 +18,14 @@ from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Unavailable
-from zarm_contract.messages import ExecutorState
+from zarm_contract.messages import Accepted, ExecuteRequest, ExecutorState
 from zarm_contract.session import open_router
 from zarm_executor.follower import CATCH_UP
 from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.path import Path as Motion
 
+GIVEN_UP = 6.0
+"""Seconds after which a client asks no longer, and the router has given up the link."""
 SLOW = rest_to_rest(moved(1.5, -0.5), slower=2.0)
 PATH = Motion.of(SLOW, ROBOT.descriptor.joints)
 SPEED = float(np.max(ROBOT.descriptor.cspace.velocity))
@@ -121,6 +123,25 @@ def test_frozen_at_rest_it_goes_on_as_if_nothing_had_been(executor: ServiceProce
     time.sleep(2 * STALL_LIMIT)  # how long it is frozen is what is tested
     os.kill(executor.process.pid, signal.SIGCONT)
     assert client.ended(client.execute(rest_to_rest(moved(0.1)))).status == "succeeded"
+
+
+def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
+    executor: ServiceProcess, client: Client, bus: Bus
+) -> None:
+    os.kill(executor.process.pid, signal.SIGSTOP)
+    late = ExecuteRequest(trajectory=rest_to_rest(moved(0.1)), goal_id="late")
+    with pytest.raises(Unavailable):
+        bus.call(KEYS.execute, late, Accepted, timeout=GIVEN_UP)
+    os.kill(executor.process.pid, signal.SIGCONT)
+
+    def executed() -> str | None:
+        try:
+            return client.execute(rest_to_rest(moved(-0.1)))
+        except (Busy, Unavailable):
+            return None
+
+    assert client.ended(eventually(executed, "it executes again")).status == "succeeded"
+    assert client.statuses("late") == []
 
 
 def test_told_to_end_in_motion_it_comes_to_rest_first_and_ends_well(

@@ -14,7 +14,9 @@ changed waits in `changes` for whoever publishes it.
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
@@ -28,6 +30,11 @@ WITHDRAWN = 4096
 """How many goals that were cancelled before they came are remembered."""
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
+_CUT_OFF = 3.5
+"""A process that stood still for longer (s) may have lost its link to the router, which gives up a silent one after 5 s from what it
+heard last: then a cancel of what was asked before has not come."""
+_DRAINED = 0.5
+"""For so long (s) after that what comes may have been asked before."""
 
 
 class Machine:
@@ -48,6 +55,7 @@ class Machine:
         self._switching = False
         self._ending = False
         self._last_tick: float | None = None
+        self._back_at = -math.inf
         self._missed_ticks = 0
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
@@ -70,6 +78,10 @@ class Machine:
                 raise Busy(f"{self._motion.goal.goal_id} is not at its end; cancel it or wait, then execute again")
             if self._switching:
                 raise Busy("the strategy is being switched; execute again in a moment")
+            if self._was_away():
+                raise Busy(
+                    "the executor stood still for so long that whoever asked may have given up; execute again in a moment"
+                )
             self._strategy.admit()
 
     def start(self, goal: Goal, stops: int) -> None:
@@ -270,6 +282,11 @@ class Machine:
             return self._motion.mode
         return "idle" if self._problem is None else "fault"
 
+    def _was_away(self) -> bool:
+        now = time.monotonic()
+        standing = self._last_tick is not None and now - self._last_tick > _CUT_OFF
+        return standing or 0.0 <= now - self._back_at < _DRAINED
+
     # -- the control loop --
 
     def tick(self, now: float) -> Measured | None:
@@ -277,6 +294,8 @@ class Machine:
         with self._lock:
             dt = 0.0 if self._last_tick is None else now - self._last_tick
             self._last_tick = now
+            if dt > _CUT_OFF:
+                self._back_at = now
             self._missed_ticks += max(0, round(dt / self._period) - 1)
             motion = self._motion
             if motion is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
