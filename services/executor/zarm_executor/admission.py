@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -59,6 +60,10 @@ class Admission:
         if not self._checking.acquire(blocking=False):
             raise Busy("another motion is being checked; execute again when it has ended or been refused")
         try:
+            if self._machine.was_away(time.monotonic()):
+                raise Busy(
+                    "the executor stood still for so long that whoever asked may have given up; execute again in a moment"
+                )
             stops = self._machine.stops
             self._machine.admit(preempt=preempt)
             yield Turn(self._machine, self._reporter, stops)

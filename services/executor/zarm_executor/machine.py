@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
@@ -78,11 +77,13 @@ class Machine:
                 raise Busy(f"{self._motion.goal.goal_id} is not at its end; cancel it or wait, then execute again")
             if self._switching:
                 raise Busy("the strategy is being switched; execute again in a moment")
-            if self._was_away():
-                raise Busy(
-                    "the executor stood still for so long that whoever asked may have given up; execute again in a moment"
-                )
             self._strategy.admit()
+
+    def was_away(self, now: float) -> bool:
+        """Whether the control loop stood still until just now, so that what comes at `now` may have been asked long ago."""
+        with self._lock:
+            standing = self._last_tick is not None and now - self._last_tick > _CUT_OFF
+            return standing or now - self._back_at < _DRAINED
 
     def start(self, goal: Goal, stops: int) -> None:
         """Move the robot along the goal's path, which starts where it stands.
@@ -281,11 +282,6 @@ class Machine:
         if self._motion is not None:
             return self._motion.mode
         return "idle" if self._problem is None else "fault"
-
-    def _was_away(self) -> bool:
-        now = time.monotonic()
-        standing = self._last_tick is not None and now - self._last_tick > _CUT_OFF
-        return standing or 0.0 <= now - self._back_at < _DRAINED
 
     # -- the control loop --
 
