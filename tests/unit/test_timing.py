@@ -116,6 +116,12 @@ def test_one_edge_takes_the_shortest_time_that_its_limits_allow() -> None:
     assert shortest < motion.duration < 1.05 * shortest
 
 
+def test_a_corner_of_next_to_no_size_is_stopped_at() -> None:
+    tiny = 2.0**-24
+    path = np.array([[3.0, tiny, tiny], [tiny, tiny, 0.0], [tiny, tiny, tiny], [1.0, tiny, tiny]])
+    assert time_path(path, LIMITS, DT, 0.2).duration <= time_path(path, LIMITS, DT, 0.0).duration
+
+
 def test_a_wider_rounding_is_faster() -> None:
     path = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 1, 0]])
     durations = [time_path(path, LIMITS, DT, deviation).duration for deviation in (0.1, 0.03, 0.01, 0.0)]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -21,6 +22,7 @@ from toppra import SplineInterpolator
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
+from zarm_contract.errors import InvalidRequest
 from zarm_planner.motion import Array, Limits, Motion, sample_times, within
 
 _STEP = 0.05
@@ -51,9 +53,10 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Motio
         and deviation > 0
         and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
     ):
-        motion = within(partial(fastest.sample, dt=dt), limits)
-        if motion.duration < sum(edge.duration for edge in edges):
-            return motion
+        with suppress(InvalidRequest):  # round a corner of next to no size it may be longer than stopping there ever is
+            motion = within(partial(fastest.sample, dt=dt), limits)
+            if motion.duration < sum(edge.duration for edge in edges):
+                return motion
     return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
 
 
