@@ -18,7 +18,7 @@ from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Unavailable
-from zarm_contract.messages import Accepted, ExecuteRequest, ExecutorState
+from zarm_contract.messages import Accepted, ExecuteRequest, ExecutorState, Nothing
 from zarm_contract.session import open_router
 from zarm_executor.follower import CATCH_UP
 from zarm_executor.machine import STALL_LIMIT
@@ -142,6 +142,24 @@ def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
 
     assert client.ended(eventually(executed, "it executes again")).status == "succeeded"
     assert client.statuses("late") == []
+
+
+def test_to_go_on_asked_of_it_long_ago_while_it_was_frozen_moves_nothing(
+    executor: ServiceProcess, client: Client, bus: Bus
+) -> None:
+    goal_id = client.execute(SLOW)
+    client.under_way(goal_id)
+    client.command(KEYS.pause)
+    client.mode("paused")
+    held = client.position()
+    os.kill(executor.process.pid, signal.SIGSTOP)
+    with pytest.raises(Unavailable):
+        bus.call(KEYS.resume, Nothing(), ExecutorState, timeout=GIVEN_UP)
+    os.kill(executor.process.pid, signal.SIGCONT)
+    seen = len(client.measured)
+    eventually(lambda: len(client.measured) > seen + 50, "it tells its joints again")
+    assert client.mode("paused").goal_id == goal_id
+    np.testing.assert_allclose(client.position(), held, atol=1e-9)
 
 
 def test_told_to_end_in_motion_it_comes_to_rest_first_and_ends_well(

@@ -18,7 +18,7 @@ at_every_rate = pytest.mark.parametrize("rate", [100.0, 130.0, 250.0, 500.0])
 """Of the control loop, Hz; at 130 no period of chunks or of points is one of ticks."""
 
 at_every_phase = pytest.mark.parametrize(
-    ("rate", "phase"), [(100.0, 0.0), (100.0, 0.009), (130.0, 0.003), (250.0, 0.003), (250.0, 0.009)]
+    ("rate", "phase"), [(100.0, 0.0), (100.0, 0.009), (130.0, 0.003), (250.0, 0.003), (250.0, 0.009), (500.0, 0.003)]
 )
 """Where (s) between two ticks of the control loop (Hz) those of the driver are."""
 
@@ -82,9 +82,7 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
 
 
-@pytest.mark.parametrize(
-    ("rate", "phase"), [(100.0, 0.0), (100.0, 0.009), (130.0, 0.003), (250.0, 0.003), (250.0, 0.009)]
-)
+@at_every_phase
 @pytest.mark.parametrize("changes", [(0.3,), (0.5, 1.0), (0.6, 0.05, 1.0), (0.9, 0.8, 0.7, 0.6)], ids=str)
 def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
     bench: DriverBench, changes: tuple[float, ...]

@@ -51,6 +51,13 @@ class Admission:
         self._reporter = reporter
         self._checking = threading.Lock()
 
+    def demand_presence(self) -> None:
+        """Raises Busy where what is asked now may have been asked long ago, and given up since."""
+        if self._machine.was_away(time.monotonic()):
+            raise Busy(
+                "the executor stood still for so long that whoever asked may have given up; ask again in a moment"
+            )
+
     @contextmanager
     def turn(self, *, preempt: bool = False) -> Iterator[Turn]:
         """In it a goal is checked and started. One at a time: what waited here would start after a stop that came meanwhile.
@@ -60,10 +67,7 @@ class Admission:
         if not self._checking.acquire(blocking=False):
             raise Busy("another motion is being checked; execute again when it has ended or been refused")
         try:
-            if self._machine.was_away(time.monotonic()):
-                raise Busy(
-                    "the executor stood still for so long that whoever asked may have given up; execute again in a moment"
-                )
+            self.demand_presence()
             stops = self._machine.stops
             self._machine.admit(preempt=preempt)
             yield Turn(self._machine, self._reporter, stops)

@@ -101,7 +101,8 @@ class Executor:
         return self._reporter.publish()
 
     def resume(self, _: Nothing) -> ExecutorState:
-        """Go on with the goal that is held."""
+        """Go on with the goal that is held. Raises what `Admission.demand_presence` raises."""
+        self._admission.demand_presence()
         self._machine.resume()
         return self._reporter.publish()
 

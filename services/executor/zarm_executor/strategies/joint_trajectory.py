@@ -121,7 +121,7 @@ class JointTrajectory(DriverStrategy):
     def _brakes_from(self, command: Stretch, now: float, dt: float) -> float | None:
         """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
         unheard = self._unheard(now)
-        if not self._late(command) and not unheard:
+        if not self._late(command) and not unheard and self.link.params.stop != "empty":
             known = self._next(command, dt)
             if known is not None or self._waited < command.dt:
                 return known
