@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -34,8 +33,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
     def unanswered() -> SceneEdited:
         raise Unavailable("no planner")
 
-    bench = Bench()
-    bench.arm.exact = replace(bench.arm.exact, time=float("inf"))  # fresh, though nobody ticks
+    bench = Bench(now=float("inf"))  # fresh, though nobody ticks
     reporter = Reporter(
         bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState), lambda _: None, Metrics()
     )
