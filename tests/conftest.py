@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +26,16 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """In a run of two workers the one that is in no hurry gives way."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         give_way(item.nodeid)
+    ServiceProcess.started[:] = [one for one in ServiceProcess.started if one.process.poll() is None]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A test that fails shows what the services have logged that ran with it."""
+    report = yield
+    if report.failed:
+        report.sections += [(f"Log of {one.service} {one.process.pid}", one.output()) for one in ServiceProcess.started]
+    return report
 
 
 @pytest.fixture

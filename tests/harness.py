@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
@@ -58,9 +58,10 @@ def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIE
 class ServiceProcess:
     """One service of zarm as a process of its own; use it in `with`. Leaving stops it with SIGTERM and waits.
 
-    `script` is run in its place; `prefix` is put before the command.
+    `script` is run in its place; `prefix` is put before the command. `started` are those of the present test, ended ones too.
     """
 
+    started: ClassVar[list[Self]] = []
     service: str
     endpoint: str
     state: Path
@@ -81,6 +82,7 @@ class ServiceProcess:
             self.process = subprocess.Popen(
                 command, stdout=log, stderr=log, start_new_session=True, env=os.environ | self.environment
             )
+        self.started.append(self)
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -6,6 +6,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -35,7 +36,8 @@ client waits for ever."""
 
 WITHOUT_SHARED_MEMORY = ("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 """What a process that was killed has left in the shared memory of Fast DDS holds up whoever opens it next, for a third of a
-second: a driver that sends to a bridge, or the reply of a bridge to a client, which after 0.1 s is dropped."""
+second: a driver that sends to a bridge, or a bridge that answers a client."""
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("dds_profiles.xml")))
 
 
 class Ros:
@@ -46,11 +48,12 @@ class Ros:
     Use it in `with`. Services and actions of `node` in `group` may wait, each in a thread. What arrives at a high rate goes to `listen`:
     a second node with a thread of its own, whose callbacks must return quickly; rclpy looks at every entity of a node for each
     message, so this one has nothing else. DDS refuses two types under one name in one participant; a second `Ros` is a second
-    participant. There is no shared memory with other processes, unless the environment says otherwise.
+    participant. There is no shared memory with other processes, and `dds_profiles.xml` holds, unless the environment says otherwise.
     """
 
     def __init__(self, name: str, namespace: str = "", *, workers: int, parameters: bool = False) -> None:
         os.environ.setdefault(*WITHOUT_SHARED_MEMORY)
+        os.environ.setdefault(*PROFILES)
         self._context = Context()
         rclpy.init(args=[], context=self._context)
         self.node = self._node(name, namespace, parameters=parameters)

@@ -16,6 +16,7 @@ from zarm_ros_bridge.faults import Faults
 from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.planning import Planning
+from zarm_ros_bridge.replies import insist
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.scene import SceneServices
 from zarm_ros_bridge.strategies import StrategyServices
@@ -76,6 +77,7 @@ def main() -> int:
     parser.add_argument(
         "--namespace", help="ROS namespace of its names (default: none for one robot, the robot's name for several)"
     )
+    insist()
     return run_service("ros_bridge", parser, start)
 
 
