@@ -61,7 +61,7 @@ class ServiceProcess:
     `script` is run in its place; `prefix` is put before the command. `started` are those of the present test, ended ones too.
     """
 
-    started: ClassVar[list[Self]] = []
+    started: ClassVar[list[ServiceProcess]] = []
     service: str
     endpoint: str
     state: Path

@@ -2,9 +2,9 @@
 
 DDS that is kept to one machine looks for 32 participants there, so that 50 clients cannot have one each.
 
-`python ros_crowd.py NODES` is one of these processes: it says `ready` when every node has been answered by each
-service once; after an empty line every node asks all of them, and one line of JSON `[service, success, message]` is written for
-each answer, an empty one at the end.
+`python ros_crowd.py NODES` is one of these processes: it says `ready` when every node sees every service; after an empty line
+every node asks all of them, and one line of JSON `[service, success, message]` is written for each answer, an empty one at the
+end.
 """
 
 from __future__ import annotations
@@ -27,8 +27,6 @@ from curobo_msgs.srv import Fk, GetRobotStrategies, TrajectoryGeneration
 
 PATIENCE = 60.0
 """Seconds after which a request counts as not answered; no promise about speed."""
-AGAIN = 5.0
-"""Seconds after which a client that the bridge may not have known yet asks again."""
 HOME = [0.0, 0.0, 1.5, 0.0, 1.5, 0.0]
 """Joints of the M1013 that are free of collision."""
 
@@ -99,10 +97,10 @@ def _told(name: str, response: Any) -> Answer:
     return Answer(name, response.success, "" if response.success else getattr(response, "message", ""))
 
 
-def _asked(executor: SingleThreadedExecutor, asked: list[tuple[str, Any, Any]], patience: float) -> list[Future]:
+def _asked(executor: SingleThreadedExecutor, asked: list[tuple[str, Any, Any]]) -> list[Future]:
     """Ask all of this at once, and wait for the answers."""
     futures = [client.call_async(request) for _, client, request in asked]
-    deadline = time.monotonic() + patience
+    deadline = time.monotonic() + PATIENCE
     while not all(future.done() for future in futures) and time.monotonic() < deadline:
         executor.spin_once(0.1)
     return futures
@@ -121,16 +119,10 @@ def _clients(count: int) -> None:
     for _, client, _ in asked:
         if not client.wait_for_service(PATIENCE):
             raise SystemExit("the bridge is not seen")
-    unknown = (
-        asked  # to the bridge: DDS finds each direction by itself, and a reply to whom it has not found yet is lost
-    )
-    while unknown:
-        futures = _asked(executor, unknown, AGAIN)
-        unknown = [one for one, future in zip(unknown, futures, strict=True) if not future.done()]
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for _ in iter(sys.stdin.readline, ""):
-        for (name, _, _), future in zip(asked, _asked(executor, asked, PATIENCE), strict=True):
+        for (name, _, _), future in zip(asked, _asked(executor, asked), strict=True):
             told = _told(name, future.result()) if future.done() else Answer(name, False, "NO ANSWER")
             sys.stdout.write(json.dumps(told) + "\n")
         sys.stdout.write("\n")

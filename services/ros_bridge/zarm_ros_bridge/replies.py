@@ -7,7 +7,6 @@ rclpy warns, and the client waits for ever. rclpy leaves no other place to send 
 
 from __future__ import annotations
 
-import logging
 import time
 import warnings
 from collections.abc import Callable
@@ -15,12 +14,10 @@ from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-log = logging.getLogger(__name__)
-
 PATIENCE = 3.0
 """For so long (s) a reply is sent again. What is lost of a participant's description comes again within that time (the period of
 heartbeats in Fast DDS); a client that asks for durability, or another quality that services do not have, is never found."""
-_SOON = 0.01  # s
+_SOON, _LATE = 0.01, 0.5  # s until it is sent again: as long again as it has waited
 
 _SENDERS = (
     (rclpy_implementation.Service, "service_send_response"),
@@ -30,25 +27,30 @@ _SENDERS = (
 )
 
 
+class Unanswered(rclpy_implementation.RCLError):  # type: ignore[misc] # rclpy is not followed
+    """A client has no reply. Where it was that its goal is accepted, rclpy does not execute the goal."""
+
+
 def insist() -> None:
-    """From now on no service and no action of this process drops a reply before it has been sent again for PATIENCE s. Once."""
+    """From now on every service and action of this process sends a reply again, for PATIENCE s, then raises Unanswered. Once."""
     warnings.filterwarnings("error", "failed to send response", RuntimeWarning)
     for kind, name in _SENDERS:
-        setattr(kind, name, _insistent(getattr(kind, name)))
+        setattr(kind, name, insistent(getattr(kind, name)))
 
 
-def _insistent(send: Callable[..., None]) -> Callable[..., None]:
+def insistent(send: Callable[..., None]) -> Callable[..., None]:
+    """`send`, which may warn that it has not sent, until it has. Raises Unanswered."""
+
     def send_until_sent(handle: Any, *reply: Any) -> None:
         began = time.monotonic()
         while not _sent(send, handle, *reply):
             waited = time.monotonic() - began
             if waited > PATIENCE:
-                log.warning(
-                    "reply dropped service=%s reason=DDS knows no way to its client; a client needs the default QoS of services",
-                    getattr(handle, "name", "of an action"),
+                raise Unanswered(
+                    f"a client of {getattr(handle, 'name', 'an action')} has no reply: for {waited:.1f} s DDS has found no way to "
+                    "it; see that it asks with the default QoS of services"
                 )
-                return
-            time.sleep(max(_SOON, waited))
+            time.sleep(min(max(waited, _SOON), _LATE))
 
     return send_until_sent
 
@@ -56,7 +58,10 @@ def _insistent(send: Callable[..., None]) -> Callable[..., None]:
 def _sent(send: Callable[..., None], handle: Any, *reply: Any) -> bool:
     try:
         send(handle, *reply)
-    except (RuntimeWarning, SystemError) as error:  # the second where rclpy goes on after the first, which Python reports
+    except (
+        RuntimeWarning,
+        SystemError,
+    ) as error:  # the second where rclpy goes on after the first, which Python reports
         if not isinstance(error.__cause__ or error, RuntimeWarning):
             raise
         return False

@@ -21,6 +21,7 @@ from rclpy.parameter_service import ParameterService
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from zarm_ros_bridge.leader_followers import LeaderFollowersExecutor
+from zarm_ros_bridge.replies import Unanswered
 
 log = logging.getLogger(__name__)
 
@@ -126,6 +127,8 @@ def _spin(executor: Executor) -> None:
     while True:
         try:
             executor.spin()
+        except Unanswered as error:
+            log.warning("unanswered reason=%s", error)
         except Exception:
             log.exception("a callback of ROS failed")
         else:
