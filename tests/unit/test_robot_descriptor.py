@@ -69,7 +69,8 @@ LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
         ("  acceleration: [1.2, ", "  acceleration: [", "", "strategy_params.acceleration: 5 values for 6 joints"),
         ("  point_dt: 0.02", "  point_dt: 0.03", "strategy_params:", "strategy_params.chunk_period: 0.08 s is no whole number of points; use a multiple of point_dt 0.03 s"),
         ("  point_dt: 0.02", "  gain: 10", "", "strategy_params.gain: the robot would swing, because 10/s times delay and chunk_period is more than 1; use at most 7.14"),
-        ("  point_dt: 0.02", "  point_dt: 0.004\n  chunk_period: 0.004", "  chunk_period: 0.004", "strategy_params.chunk_period: 0.004 s is shorter than the control loop's period of 0.01 s; use at least that, or a higher execution.control_rate"),
+        ("  point_dt: 0.02", "  point_dt: 0.004\n  chunk_period: 0.004", "  chunk_period: 0.004", "strategy_params.chunk_period: 0.004 s is no whole number of periods of the control loop, so that chunks would not come evenly; use a multiple of 0.01 s, or change execution.control_rate"),
+        ("interpolation_dt: 0.02", "interpolation_dt: 0.02\nexecution: {control_rate: 130}", "strategy_params:", "strategy_params.chunk_period: 0.08 s is no whole number of periods of the control loop, so that chunks would not come evenly; use a multiple of 0.00769231 s, or change execution.control_rate"),
         ("  strategies: [joint_speed, ", "  strategies: [joint_force, ", "", "strategy_params.strategies.0: Input should be 'joint_speed', 'joint_pose' or 'joint_trajectory'"),
         ("urdf: doosan_m1013.urdf", "urdf: m1013.urdf", "", "urdf: cannot read the URDF {folder}/m1013.urdf: no such file; the path is relative to the descriptor's folder"),
     ],
@@ -82,6 +83,12 @@ def test_a_fault_of_the_descriptor_has_its_line_and_a_remedy(
     if at:
         (line,) = (number for number, text in enumerate(arm.read_text().splitlines(), 1) if text.startswith(at))
     assert f"{arm}:{line}: {fault.replace('{folder}', str(arm.parent)).replace('{home}', str(home))}" in faults(arm)
+
+
+def test_a_robot_that_takes_whole_trajectories_alone_may_have_any_control_rate(arm: Path) -> None:
+    edit(arm, "interpolation_dt: 0.02", "interpolation_dt: 0.02\nexecution: {control_rate: 130}")
+    edit(arm, "strategies: [joint_speed, joint_pose, joint_trajectory]", "strategies: [joint_trajectory]")
+    assert load_robot(str(arm)).descriptor.execution.control_rate == 130
 
 
 @pytest.mark.parametrize(

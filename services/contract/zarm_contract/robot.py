@@ -104,6 +104,10 @@ class Execution(_Section):
         return 1.0 / self.control_rate
 
 
+def _is_multiple(span: float, step: float) -> bool:
+    return round(span / step) >= 1 and abs(span / step - round(span / step)) < 1e-6
+
+
 class StrategyParams(_Section):
     """How the robot's driver is spoken to. Times in s, angles in rad.
 
@@ -139,8 +143,7 @@ class StrategyParams(_Section):
             if bounds is not None and len(bounds) != len(joints):
                 yield f"{name}: {len(bounds)} values for {len(joints)} joints"
         for name, span in (("chunk_period", self.chunk_period), ("look_ahead", self.look_ahead)):
-            points = span / self.point_dt
-            if round(points) < 1 or abs(points - round(points)) > 1e-6:
+            if not _is_multiple(span, self.point_dt):
                 yield f"{name}: {span:g} s is no whole number of points; use a multiple of point_dt {self.point_dt:g} s"
         if self.gain * (self.delay + self.chunk_period) > 1.0:
             yield (
@@ -204,11 +207,11 @@ class RobotDescriptor(_Section):
             )
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
-            shortest = self.execution.control_period
-            if self.strategy_params.chunk_period < shortest - 1e-9:
+            period, chunk = self.execution.control_period, self.strategy_params.chunk_period
+            if {"joint_speed", "joint_pose"} & set(self.strategy_params.strategies) and not _is_multiple(chunk, period):
                 faults.append(
-                    f"strategy_params.chunk_period: {self.strategy_params.chunk_period:g} s is shorter than the control "
-                    f"loop's period of {shortest:g} s; use at least that, or a higher execution.control_rate"
+                    f"strategy_params.chunk_period: {chunk:g} s is no whole number of periods of the control loop, so that "
+                    f"chunks would not come evenly; use a multiple of {period:g} s, or change execution.control_rate"
                 )
         if faults:
             raise ValueError("\n".join(map(one_line, faults)))
