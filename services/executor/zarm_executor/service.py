@@ -31,6 +31,7 @@ from zarm_contract.robot import Robot
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_contract.state_file import StateFile, owned
 from zarm_executor.admission import REST_PATIENCE, Admission
+from zarm_executor.clocks import time_of_day
 from zarm_executor.executor import Executor
 from zarm_executor.fault_records import FaultRecords
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
@@ -82,7 +83,7 @@ class Control:
             stamp = measured.stamp
             self._publisher.put(
                 JointState(
-                    stamp=time.time() - (time.monotonic() - measured.time) if stamp is None else stamp,
+                    stamp=time_of_day(measured.time) if stamp is None else stamp,
                     joint_names=self._joints,
                     position=tuple(measured.position.tolist()),
                     velocity=tuple(measured.velocity.tolist()),

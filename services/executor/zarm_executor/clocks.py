@@ -1,0 +1,23 @@
+"""Moments of the monotonic clock as the time of day."""
+
+from __future__ import annotations
+
+import time
+
+_UNDISTURBED = 5e-6
+_TRIES = 5
+
+
+def time_of_day(moment: float) -> float:
+    """The time of day (Unix s) of this `moment` (s) of the monotonic clock, by how the two clocks stand now.
+
+    They are read again where something else had the processor in between: so much earlier the moment would seem, 1 % of the
+    velocity between two ticks of 10 ms for 0.1 ms.
+    """
+    for _ in range(_TRIES):
+        before = time.monotonic()
+        day = time.time()
+        after = time.monotonic()
+        if after - before < _UNDISTURBED:
+            break
+    return day + moment - (before + after) / 2
