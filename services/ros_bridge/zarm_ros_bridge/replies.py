@@ -14,9 +14,9 @@ from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-PATIENCE = 3.0
-"""For so long (s) a reply is sent again. What is lost of a participant's description comes again within that time (the period of
-heartbeats in Fast DDS); a client that asks for durability, or another quality that services do not have, is never found."""
+PATIENCE = 4.0
+"""For so long (s) a reply is sent again: a heartbeat of Fast DDS, 3 s, brings what was lost of the description of a client. One
+that asks for durability, or another quality that services do not have, is never found."""
 _SOON, _LATE = 0.01, 0.5  # s until it is sent again: as long again as it has waited
 
 _SENDERS = (
@@ -58,10 +58,8 @@ def insistent(send: Callable[..., None]) -> Callable[..., None]:
 def _sent(send: Callable[..., None], handle: Any, *reply: Any) -> bool:
     try:
         send(handle, *reply)
-    except (
-        RuntimeWarning,
-        SystemError,
-    ) as error:  # the second where rclpy goes on after the first, which Python reports
+    except (RuntimeWarning, SystemError) as error:
+        # rclpy goes on after a warning that is an error, for which Python raises SystemError.
         if not isinstance(error.__cause__ or error, RuntimeWarning):
             raise
         return False
