@@ -1,12 +1,17 @@
-"""A wire between one process and the router that can be cut: hard, or so that nobody is told."""
+"""A wire between one process and the router that can be cut: hard, or so that nobody is told.
+
+A process of its own carries what passes, as all that goes on in a test's own, collecting garbage for one, would hold it up.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
 import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
 
 from harness import free_endpoint
 
@@ -20,13 +25,61 @@ def _address(endpoint: str) -> tuple[str, int]:
 
 
 class Link:
-    """Passes on what comes in at `endpoint` to the router, and back; `enter` takes a thread to where the router is."""
+    """Passes on what comes in at `endpoint` to the router, and back."""
 
-    def __init__(self, router: str, enter: Callable[[], None] = lambda: None) -> None:
-        self.endpoint = free_endpoint()
+    def __init__(self, endpoint: str, control: Connection) -> None:
+        self.endpoint = endpoint
+        self._control = control
+
+    def cut(self) -> None:
+        """Reset every connection, and each new one at once."""
+        self._tell("cut")
+
+    def swallow(self) -> None:
+        """Let nothing through and tell nobody, as an unplugged cable does."""
+        self._tell("swallow")
+
+    def restore(self) -> None:
+        """Let everything through again; of what was swallowed the rest arrives now, as TCP has it."""
+        self._tell("restore")
+
+    def _tell(self, order: str) -> None:
+        self._control.send(order)
+        self._control.recv()
+
+
+@contextmanager
+def link(router: str, enter: Callable[[], None] | None = None) -> Iterator[Link]:
+    """A link to the router, until the end of the block; `enter` takes a thread to where the router is."""
+    here, there = multiprocessing.Pipe()
+    endpoint = free_endpoint()
+    process = multiprocessing.get_context("spawn").Process(target=_carry, args=(endpoint, router, enter, there))
+    process.start()
+    there.close()
+    try:
+        here.recv()  # it listens
+        yield Link(endpoint, here)
+    finally:
+        process.terminate()
+        process.join()
+        process.close()
+        here.close()
+
+
+def _carry(endpoint: str, router: str, enter: Callable[[], None] | None, control: Connection) -> None:
+    carrier = _Carrier(endpoint, router, enter)
+    control.send(None)
+    with suppress(EOFError):  # the test has ended without a word
+        while True:
+            getattr(carrier, control.recv())()
+            control.send(None)
+
+
+class _Carrier:
+    def __init__(self, endpoint: str, router: str, enter: Callable[[], None] | None) -> None:
         self._router = _address(router)
         self._enter = enter
-        self._listener = socket.create_server(_address(self.endpoint))
+        self._listener = socket.create_server(_address(endpoint))
         self._ends: list[socket.socket] = []
         self._lock = threading.Lock()
         self._whole = True
@@ -35,7 +88,6 @@ class Link:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def cut(self) -> None:
-        """Reset every connection, and each new one at once."""
         with self._lock:
             self._whole = False
             ends, self._ends = self._ends, []
@@ -46,24 +98,15 @@ class Link:
             end.close()
 
     def swallow(self) -> None:
-        """Let nothing through and tell nobody, as an unplugged cable does."""
         self._flows.clear()
 
     def restore(self) -> None:
-        """Let everything through again; of what was swallowed the rest arrives now, as TCP has it."""
         self._whole = True
         self._flows.set()
 
-    def close(self) -> None:
-        """End."""
-        with suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self.restore()
-        self.cut()
-
     def _accept(self) -> None:
-        self._enter()
+        if self._enter is not None:
+            self._enter()
         with suppress(OSError):
             while True:
                 self._join(self._listener.accept()[0])
@@ -92,13 +135,3 @@ class Link:
         for end in (source, sink):
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
-
-
-@contextmanager
-def link(router: str, enter: Callable[[], None] = lambda: None) -> Iterator[Link]:
-    """A link to the router, until the end of the block."""
-    wire = Link(router, enter)
-    try:
-        yield wire
-    finally:
-        wire.close()

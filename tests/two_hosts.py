@@ -14,6 +14,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 from harness import ServiceProcess, eventually
@@ -69,7 +70,7 @@ class Host:
         _ip("netns", "add", self.namespace)
         stack.callback(_ip, "netns", "del", self.namespace)
         _ip("-n", self.namespace, "link", "set", "lo", "up")
-        self.endpoint = stack.enter_context(link(LOCAL, lambda: enter(self.namespace))).endpoint
+        self.endpoint = stack.enter_context(link(LOCAL, partial(enter, self.namespace))).endpoint
         self.bus: Bus
 
     def plug_in(self, device: str, peer: str) -> None:
