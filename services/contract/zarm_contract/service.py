@@ -9,12 +9,12 @@ import os
 import secrets
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
 from zarm_contract.access import SERVICE_ROLES, Role
 from zarm_contract.bus import Bus
@@ -63,7 +63,8 @@ class Service:
     """Raises where this is no moment to start anew; a service that moves something sets it."""
     metrics: Metrics = field(default_factory=Metrics)
     """What it counts, of no consequence unless somebody reads it."""
-    end: threading.Event = field(default_factory=threading.Event)
+    end: Callable[[], None] = lambda: None
+    """Ends the process in order."""
     outdated: bool = False
     """Whether the robot's file has changed, and the process starts anew to take it."""
     _activity: str = "starting"
@@ -112,7 +113,7 @@ class Service:
             self.interruptible()
             self._ready, self.outdated = False, True
             self.starting("ending to start anew with the changed robot")
-            self.end.set()
+            self.end()
         return self.health()
 
     def count(self) -> None:
@@ -188,11 +189,15 @@ def run_service(
     setup_logging(name)
     options = parser.parse_args()
     role = SERVICE_ROLES.get(name)
-    stop, signalled = threading.Event(), threading.Event()
+    signals: list[int] = []
+    wake: SimpleQueue[None] = SimpleQueue()  # unlike an Event it may be used by a handler, whatever that interrupts
 
-    def receive(*_: object) -> None:
-        signalled.set()
-        stop.set()
+    def end() -> None:
+        wake.put(None)
+
+    def receive(number: int, _: object) -> None:
+        signals.append(number)
+        end()
 
     for number in _SIGNALS:
         signal.signal(number, receive)
@@ -205,7 +210,7 @@ def run_service(
         with ExitStack() as stack:
             metrics_of = stack.enter_context(serve_metrics(options.metrics))
             services = [
-                Service(name, robot, keys, stack.enter_context(Bus(options.connect, role=role)), options, end=stop)
+                Service(name, robot, keys, stack.enter_context(Bus(options.connect, role=role)), options, end=end)
                 for robot, keys in robots
             ]
             for service in services:
@@ -214,7 +219,7 @@ def run_service(
                 service.claim()
                 stack.enter_context(start(service))
             refusal = None
-            while refusal is None and not stop.wait(_WATCH_PERIOD):
+            while refusal is None and not _awake(wake):
                 refusal = next(
                     (service.taken([older]) for service in services if (older := service.older_owner())), None
                 )
@@ -223,13 +228,21 @@ def run_service(
             raise refusal
         if any(service.outdated for service in services):
             signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # one that comes from now on waits for the next program
-            if not signalled.is_set():
+            if not signals:
                 sys.stdout.flush()
                 os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - this very program
     except ZarmError as error:
         log.error("cannot run reason=%s", error)
         return 1
     return 0
+
+
+def _awake(wake: SimpleQueue[None]) -> bool:
+    """Whether somebody wakes this thread within `_WATCH_PERIOD`."""
+    with suppress(Empty):
+        wake.get(timeout=_WATCH_PERIOD)
+        return True
+    return False
 
 
 def _warn_of_end(role: Role) -> None:
