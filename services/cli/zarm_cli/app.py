@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import sys
 
-from zarm_cli.interrupts import interrupt_once
+from zarm_cli.interrupts import check, expect, pending
 
 INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    interrupt_once()
-    try:
-        from zarm_cli.commands import run  # takes a third of a second, in which Ctrl-C ends in order already
+    expect()
+    from zarm_cli.commands import run  # takes a third of a second, in which Ctrl-C ends in order already
 
+    try:
+        check()
         code = run()
     except KeyboardInterrupt:
         code = INTERRUPTED
-    sys.exit(code)
+    sys.exit(INTERRUPTED if pending() else code)

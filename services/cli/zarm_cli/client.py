@@ -10,6 +10,7 @@ from typing import Annotated, TypeVar
 
 import typer
 
+from zarm_cli.interrupts import attend
 from zarm_contract.bus import Bus
 from zarm_contract.codec import decode
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
@@ -38,17 +39,20 @@ class Client:
     keys: Keys
     endpoint: str
 
-    def ask(self, key: str, reply: type[Reply], request: Message | None = None) -> Reply:
-        """A request that is answered at once. Raises what the service answers, or Unavailable."""
-        return self.bus.call(key, request or Nothing(), reply, timeout=_ANSWER_SECONDS)
+    def ask(
+        self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = _ANSWER_SECONDS
+    ) -> Reply:
+        """A request that is answered within `timeout` s. Raises what the service answers, Unavailable, or KeyboardInterrupt."""
+        return attend(lambda: self.bus.call(key, request or Nothing(), reply, timeout=timeout))
 
     def read(self, key: str, model: type[Reply]) -> Reply:
-        """The present value of a key, which nothing is asked to change. Raises Unavailable."""
-        return self.bus.read(key, model, timeout=_ANSWER_SECONDS)
+        """The present value of a key, which nothing is asked to change. Raises Unavailable, or KeyboardInterrupt."""
+        return attend(lambda: self.bus.read(key, model, timeout=_ANSWER_SECONDS))
 
     def measured(self) -> JointState:
         """The robot's joints as measured now. Raises ExecutionRefused (no_joint_state)."""
-        state = self.bus.latest(self.keys.joint_states, JointState).wait(_CONNECT_SECONDS)
+        newest = self.bus.latest(self.keys.joint_states, JointState)
+        state = attend(lambda: newest.wait(_CONNECT_SECONDS))
         if state is None:
             raise ExecutionRefused(
                 f"no joint state of {self.keys.robot} came within {_CONNECT_SECONDS:g} s; `zarm status` shows whether "

@@ -58,7 +58,7 @@ def _go_around_the_post(client: Client) -> None:
     client.ask(client.keys.scene_edit, SceneEdited, SceneEdit(edit=AddObjects(op="add", objects=(TABLE, POST))))
     out.print("A table and a post are in the scene; the goal lies behind the post.")
     request = PlanRequest(goal=GOAL, velocity_scale=_SCALE, acceleration_scale=_SCALE)
-    plan = client.bus.call(client.keys.plan, request, Plan, timeout=30.0)
+    plan = client.ask(client.keys.plan, Plan, request, timeout=30.0)
     table = plan_table(plan)
     table.add_row("straight on", _straight_on(client, plan))
     out.print(Panel(table, title="plan", expand=False))

@@ -15,7 +15,7 @@ import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from zarm_cli.client import AsJson, Client, Connect, Name, connected, message
-from zarm_cli.interrupts import uninterrupted
+from zarm_cli.interrupts import wait_for
 from zarm_cli.output import err, facts, out, print_json
 from zarm_cli.planning import JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
 from zarm_contract.errors import Unavailable, from_problem
@@ -25,7 +25,6 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     GoalState,
-    Nothing,
     Speed,
     SpeedRequest,
     Strategies,
@@ -93,15 +92,14 @@ def demand_success(last: GoalState) -> None:
 def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
     goal_id = f"cli-{secrets.token_hex(8)}"
-    with uninterrupted():
-        try:
-            named = request.model_copy(update={"goal_id": goal_id})
-            client.bus.call(client.keys.execute, named, Accepted, timeout=_STOP_SECONDS)
-        except Unavailable:  # the executor may have got the request, and start yet
-            with suppress(Unavailable):
-                client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
-            raise
-        goal = _Goal(client, goal_id)
+    try:
+        named = request.model_copy(update={"goal_id": goal_id})
+        client.bus.call(client.keys.execute, named, Accepted, timeout=_STOP_SECONDS)
+    except Unavailable:  # the executor may have got the request, and start yet
+        with suppress(Unavailable):
+            client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
+        raise
+    goal = _Goal(client, goal_id)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(None),
@@ -135,7 +133,7 @@ class _Goal:
         self._client = client
         self._key = client.keys.goal(goal_id)
         self._id = goal_id
-        self._states: queue.SimpleQueue[GoalState] = queue.SimpleQueue()
+        self._states: queue.SimpleQueue[GoalState | None] = queue.SimpleQueue()
         client.bus.watch(self._key, GoalState, lambda _, state: self._states.put(state))
 
     def follow(self, show: Callable[[GoalState], None], timeout: float = math.inf) -> GoalState:
@@ -156,10 +154,10 @@ class _Goal:
 
     def _next(self) -> GoalState | None:
         try:
-            return self._states.get(timeout=_LOOK_SECONDS)
+            return wait_for(self._states, _LOOK_SECONDS)
         except queue.Empty:  # held, or told while the way here was cut
             with suppress(Unavailable):
-                return self._client.bus.call(self._key, Nothing(), GoalState, timeout=_LOOK_SECONDS)
+                return self._client.ask(self._key, GoalState, timeout=_LOOK_SECONDS)
             return None
 
 
@@ -232,7 +230,7 @@ def strategy(
             known = client.read(client.keys.strategy, Strategies)
         else:
             request = message(StrategyRequest, strategy=to)
-            known = client.bus.call(client.keys.strategy, request, Strategies, timeout=_STOP_SECONDS)
+            known = client.ask(client.keys.strategy, Strategies, request, timeout=_STOP_SECONDS)
     if as_json:
         print_json(known)
         return

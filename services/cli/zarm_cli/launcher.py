@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -15,13 +14,13 @@ from typing import Annotated
 import typer
 
 from zarm_cli.client import Client, keys_of
-from zarm_cli.interrupts import uninterrupted
+from zarm_cli.interrupts import pause
 from zarm_cli.output import facts, numbers, out
 from zarm_cli.supervision import Supervisor
 from zarm_contract.bus import Bus
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Health, Nothing, Strategies
+from zarm_contract.messages import Health, Strategies
 from zarm_contract.robot import Robot, find_robot, load_robot
 from zarm_contract.service import default_state
 from zarm_contract.session import DEFAULT_ENDPOINT, open_router, spoken
@@ -51,9 +50,8 @@ class Stack:
 
     def health(self, service: str) -> Health | None:
         """How a service is, None while it does not answer."""
-        keys = self.client.keys
         try:
-            return self.client.bus.call(keys.health(service), Nothing(), Health, timeout=1.0)
+            return self.client.ask(self.client.keys.health(service), Health, timeout=1.0)
         except Unavailable:
             return None
 
@@ -65,12 +63,12 @@ class Stack:
             report(", ".join(f"{name}: {health.activity if health else 'starting'}" for name, health in not_ready))
             if fallen := self.supervisor.fallen():
                 raise Unavailable(f"the {fallen[0]} cannot start: {self.supervisor.last_words(fallen[0])}")
-            time.sleep(0.1)
+            pause(0.1)
 
     def wait(self) -> None:
         """Wait for ever; raises InternalError when a service ends again and again."""
         while not (fallen := self.supervisor.given_up()):
-            time.sleep(1.0)
+            pause(1.0)
         raise InternalError(
             f"the {fallen[0]} ends again and again, at last with: {self.supervisor.last_words(fallen[0])}"
         )
@@ -125,8 +123,7 @@ def launch(
             stack.enter_context(_router(listen, keys))
         bus = stack.enter_context(Bus(endpoint, timeout=2.0))
         _refuse_second(bus, keys, endpoint)
-        with uninterrupted():
-            supervisor = stack.enter_context(Supervisor(programs, environment))
+        supervisor = stack.enter_context(Supervisor(programs, environment))
         yield Stack(loaded, Client(bus, keys, endpoint), supervisor, (*bridge, *SERVICES))
 
 

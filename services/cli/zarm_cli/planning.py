@@ -120,8 +120,8 @@ def request_plan(client: Client, goal: TypedGoal, *, start: list[float] | None =
         PlanRequest, goal=_goal(client, goal, start), start=start, request_id=f"cli-{secrets.token_hex(4)}", **asked
     )
     try:
-        return client.bus.call(
-            client.keys.plan, request, Plan, timeout=(request.timeout or _LONGEST_PLANNING) + _ANSWER_MARGIN
+        return client.ask(
+            client.keys.plan, Plan, request, timeout=(request.timeout or _LONGEST_PLANNING) + _ANSWER_MARGIN
         )
     except KeyboardInterrupt:
         client.ask(client.keys.plan_cancel, CancelledPlan, CancelPlan(request_id=request.request_id or ""))

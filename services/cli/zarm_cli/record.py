@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zarm_cli.client import Connect, Name, connected
+from zarm_cli.interrupts import wait_for
 from zarm_cli.output import counted, err, out
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
@@ -44,9 +46,9 @@ def record(
                 listen = client.bus.follow if key in recorded.present else client.bus.listen
                 listen(key, recorder.put)
             err.print(f"recording {client.keys.robot} to {path}; Ctrl-C ends it", soft_wrap=True)
-            recorder.failed.wait(seconds)
-        except KeyboardInterrupt:
-            pass  # the usual end; a further one is ignored
+            wait_for(recorder.failed, math.inf if seconds is None else seconds)
+        except (KeyboardInterrupt, queue.Empty):
+            pass  # the usual ends
         finally:
             recorder.close()
     lost = f", {recorder.lost} lost" if recorder.lost else ""
@@ -54,12 +56,12 @@ def record(
 
 
 class _Recorder:
-    """Writes by a thread of its own what `put` is given, by any thread; `failed` is set when that goes wrong."""
+    """Writes by a thread of its own what `put` is given, by any thread; `failed` gets why when that goes wrong."""
 
     def __init__(self, path: Path, keys: Keys) -> None:
         if path.exists():
             raise InvalidRequest(f"{path} is there already; name another file, or remove it", field="file")
-        self.failed = threading.Event()
+        self.failed: queue.SimpleQueue[OSError | None] = queue.SimpleQueue()
         self.lost = 0
         self._error: OSError | None = None
         self._entries: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
@@ -97,7 +99,7 @@ class _Recorder:
         except OSError as error:
             self._error = error
             self._file.abandon()
-            self.failed.set()
+            self.failed.put(error)
 
 
 def _open(path: Path, keys: Keys) -> RecordFile:

@@ -14,6 +14,7 @@ import typer
 from rich.table import Table
 
 from zarm_cli.client import Connect, keys_of
+from zarm_cli.interrupts import check, pause
 from zarm_cli.output import counted, facts, out
 from zarm_cli.story import Story, robot_of, tell
 from zarm_contract.bus import Bus, Publisher
@@ -52,7 +53,9 @@ def replay(
 def _entries(file: Path) -> Iterator[tuple[int, str, bytes]]:
     from zarm_contract.record import read_record  # no other command needs the libraries behind it
 
-    return read_record(file)
+    for entry in read_record(file):
+        check()
+        yield entry
 
 
 def _print(file: Path, story: Story) -> None:
@@ -131,7 +134,7 @@ class _Place:
                 self._next_look = now + _LOOK_SECONDS
             if now >= due:
                 return
-            time.sleep(min(due, self._next_look) - now)
+            pause(min(due, self._next_look) - now)
 
     def _look(self) -> None:
         alive = self._bus.alive(self._keys.alive("executor", "*"))

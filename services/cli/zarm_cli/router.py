@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from threading import Event
 from typing import Annotated
 
 import typer
 
+from zarm_cli.interrupts import pause
 from zarm_cli.output import facts, out
 from zarm_contract.session import DEFAULT_ENDPOINT, listens_at, router_config, run_router, spoken
 
@@ -36,4 +36,4 @@ def router(
         endpoints = [("endpoint", endpoint) for endpoint in listens_at(settings)]
         out.print(facts(*endpoints, *(("link", spoken(endpoint)) for endpoint in link or ())))
         out.print("The router runs; Ctrl-C stops it.")
-        Event().wait()
+        pause()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
@@ -13,6 +12,7 @@ from rich.table import Table
 
 from zarm_cli.agreement import mismatches
 from zarm_cli.client import AsJson, Client, Connect, Name, connected
+from zarm_cli.interrupts import pause
 from zarm_cli.output import counted, degrees, err, facts, out, pose_text, print_json
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
@@ -166,13 +166,13 @@ def _looks(client: Client) -> Iterator[_Look]:
             joints,
             None if joints is None else _tip(client, joints),
         )
-        time.sleep(_PERIOD)
+        pause(_PERIOD)
 
 
 def _tip(client: Client, joints: JointState) -> Pose | None:
     request = FkRequest(joints=(joints.position,))
     try:
-        return client.bus.call(client.keys.fk, request, FkPoses, timeout=_STALE).poses[0]
+        return client.ask(client.keys.fk, FkPoses, request, timeout=_STALE).poses[0]
     except Unavailable:
         return None
 

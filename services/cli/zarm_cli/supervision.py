@@ -26,7 +26,6 @@ from xmlrpc.client import ServerProxy
 from supervisor.states import ProcessStates
 from supervisor.xmlrpc import SupervisorTransport
 
-from zarm_cli.interrupts import uninterrupted
 from zarm_contract.errors import InternalError
 
 _STOP_SECONDS = 15  # for one process, deceleration included; then it is killed
@@ -105,16 +104,15 @@ class Supervisor:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with uninterrupted():
-            self._process.terminate()
-            self._wake()
-            try:
-                self._process.wait(_STOP_SECONDS * (len(self._names) + 1))
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-            self._relay.join()
-            self._folder.cleanup()
+        self._process.terminate()
+        self._wake()
+        try:
+            self._process.wait(_STOP_SECONDS * (len(self._names) + 1))
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._relay.join()
+        self._folder.cleanup()
 
     def fallen(self) -> list[str]:
         """Names of the programs that have ended by themselves at least once, whether they run again or not."""

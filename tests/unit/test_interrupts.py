@@ -1,0 +1,114 @@
+"""Ctrl-C comes up where a command waits, whatever it is doing when it comes."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from queue import Empty, SimpleQueue
+
+import pytest
+
+from zarm_cli import interrupts
+
+BOTH = (signal.SIGINT, signal.SIGTERM)
+
+
+@pytest.fixture(autouse=True)
+def expected(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Signals are expected, as in a command that has just begun."""
+    before = {number: signal.getsignal(number) for number in BOTH}
+    monkeypatch.setattr(interrupts, "_signals", type(interrupts._signals)())
+    interrupts.expect()
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def from_elsewhere(number: int) -> None:
+    """The signal comes while the main thread waits."""
+    signal.pthread_kill(threading.main_thread().ident or 0, number)
+
+
+class Door:
+    """What must not be interrupted."""
+
+    closed = False
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        self.closed = True
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_a_signal_while_nothing_is_waited_for_comes_up_at_the_next_wait(number: signal.Signals) -> None:
+    signal.raise_signal(number)
+    assert interrupts.pending()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.pause()
+    assert not interrupts.pending()
+
+
+def test_what_is_being_left_in_order_is_left_in_order() -> None:
+    door = Door()
+    with door:
+        pass
+    assert door.closed
+    assert interrupts.pending()
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_a_signal_ends_a_wait_that_has_no_end(number: signal.Signals) -> None:
+    threading.Timer(0.05, from_elsewhere, (number,)).start()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.pause()
+
+
+def test_only_the_first_signal_counts() -> None:
+    signal.raise_signal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.check()
+    for number in BOTH:
+        signal.raise_signal(number)
+    interrupts.check()
+    with pytest.raises(Empty):
+        interrupts.wait_for(SimpleQueue[int | None](), 0.0)
+
+
+def test_work_that_goes_on_is_left_to_itself() -> None:
+    begun, may_end, ended = (threading.Event() for _ in range(3))
+
+    def work() -> None:
+        begun.set()
+        may_end.wait()
+        ended.set()
+
+    def interrupt() -> None:
+        begun.wait()
+        from_elsewhere(signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.attend(work)
+    may_end.set()
+    assert ended.wait(10)
+
+
+def test_work_is_told_of_as_it_ends() -> None:
+    assert interrupts.attend(lambda: 7) == 7
+    with pytest.raises(ZeroDivisionError):
+        interrupts.attend(lambda: 1 // 0)
+    assert interrupts.attend(lambda: None) is None
+
+
+def test_what_has_come_before_the_signal_is_not_lost() -> None:
+    told: SimpleQueue[int | None] = SimpleQueue()
+    told.put(1)
+    assert interrupts.wait_for(told) == 1
+    threading.Timer(0.05, from_elsewhere, (signal.SIGINT,)).start()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.wait_for(told)
+    told.put(2)
+    assert interrupts.wait_for(told) == 2
