@@ -180,6 +180,21 @@ def test_a_driver_that_comes_late_and_again_is_heard(bus: Bus, bridge: ServicePr
         ros.node.destroy_publisher(publisher)
 
 
+def test_the_log_says_when_a_driver_comes_that_commands_reach_and_when_it_goes(
+    bridge: ServiceProcess, ros: RosClient
+) -> None:
+    def said(change: str) -> int:
+        return bridge.output().count(f"a driver has {change} topic=/leeloo/execute_trajectory")
+
+    for times in (1, 2):
+        come, gone = said("come"), said("gone")
+        driver = ros.node.create_subscription(JointTrajectory, "/leeloo/execute_trajectory", lambda _: None, 10)
+        eventually(lambda come=come: said("come") > come, f"it comes {times}")
+        assert said("gone") == gone
+        ros.node.destroy_subscription(driver)
+        eventually(lambda gone=gone: said("gone") > gone, f"it goes {times}")
+
+
 def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
     bus: Bus, endpoint: str, tmp_path: Path, ros: RosClient
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from ros_node import answer
 from ros_stack import KEYS, Stack, stack
 
 from curobo_msgs.srv import SetRobotStrategy
+from zarm_contract.errors import Busy
 from zarm_contract.messages import Cuboid, Cylinder, Nothing, Scene, Sphere, Strategies, StrategyRequest
 from zarm_contract.robot import find_robot
 
@@ -77,8 +79,14 @@ def parameters(running: Stack) -> Node:
 
 
 def switch(running: Stack, strategy: str) -> None:
-    """As any client on the bus does."""
-    running.bus.call(KEYS.strategy, StrategyRequest(strategy=strategy), Strategies, timeout=20)
+    """As any client on the bus does, which tries again where another one switches at that moment."""
+
+    def switched() -> Strategies | None:
+        with suppress(Busy):
+            return running.bus.call(KEYS.strategy, StrategyRequest(strategy=strategy), Strategies, timeout=20)
+        return None
+
+    eventually(switched, f"{strategy} is active")
 
 
 def test_every_parameter_has_the_default_that_is_documented(parameters: Node) -> None:

@@ -74,7 +74,7 @@ def test_only_the_first_signal_counts() -> None:
         signal.raise_signal(number)
     interrupts.check()
     with pytest.raises(Empty):
-        interrupts.wait_for(SimpleQueue[int | None](), 0.0)
+        interrupts.wait_for(SimpleQueue[int](), 0.0)
 
 
 def test_work_that_goes_on_is_left_to_itself() -> None:
@@ -104,7 +104,7 @@ def test_work_is_told_of_as_it_ends() -> None:
 
 
 def test_what_has_come_before_the_signal_is_not_lost() -> None:
-    told: SimpleQueue[int | None] = SimpleQueue()
+    told: SimpleQueue[int] = SimpleQueue()
     told.put(1)
     assert interrupts.wait_for(told) == 1
     threading.Timer(0.05, from_elsewhere, (signal.SIGINT,)).start()

@@ -133,7 +133,7 @@ class _Goal:
         self._client = client
         self._key = client.keys.goal(goal_id)
         self._id = goal_id
-        self._states: queue.SimpleQueue[GoalState | None] = queue.SimpleQueue()
+        self._states: queue.SimpleQueue[GoalState] = queue.SimpleQueue()
         client.bus.watch(self._key, GoalState, lambda _, state: self._states.put(state))
 
     def follow(self, show: Callable[[GoalState], None], timeout: float = math.inf) -> GoalState:

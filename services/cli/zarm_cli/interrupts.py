@@ -20,20 +20,22 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
+_LOOK_SECONDS = 0.05
+"""How long a signal that comes while a command waits may go unnoticed. Nothing that a handler may do wakes a thread for
+certain: the signal may come just before it falls asleep."""
+
+
 class _Signals:
-    """`waiting` is the queue at which the command waits now; None in it wakes the command."""
+    """`heard` as soon as there was one, `pending` until KeyboardInterrupt is raised for it."""
 
     def __init__(self) -> None:
         self.heard = False
         self.pending = False
-        self.waiting: SimpleQueue[None] | None = None
 
     def hear(self, number: int, frame: FrameType | None) -> None:
         """The handler."""
         if not self.heard:
             self.heard = self.pending = True
-            if self.waiting is not None:
-                self.waiting.put(None)  # of all ways to wake a thread the one that a handler may take (it is reentrant)
 
 
 _signals = _Signals()
@@ -58,18 +60,17 @@ def check() -> None:
         raise KeyboardInterrupt
 
 
-def wait_for(source: SimpleQueue[T | None], seconds: float = math.inf) -> T:
+def wait_for(source: SimpleQueue[T], seconds: float = math.inf) -> T:
     """The next thing in a queue. Raises queue.Empty when there is none for so many s, and KeyboardInterrupt."""
     deadline = time.monotonic() + seconds
-    _signals.waiting = source  # type: ignore[assignment]
-    try:
-        while True:
-            check()
-            left = None if seconds == math.inf else max(0.0, deadline - time.monotonic())
-            if (item := source.get(timeout=left)) is not None:
-                return item
-    finally:
-        _signals.waiting = None
+    while True:
+        check()
+        left = deadline - time.monotonic()
+        try:
+            return source.get(timeout=max(0.0, min(left, _LOOK_SECONDS)))
+        except Empty:
+            if left <= _LOOK_SECONDS:
+                raise
 
 
 def pause(seconds: float = math.inf) -> None:
@@ -80,6 +81,6 @@ def pause(seconds: float = math.inf) -> None:
 
 def attend(work: Callable[[], T]) -> T:
     """What `work` returns or raises, done by another thread. Raises KeyboardInterrupt, and then nobody hears what became of it."""
-    done: SimpleQueue[Future[T] | None] = SimpleQueue()
+    done: SimpleQueue[Future[T]] = SimpleQueue()
     _work.submit(work).add_done_callback(done.put)
     return wait_for(done).result()

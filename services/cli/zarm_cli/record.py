@@ -61,7 +61,7 @@ class _Recorder:
     def __init__(self, path: Path, keys: Keys) -> None:
         if path.exists():
             raise InvalidRequest(f"{path} is there already; name another file, or remove it", field="file")
-        self.failed: queue.SimpleQueue[OSError | None] = queue.SimpleQueue()
+        self.failed: queue.SimpleQueue[OSError] = queue.SimpleQueue()
         self.lost = 0
         self._error: OSError | None = None
         self._entries: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
