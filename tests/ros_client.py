@@ -31,6 +31,14 @@ class RosClient:
         assert client.wait_for_service(PATIENCE), f"there is no service {name}"
         return answer(client.call_async(kind.Request(**request)), f"{name} answers")
 
+    def configure(self, **parameters: bool | float) -> None:
+        """Set parameters, which are granted."""
+        client = AsyncParameterClient(self.node, "/unified_planner")
+        assert client.wait_for_services(PATIENCE)
+        changes = [Parameter(name, value=value) for name, value in parameters.items()]
+        for result in answer(client.set_parameters(changes), "the parameters are set").results:
+            assert result.successful, result.reason
+
     def heard(self, kind: type[Any], topic: str, qos: QoSProfile | int = 10) -> list[Any]:
         """A list to which every message on `topic` is added from now on; the publisher is known when this returns.
 

@@ -32,10 +32,13 @@ class Stack:
 
 
 @contextmanager
-def stack(folder: Path, *, robot: str = "doosan_m1013", **services: tuple[str, ...]) -> Iterator[Stack]:
+def stack(
+    folder: Path, *, robot: str = "doosan_m1013", bridge: Path | None = None, **services: tuple[str, ...]
+) -> Iterator[Stack]:
     """Router, planner, executor and bridge of a robot named `arm`, all ready; they must outlive what is done with them.
 
-    `services` names the arguments of a service, and adds one that is not among these three.
+    `services` names the arguments of a service, and adds one that is not among these three; `bridge` is a script that is run in
+    place of the bridge's own.
     """
     arguments: dict[str, tuple[str, ...]] = {"planner": (), "executor": (), "ros_bridge": (), **services}
     with ExitStack() as started:
@@ -43,7 +46,15 @@ def stack(folder: Path, *, robot: str = "doosan_m1013", **services: tuple[str, .
         bus = started.enter_context(Bus(endpoint))
         processes = {
             name: started.enter_context(
-                ServiceProcess(name, endpoint, folder, robot=robot, name=KEYS.robot, arguments=arguments[name])
+                ServiceProcess(
+                    name,
+                    endpoint,
+                    folder,
+                    robot=robot,
+                    name=KEYS.robot,
+                    arguments=arguments[name],
+                    script=str(bridge) if bridge is not None and name == "ros_bridge" else None,
+                )
             )
             for name in arguments
         }

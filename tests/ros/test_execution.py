@@ -10,11 +10,8 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from harness import PATIENCE, eventually
 from planner_client import BEHIND_POST, POST
 from rcl_interfaces.msg import Log
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
-from ros_node import answer
 from ros_stack import KEYS, Stack, stack
 
 from curobo_msgs.action import MpcMove
@@ -58,19 +55,11 @@ def actions(running: Stack) -> Actions:
     return Actions(running.ros.node)
 
 
-def configure(running: Stack, **values: bool | int | float) -> None:
-    client = AsyncParameterClient(running.ros.node, "/unified_planner")
-    assert client.wait_for_services(PATIENCE)
-    changes = [Parameter(name, value=value) for name, value in values.items()]
-    response = answer(client.set_parameters(changes), "the parameters are set")
-    assert all(result.successful for result in response.results)
-
-
 @pytest.fixture
 def preempting(running: Stack) -> Iterator[None]:
-    configure(running, preempt=True)
+    running.ros.configure(preempt=True)
     yield
-    configure(running, preempt=False)
+    running.ros.configure(preempt=False)
 
 
 @pytest.fixture
@@ -79,7 +68,7 @@ def long_planned(running: Stack, robot: Robot) -> Iterator[Pose]:
     tip = robot.bus.call(KEYS.fk, FkRequest(joints=(BEHIND_POST,)), FkPoses, timeout=PATIENCE).poses[0]
     before = robot.bus.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE).optimize_s
     for objects, optimize_s in (((POST,), 30.0), ((), before)):
-        configure(running, timeout=60.0 if objects else 5.0)
+        running.ros.configure(timeout=60.0 if objects else 5.0)
         edit = SceneEdit(edit=LoadScene(op="load", objects=objects))
         robot.bus.call(KEYS.scene_edit, edit, SceneEdited, timeout=PATIENCE)
         robot.bus.call(KEYS.settings, SettingsChange(optimize_s=optimize_s), PlannerSettings, timeout=PATIENCE)

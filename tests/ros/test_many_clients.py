@@ -7,12 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 from burden import burden
-from harness import PATIENCE, eventually
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
+from harness import eventually
 from ros_crowd import Crowd
 from ros_goals import ABORTED, SUCCEEDED, Actions, Robot
-from ros_node import answer
 from ros_stack import KEYS, Stack, stack
 from std_srvs.srv import Trigger
 
@@ -37,13 +34,9 @@ def robot(running: Stack) -> Robot:
 
 @pytest.fixture
 def preempting(running: Stack) -> Iterator[None]:
-    client = AsyncParameterClient(running.ros.node, "/unified_planner")
-    assert client.wait_for_services(PATIENCE)
-    for value in (True, False):
-        response = answer(client.set_parameters([Parameter("preempt", value=value)]), "the parameter is set")
-        assert response.results[0].successful
-        if value:
-            yield
+    running.ros.configure(preempt=True)
+    yield
+    running.ros.configure(preempt=False)
 
 
 def test_fifty_clients_at_once_are_all_answered_and_leave_nothing_behind(running: Stack) -> None:

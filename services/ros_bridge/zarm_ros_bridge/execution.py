@@ -11,12 +11,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from geometry_msgs.msg import Pose
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from curobo_msgs.action import MpcMove, SendTrajectory
-from zarm_contract.errors import Busy, Cancelled, InternalError, Unavailable, ZarmError, from_problem
+from zarm_contract.errors import Busy, InternalError, Unavailable, ZarmError, from_problem
 from zarm_contract.messages import Accepted, ExecuteRequest, GoalState, Plan, PlanRequest, PoseGoal
+from zarm_ros_bridge.arrivals import OrderedActionServer
 from zarm_ros_bridge.convert.joints import ros_positions
 from zarm_ros_bridge.convert.poses import is_given, pose_of
 from zarm_ros_bridge.convert.times import ros_time
@@ -50,7 +51,7 @@ class Execution:
         self._goals = Goals(engine)
         self._turn = threading.Condition()
         self._running: Run | None = None
-        self._newest: Run | None = None  # of those that run, or wait for their turn
+        self._newest: Run | None = None  # the one that came last
         self._serve(SendTrajectory, "execute_trajectory", self._execute, self._admit)
         self._serve(SendTrajectory, "send_trajectory", self._execute, self._admit)
         self._serve(MpcMove, "mpc_move", self._refuse, lambda _: GoalResponse.ACCEPT)
@@ -68,7 +69,7 @@ class Execution:
             run.ended.wait(_END_SECONDS)
 
     def _serve(self, kind: Any, name: str, execute: Any, admit: Any) -> None:
-        ActionServer(  # which the node keeps
+        OrderedActionServer(  # which the node keeps
             self._ros.node,
             kind,
             f"~/{name}",
@@ -133,15 +134,17 @@ class Execution:
         return SendTrajectory.Result(success=False, message=message or str(error))
 
     def _take_turn(self, run: Run) -> None:
-        """Wait for the goal that runs where this one preempts it; of several that wait the newest has the turn.
+        """Wait for the goal that runs where this one preempts it; whichever came last has the turn.
 
-        Raises Busy where it does not preempt, or where the robot does not come to rest, and Cancelled for a newer goal.
+        Raises Busy where it does not preempt, or where the robot does not come to rest, and Cancelled for a goal that came later.
         """
         preempt = self._parameters.value("preempt")
         with self._turn:
             other = self._running
             if other is not None and not preempt:
                 raise Busy(_busy())
+            if preempt and self._newest is not None and self._newest.handle.arrival > run.handle.arrival:
+                raise run.overtaken()
             self._newest = run
             if other is None:
                 self._running = run
@@ -158,8 +161,7 @@ class Execution:
         with self._turn:
             free = self._turn.wait_for(lambda: self._newest is not run or self._running is None, REST_SECONDS)
             if self._newest is not run:
-                run.preempted = True
-                raise Cancelled("another goal came before this one had begun")
+                raise run.overtaken()
             if not free:
                 raise Busy(_busy())
             self._running = run

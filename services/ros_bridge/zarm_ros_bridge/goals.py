@@ -129,6 +129,11 @@ class Run:
         self.preempted = True
         self._stop()
 
+    def overtaken(self) -> Cancelled:
+        """What ends it where another goal came before it had its turn."""
+        self.preempted = True
+        return Cancelled("another goal came before this one had begun")
+
     def leave(self) -> None:
         """This process ends: a planning is of no use any more, a motion goes on."""
         if self._goal_id is None:

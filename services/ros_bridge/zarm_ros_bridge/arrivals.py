@@ -1,0 +1,41 @@
+"""The order in which the goals of actions came, which threads that execute them do not keep."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+from rclpy.action import ActionServer
+from rclpy.action.server import ServerGoalHandle
+
+_arrivals = itertools.count()
+
+
+class OrderedActionServer(ActionServer):  # type: ignore[misc] # rclpy is not followed
+    """An action server whose goal handles have an `arrival`: the greater, the later their goal came, over all of this process.
+
+    rclpy takes the requests one by one; from then on each has a thread of its own.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._coming: dict[int, int] = {}  # by the identity of what is asked for, as two clients may give one id
+        super().__init__(*arguments, handle_accepted_callback=self._accepted, **options)
+
+    def take_data(self) -> dict[str, Any]:
+        """Called by rclpy, for one request at a time."""
+        data: dict[str, Any] = super().take_data()
+        if "goal" in data:
+            self._coming[id(data["goal"][1].goal)] = next(_arrivals)
+        return data
+
+    async def execute(self, taken_data: dict[str, Any]) -> None:
+        """Called by rclpy, from any thread."""
+        try:
+            await super().execute(taken_data)
+        finally:
+            if "goal" in taken_data:
+                del self._coming[id(taken_data["goal"][1].goal)]
+
+    def _accepted(self, handle: ServerGoalHandle) -> None:
+        handle.arrival = self._coming[id(handle.request)]
+        handle.execute()
