@@ -35,6 +35,7 @@ from zarm_contract.session import DEFAULT_ENDPOINT
 _LOOK_SECONDS = 0.5
 _RESTART_SECONDS = 10.0  # within which an executor, started anew or heard again, tells what became of a goal
 _STOP_SECONDS = 30.0
+_WITHDRAW_SECONDS = 5.0
 
 
 def execute(
@@ -92,12 +93,14 @@ def demand_success(last: GoalState) -> None:
 def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
     goal_id = f"cli-{secrets.token_hex(8)}"
-    try:
+    try:  # calls of the bus itself: Ctrl-C waits until it is known what there is to cancel, or that is withdrawn
         named = request.model_copy(update={"goal_id": goal_id})
         client.bus.call(client.keys.execute, named, Accepted, timeout=_STOP_SECONDS)
     except Unavailable:  # the executor may have got the request, and start yet
         with suppress(Unavailable):
-            client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
+            client.bus.call(
+                client.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=_WITHDRAW_SECONDS
+            )
         raise
     goal = _Goal(client, goal_id)
     columns = (
