@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path as Folder
 from typing import Any
@@ -14,7 +15,7 @@ from harness import eventually
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 from waves import chunk
 
-from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState
+from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
 from zarm_contract.robot import Robot, StrategyParams
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.limits import Limits
@@ -175,9 +176,11 @@ class DriverBench:
             self.tick()
         raise AssertionError(f"{self.machine.state()} does not become {mode}")
 
-    def execute(self, goal: Array | None = None, start: Array = HOME) -> Path:
+    def execute(
+        self, goal: Array | None = None, start: Array = HOME, timed: Callable[[Array, Array], Trajectory] = rest_to_rest
+    ) -> Path:
         """Start a motion along a path to `goal`."""
-        trajectory = rest_to_rest(moved(1.0, -0.5, 0.3) if goal is None else goal, start)
+        trajectory = timed(moved(1.0, -0.5, 0.3) if goal is None else goal, start)
         path = Path.of(trajectory, JOINTS).approached_from(self.positions[-1], np.full(6, 1.2), np.full(6, 1.0))
         monitor = Monitor(path, self.robot.descriptor)
         self.machine.start(Goal("goal", None, path, monitor), self.machine.stops)

@@ -43,6 +43,46 @@ def rest_to_rest(
     )
 
 
+def trapezoid(
+    goal: np.ndarray, start: np.ndarray = HOME, *, robot: Robot = ROBOT, share: float = 1.0, dt: float = 0.02
+) -> Trajectory:
+    """From rest to rest on a straight line in joint space as a planner times it: at `share` of the acceleration limit after
+    milliseconds, then at the velocity limit, or half way and back where the line is too short for that."""
+    distance, limits = goal - start, robot.descriptor.cspace
+    way = np.maximum(np.abs(distance), 1e-9)
+    acceleration, jerk = share * float(np.min(limits.acceleration / way)), float(np.min(limits.jerk / way))
+    ramp = acceleration / jerk
+    velocity = min(float(np.min(limits.velocity / way)), math.sqrt(acceleration) * 0.9)
+    rising = max(velocity / acceleration - ramp, 0.0)
+    cruise = 1.0 / velocity - rising - 2 * ramp
+    rows_ = [(0.0, 0.0, 0.0, 0.0)]
+    for length, change in (
+        (ramp, jerk),
+        (rising, 0),
+        (ramp, -jerk),
+        (cruise, 0),
+        (ramp, -jerk),
+        (rising, 0),
+        (ramp, jerk),
+    ):
+        count = math.ceil(length / dt)
+        for _ in range(count):
+            t, s, v, a = rows_[-1]
+            h = length / count
+            rows_.append(
+                (t + h, s + v * h + a * h**2 / 2 + change * h**3 / 6, v + a * h + change * h**2 / 2, a + change * h)
+            )
+    time, s, v, a = np.array(rows_).T
+    v[-1] = a[-1] = 0.0
+    return Trajectory(
+        joint_names=robot.descriptor.joints,
+        time=tuple(time.tolist()),
+        position=rows(start + np.outer(s / s[-1], distance)),
+        velocity=rows(np.outer(v / s[-1], distance)),
+        acceleration=rows(np.outer(a / s[-1], distance)),
+    )
+
+
 def descriptor_at(control_rate: float, folder: Path) -> Path:
     """The descriptor of the tests' robot with another rate (Hz) of the control loop, in a folder of its own."""
     folder.mkdir(parents=True)

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import copy
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import HOME, ROBOT, moved, rest_to_rest
+from motions import HOME, ROBOT, moved, rest_to_rest, trapezoid
 
 from zarm_executor.follower import CATCH_UP, TICK, Follower
 from zarm_executor.path import Array, Path
@@ -129,6 +132,48 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
     assert np.all(np.abs(accelerations(np.array(positions))) <= LIMIT * ROUNDING)
     assert distance_from(path, np.array(positions[::40])) < 2e-3
     np.testing.assert_allclose(positions[-1], path.end, atol=1e-9)
+
+
+def planned_path(seed: int) -> Path:
+    """A motion as a planner times it, at the limits from the first milliseconds on."""
+    random = np.random.default_rng(seed)
+    goal = HOME + random.uniform(-0.2, 0.2, len(HOME))
+    share = float(random.uniform(0.98, 1.01))  # checks let a hundredth pass
+    return Path.of(trapezoid(goal, share=share, dt=float(random.uniform(0.01, 0.05))), ROBOT.descriptor.joints)
+
+
+@settings(max_examples=6)
+@given(seed=st.integers(0, 2**32 - 1), speed=st.sampled_from([0.05, 0.5, 1.0]))
+def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_comes_to_the_end(
+    seed: int, speed: float
+) -> None:
+    follower = Follower(planned_path(seed), LIMIT)
+    while not follower.finished:
+        other = copy.copy(follower)
+        for target in (0.0, speed):
+            other.target = target
+            other.ahead(0.05)  # is not without end
+            for _ in range(math.ceil(2.5 * other.path.duration / speed / TICK)):
+                other.advance(TICK)
+            assert other.settled, f"at {follower.time} s, asked for {target}"
+        assert other.finished
+        follower.advance(TICK)
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 2**32 - 1), tick=st.integers(0, 5))
+def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_no_longer_than_from_the_start(
+    seed: int, tick: int
+) -> None:
+    follower = Follower(planned_path(seed), LIMIT)
+    for _ in range(tick):
+        follower.advance(0.004)
+    follower.target = 0.0
+    followed(follower)
+    follower.target = 1.0
+    positions = followed(follower)
+    assert np.all(np.abs(accelerations(positions)) <= LIMIT * 1.01 * ROUNDING)
+    assert len(positions) * TICK <= follower.path.duration + 0.1
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.5])

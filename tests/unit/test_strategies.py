@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from driven import FAR, LIMIT
 from driver_bench import MOVING, Case, DriverBench, distance_from
-from motions import HOME
+from motions import HOME, trapezoid
 from waves import target
 
 from zarm_contract.errors import Unavailable
@@ -80,6 +80,30 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
     assert bench.statuses() == ["accepted", "running", "paused", "running", "succeeded"]
     assert bench.rests()
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
+
+
+@pytest.mark.parametrize("ticks", [*range(8), 40])
+@pytest.mark.parametrize("command", ["pause", "slower", "cancel"])
+def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
+    bench: DriverBench, ticks: int, command: str
+) -> None:
+    bench.execute(HOME + (FAR - HOME) / 4, timed=trapezoid)
+    bench.run(ticks * bench.period)
+    if command == "pause":
+        bench.machine.pause()
+        bench.until("paused", patience=4.0)
+        bench.machine.resume()
+    elif command == "slower":
+        bench.machine.set_speed(0.3)
+        bench.run(0.2)
+        bench.machine.set_speed(1.0)
+    else:
+        bench.machine.cancel(None, "enough")
+    bench.until("idle", patience=4.0)
+    assert bench.last().status == ("cancelled" if command == "cancel" else "succeeded")
+    assert bench.rests()
+    if bench.case.params != (("stop", "empty"),):
+        assert bench.commanded_acceleration() <= LIMIT * 1.01
 
 
 @at_every_phase

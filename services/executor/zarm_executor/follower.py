@@ -9,9 +9,11 @@ always allowed, and braking as hard as possible now never leads into a state wit
 from __future__ import annotations
 
 import copy
+import math
 
 import numpy as np
 
+from zarm_contract.errors import InternalError
 from zarm_executor.path import Array, Path
 from zarm_executor.stretch import Stretch
 
@@ -20,6 +22,10 @@ TICK = 0.01
 CATCH_UP = 0.1
 """A pause between ticks up to this long (s) is caught up with; after a longer one the path goes on from rest where it
 stood, because nobody commanded the robot meanwhile."""
+_HALVINGS = 20
+"""So often at most a change of path speed is halved until it is inside the limits: to a millionth."""
+_SLOWEST = 0.01
+"""What takes longer (x the duration of the path) than at this path speed is no motion, but a fault of the follower."""
 
 
 class Follower:
@@ -71,14 +77,20 @@ class Follower:
         self._reach()
 
     def ahead(self, dt: float, count: int | None = None) -> Stretch:
-        """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more."""
+        """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more.
+
+        Raises InternalError where that is without end.
+        """
         scout = copy.copy(self)
         rows: list[tuple[float, float, Array]] = []
-        while count is None or len(rows) < count:
+        for _ in range(math.ceil(self.path.duration / (_SLOWEST * dt)) if count is None else count):
             rows.append((scout.time, scout.speed, scout._state))
             if count is None and (scout.settled or scout.speed == scout.target):
                 break
             scout.advance(min(dt, CATCH_UP))
+        else:
+            if count is None:
+                raise InternalError(f"the path speed does not come from {self.speed:g} to {self.target:g}")
         time = np.array([row[0] for row in rows])
         speed = np.array([row[1] for row in rows])
         states = np.stack([row[2] for row in rows], axis=1)
@@ -110,14 +122,27 @@ class Follower:
         """The change of path speed, 1/s, nearest to what reaches the target within `dt` and inside the limits."""
         wanted = (self.target - self.speed) / dt
         low, high = self._bounds(self._state, self.speed)
-        rate = min(max(wanted, low), high)
+        wanted = rate = min(max(wanted, low), high)
         # The path bends within the tick too, so the limits must also hold where the tick ends.
+        for low, high in self._bounds_after(rate, dt):
+            rate = min(max(rate, low), high)
+        if rate == wanted or wanted <= 0.0:
+            return rate
+        # Where the whole of it is too much a part may do: from rest, at full path speed, the path alone may need every limit.
+        part = wanted / 2
+        for _ in range(_HALVINGS):
+            if part <= rate or all(part <= high for _, high in self._bounds_after(part, dt)):
+                break
+            part /= 2
+        else:
+            return rate
+        return max(rate, part)
+
+    def _bounds_after(self, rate: float, dt: float) -> list[tuple[float, float]]:
+        """The bounds of the rate where `dt` at this one leads, at the path speed before and after it."""
         speed = min(max(self.speed + rate * dt, 0.0), 1.0)
         ahead = self.path.at(self.time + 0.5 * (self.speed + speed) * dt)
-        for sigma in (self.speed, speed):
-            low, high = self._bounds(ahead, sigma)
-            rate = min(max(rate, low), high)
-        return rate
+        return [self._bounds(ahead, sigma) for sigma in (self.speed, speed)]
 
     def _bounds(self, state: Array, speed: float) -> tuple[float, float]:
         """The least and greatest dsigma/dt that keep every joint inside its limit at this point; 0 is always inside."""
