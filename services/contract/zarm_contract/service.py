@@ -61,6 +61,8 @@ class Service:
     instance: str = field(default_factory=lambda: f"{time.time_ns() // 1_000_000:011x}{secrets.token_hex(2)}")
     interruptible: Callable[[], None] = lambda: None
     """Raises where this is no moment to start anew; a service that moves something sets it."""
+    ailment: Callable[[], str | None] = lambda: None
+    """What keeps it from serving though it is ready, in a sentence; a service with something to watch sets it."""
     metrics: Metrics = field(default_factory=Metrics)
     """What it counts, of no consequence unless somebody reads it."""
     end: Callable[[], None] = lambda: None
@@ -89,12 +91,13 @@ class Service:
 
     def health(self, _: Nothing | None = None) -> Health:
         """How this service is."""
+        ailment = self.ailment()
         return Health(
             service=self.name,
             robot=self.keys.robot,
             instance=self.instance,
-            ready=self._ready,
-            activity=self._activity,
+            ready=self._ready and ailment is None,
+            activity=ailment or self._activity,
             version=version(),
             contract=CONTRACT,
             robot_hash=self.robot.hash,
@@ -125,7 +128,7 @@ class Service:
 
         health = self.health()
         self.bus.watch_answers(answered)
-        self.metrics.read("gauge", "zarm_ready", "Whether the service is ready.", lambda: float(self._ready))
+        self.metrics.read("gauge", "zarm_ready", "Whether the service is ready.", lambda: float(self.health().ready))
         self.metrics.read("gauge", "zarm_connected", "Whether it has a router.", lambda: float(self.bus.connected))
         self.metrics.read(
             "gauge",

@@ -40,6 +40,8 @@ class Loop:
         self._thread = threading.Thread()
         self._late_counts = [0] * (len(LATE) + 1)
         self._late_sum = 0.0
+        self.ticks = 0
+        """How many calls have ended."""
 
     def lateness(self) -> tuple[list[int], float]:
         """How many calls were later than one of `LATE` and not than the next, and the sum of all (s)."""
@@ -77,6 +79,7 @@ class Loop:
                 self._late_sum += late
                 deadline += self._period * (late // self._period)
                 self._work(deadline)
+                self.ticks += 1
                 deadline += self._period
         except Exception:
             log.critical("the loop %s failed; the process ends", self._name, exc_info=True)

@@ -45,6 +45,7 @@ from zarm_executor.ring import Ring
 from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
 from zarm_executor.streams import Streams
+from zarm_executor.watchdog import Watchdog
 
 log = logging.getLogger(__name__)
 
@@ -135,6 +136,7 @@ def start(service: Service) -> Iterator[None]:
             _export(service.metrics, machine, loop)
             with (
                 loop,
+                Watchdog(loop) as watchdog,
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
@@ -145,7 +147,7 @@ def start(service: Service) -> Iterator[None]:
                     ghost.show(key, plan)
 
                 bus.watch(keys.plans, Plan, receive)
-                service.interruptible = executor.check_idle
+                service.interruptible, service.ailment = executor.check_idle, watchdog.ailment
                 _serve(bus, service, executor)
                 stream_bus.subscribe(keys.stream, StreamChunk, streams.receive)
                 _exempt_from_collection()

@@ -1,0 +1,62 @@
+"""Sees to it that a control loop which no longer ticks does not keep the robot."""
+
+from __future__ import annotations
+
+import faulthandler
+import logging
+import os
+import threading
+from types import TracebackType
+from typing import Self
+
+from zarm_contract.realtime import CONTROL_PRIORITY, ask_for_realtime
+from zarm_executor.loop import Loop
+
+log = logging.getLogger(__name__)
+
+UNHEALTHY = 0.5
+"""A control loop that has not ticked for so long (s) makes the service unhealthy."""
+LIMIT = 2.0
+"""One that has not ticked for so long (s) ends the process."""
+_PERIOD = 0.25
+
+
+class Watchdog:
+    """Ends the process with code 1 once `loop` has not ticked for `LIMIT` s, and logs what each thread was at; use it in `with`.
+
+    What supervises the process starts it again, at rest, and the robot's driver runs out of points meanwhile. Time in which the
+    whole process stood still (SIGSTOP, a machine asleep) does not count: the loop goes on then by itself.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._missed = 0
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
+
+    def ailment(self) -> str | None:
+        """What is wrong with the control loop, as `Service.ailment` has it."""
+        silent = self._missed * _PERIOD
+        return f"the control loop has not ticked for {silent:.1f} s" if silent >= UNHEALTHY else None
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        ask_for_realtime(CONTROL_PRIORITY)  # a loop that spins must not keep it from looking
+        seen = self._loop.ticks
+        while not self._ended.wait(_PERIOD):
+            ticks = self._loop.ticks
+            self._missed = self._missed + 1 if ticks == seen else 0
+            seen = ticks
+            if self._missed * _PERIOD >= LIMIT:
+                log.critical("the control loop does not tick; the process ends seconds=%.1f", LIMIT)
+                faulthandler.dump_traceback(all_threads=True)
+                os._exit(1)
