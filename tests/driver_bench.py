@@ -11,6 +11,7 @@ from pathlib import Path as Folder
 from typing import Any
 
 import numpy as np
+from arrivals import arrival
 from harness import eventually
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 from waves import chunk
@@ -183,7 +184,7 @@ class DriverBench:
         trajectory = timed(moved(1.0, -0.5, 0.3) if goal is None else goal, start)
         path = Path.of(trajectory, JOINTS).approached_from(self.positions[-1], np.full(6, 1.2), np.full(6, 1.0))
         monitor = Monitor(path, self.robot.descriptor)
-        self.machine.start(Goal("goal", None, path, monitor), self.machine.stops)
+        self.machine.start(Goal("goal", None, path, monitor), arrival())
         return path
 
     def stream(self, seconds: float) -> float:
@@ -195,7 +196,7 @@ class DriverBench:
             if index == 0:
                 path = spliced(Path.standing(self.positions[-1]), 0.0, piece.path, 0.0, limits)
                 goal = Goal("stream", None, path, Monitor(path, self.robot.descriptor), chunk=piece)
-                self.machine.start(goal, self.machine.stops)
+                self.machine.start(goal, arrival())
             else:
                 self.machine.steer("stream", piece, limits)
             self.run(0.05)
@@ -204,7 +205,7 @@ class DriverBench:
     def switch(self, name: str) -> None:
         """Switch to another strategy while time passes; raises what the switch raises."""
         with ThreadPoolExecutor(1) as pool:
-            switched = pool.submit(self.machine.switch, self.repertoire.find(name), 10.0)
+            switched = pool.submit(self.machine.switch, self.repertoire.find(name), 10.0, arrival())
             eventually(
                 lambda: switched.done() or self.machine.state().mode not in ("running", "paused"), "it is told to stop"
             )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from arrivals import arrival
 from motions import HOME, ROBOT, moved, rest_to_rest
 
 from zarm_contract.errors import Unavailable
@@ -113,11 +114,11 @@ class Bench:
             self.tick()
         raise AssertionError(f"{self.machine.state()} does not become {mode}")
 
-    def execute(self, goal_id: str = "goal-1", stops: int | None = None) -> Path:
-        """Start a motion that was asked for when the robot had been told to stop `stops` times (left out: just now)."""
+    def execute(self, goal_id: str = "goal-1", asked: int | None = None) -> Path:
+        """Start a motion that was asked for at the arrival `asked` (left out: just now)."""
         path = Path.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
         goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor))
-        self.machine.start(goal, self.machine.stops if stops is None else stops)
+        self.machine.start(goal, arrival() if asked is None else asked)
         return path
 
     def stream(self, chunk: Path, *, last: bool = False, deadline: float = 0.1) -> None:
@@ -125,7 +126,7 @@ class Bench:
         path = spliced(Path.standing(self.arm.exact.position), 0.0, chunk, 0.0, LIMITS)
         monitor = Monitor(path, ROBOT.descriptor)
         first = Chunk(1, 0.0, path, self.now, deadline, last)
-        self.machine.start(Goal("stream-1", None, path, monitor, chunk=first), self.machine.stops)
+        self.machine.start(Goal("stream-1", None, path, monitor, chunk=first), arrival())
 
     def steer(self, sequence: int, start: float, chunk: Path, *, last: bool = False, deadline: float = 0.1) -> None:
         """Send a later chunk."""

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from arrivals import arrival
 from executor_bench import Bench
 from harness import PATIENCE
 from motions import KEYS, ROBOT, moved, plan, rest_to_rest
@@ -50,12 +51,12 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         StateFile(tmp_path / "speed.json", Speed),
     )
     with ThreadPoolExecutor(1) as pool:
-        first = pool.submit(executor.execute, ExecuteRequest())
+        first = pool.submit(executor.execute, ExecuteRequest(), arrival())
         try:
             assert asked.wait(PATIENCE)
             with pytest.raises(Busy):
-                executor.execute(ExecuteRequest())
-            executor.stop(Nothing())
+                executor.execute(ExecuteRequest(), arrival())
+            executor.stop(Nothing(), arrival())
         finally:
             go_on.set()
         with pytest.raises(Cancelled):

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from arrivals import arrival
 from executor_bench import Arm, Bench
 from harness import PATIENCE
 from motions import HOME
@@ -35,7 +36,7 @@ def test_a_goal_runs_to_its_end_and_the_robot_is_idle_again(bench: Bench) -> Non
 def test_a_second_goal_is_refused_until_the_first_has_ended(bench: Bench) -> None:
     bench.execute("goal-1")
     bench.run(0.3)
-    for hold in (bench.machine.pause, lambda: bench.machine.cancel(None, "enough")):
+    for hold in (lambda: bench.machine.pause(arrival()), lambda: bench.machine.cancel(None, "enough", arrival())):
         with pytest.raises(Busy, match="goal-1"):
             bench.machine.admit()
         hold()
@@ -50,7 +51,7 @@ def test_cancel_brings_the_robot_to_rest_on_the_path_inside_the_acceleration_lim
 ) -> None:
     path = bench.execute()
     bench.run(path.duration / 2)
-    bench.machine.cancel(goal_id, "enough")
+    bench.machine.cancel(goal_id, "enough", arrival())
     assert bench.machine.state().mode == "stopping"
     bench.until("idle")
     assert bench.statuses() == ["accepted", "running", "stopping", "cancelled"]
@@ -62,13 +63,13 @@ def test_cancel_brings_the_robot_to_rest_on_the_path_inside_the_acceleration_lim
 
 
 def test_cancelling_another_goal_or_a_finished_one_changes_nothing(bench: Bench) -> None:
-    bench.machine.cancel(None, "nothing runs")
+    bench.machine.cancel(None, "nothing runs", arrival())
     bench.execute()
     bench.run(0.2)
-    bench.machine.cancel("goal-7", "unknown")
+    bench.machine.cancel("goal-7", "unknown", arrival())
     assert bench.machine.state().mode == "running"
     bench.until("idle")
-    bench.machine.cancel("goal-1", "finished")
+    bench.machine.cancel("goal-1", "finished", arrival())
     assert bench.statuses() == ["accepted", "running", "succeeded"]
 
 
@@ -76,31 +77,31 @@ def test_commands_given_twice_do_what_they_do_once(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
     for command in (bench.machine.pause, bench.machine.resume, bench.machine.pause):
-        command()
-        command()
+        command(arrival())
+        command(arrival())
         bench.run(1.5)
     assert bench.machine.state().mode == "paused"
     for _ in range(2):
-        bench.machine.cancel(None, "enough")
+        bench.machine.cancel(None, "enough", arrival())
     bench.until("idle")
     assert bench.statuses() == ["accepted", "running", "paused", "running", "paused", "stopping", "cancelled"]
-    bench.machine.reset()
-    bench.machine.resume()
-    bench.machine.pause()
+    bench.machine.reset(arrival())
+    bench.machine.resume(arrival())
+    bench.machine.pause(arrival())
     assert bench.machine.state().mode == "idle"
 
 
 def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: Bench) -> None:
     path = bench.execute()
     bench.run(path.duration / 2)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     assert bench.machine.state().mode == "stopping"
     bench.until("paused")
     held, elapsed = bench.arm.exact.position, bench.machine.goal_state().elapsed
     bench.run(30.0)
     np.testing.assert_array_equal(bench.arm.exact.position, held)
     assert bench.machine.goal_state().elapsed == elapsed
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     assert bench.machine.state().mode == "running"
     bench.until("idle")
     assert bench.statuses() == ["accepted", "running", "paused", "running", "succeeded"]
@@ -110,9 +111,9 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: Bench) -> None:
 def test_going_on_while_still_braking_for_a_pause_is_smooth(bench: Bench) -> None:
     path = bench.execute()
     bench.run(path.duration / 2)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.run(0.2)
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.until("idle")
     assert bench.statuses() == ["accepted", "running", "succeeded"]
     assert bench.greatest_acceleration() <= 1.005
@@ -121,9 +122,9 @@ def test_going_on_while_still_braking_for_a_pause_is_smooth(bench: Bench) -> Non
 def test_a_paused_goal_can_be_cancelled(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused")
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.until("idle")
     assert bench.last().status == "cancelled"
 
@@ -133,10 +134,10 @@ def test_a_goal_cancelled_does_not_go_on(bench: Bench, paused: bool) -> None:
     bench.execute()
     bench.run(0.5)
     if paused:
-        bench.machine.pause()
-    bench.machine.cancel(None, "enough")
+        bench.machine.pause(arrival())
+    bench.machine.cancel(None, "enough", arrival())
     for command in (bench.machine.resume, bench.machine.pause, bench.machine.resume):
-        command()
+        command(arrival())
         bench.tick()
         assert bench.machine.state().mode == "stopping"
     bench.until("idle")
@@ -146,7 +147,7 @@ def test_a_goal_cancelled_does_not_go_on(bench: Bench, paused: bool) -> None:
 
 def test_a_goal_cancelled_before_its_first_tick_does_not_move(bench: Bench) -> None:
     bench.execute()
-    bench.machine.cancel(None, "never mind")
+    bench.machine.cancel(None, "never mind", arrival())
     bench.until("idle")
     assert bench.statuses() == ["accepted", "stopping", "cancelled"]
     np.testing.assert_allclose(bench.arm.exact.position, HOME, atol=1e-6)
@@ -184,11 +185,11 @@ def test_at_every_speed_a_goal_can_be_held_go_on_and_be_cancelled(bench: Bench, 
     bench.machine.set_speed(scale)
     bench.execute()
     bench.run(0.6 / scale)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused", patience=2.0)
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.run(0.3 / scale)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.until("idle", patience=2.0)
     assert bench.statuses() == ["accepted", "running", "paused", "running", "stopping", "cancelled"]
     assert bench.greatest_acceleration() <= 1.005
@@ -197,17 +198,17 @@ def test_at_every_speed_a_goal_can_be_held_go_on_and_be_cancelled(bench: Bench, 
 def test_a_new_speed_does_not_move_what_is_held_or_ending(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.machine.set_speed(0.5)
     bench.until("paused")
     held = bench.arm.exact.position
     bench.machine.set_speed(0.7)
     bench.run(1.0)
     np.testing.assert_array_equal(bench.arm.exact.position, held)
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.run(1.0)
     assert bench.arm.follower.speed == 0.7
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.machine.set_speed(1.0)
     bench.until("idle", patience=2.0)
     assert bench.last().status == "cancelled"
@@ -221,7 +222,7 @@ def test_a_goal_that_is_preempted_is_cancelled_and_names_the_one_that_replaces_i
     bench.run(0.5)
     bench.machine.admit(preempt=True)
     with ThreadPoolExecutor(1) as pool:
-        preempted = pool.submit(bench.machine.preempt, "goal-2", bench.machine.stops, PATIENCE)
+        preempted = pool.submit(bench.machine.preempt, "goal-2", arrival(), PATIENCE)
         while not preempted.done():
             bench.tick()
         preempted.result()
@@ -241,7 +242,7 @@ def test_nothing_is_preempted_where_nothing_could_start(bench: Bench) -> None:
     with pytest.raises(Unavailable, match="fault"):
         bench.machine.admit(preempt=True)
     bench.arm.disturb = lambda measured: measured
-    bench.machine.reset()
+    bench.machine.reset(arrival())
     assert bench.machine.end(PATIENCE)
     with pytest.raises(Unavailable, match="ending"):
         bench.machine.admit(preempt=True)
@@ -249,14 +250,50 @@ def test_nothing_is_preempted_where_nothing_could_start(bench: Bench) -> None:
 
 def test_a_goal_that_waits_for_the_one_it_preempts_is_withdrawn_by_a_cancel_of_either_kind(bench: Bench) -> None:
     for goal_id in (None, "goal-2"):
-        before = bench.machine.stops
+        before = arrival()
         bench.machine.preempt("goal-2", before, PATIENCE)
-        bench.machine.cancel(goal_id, "never mind")
+        bench.machine.cancel(goal_id, "never mind", arrival())
         with pytest.raises(Cancelled):
-            bench.execute("goal-2", stops=before)
+            bench.execute("goal-2", asked=before)
     bench.execute("goal-3")
     bench.until("idle")
     assert bench.last().status == "succeeded"
+
+
+# --- what arrived before a stop and is carried out after it ---
+
+
+@pytest.mark.parametrize("hold", ["stop", "pause"])
+def test_whatever_arrived_before_a_stop_or_a_pause_is_not_carried_out_after_it(bench: Bench, hold: str) -> None:
+    early, other = arrival(), Arm()
+    if hold == "stop":
+        bench.machine.cancel(None, "enough", arrival())
+    else:
+        bench.machine.pause(arrival())
+    for command in (
+        lambda: bench.execute(asked=early),
+        lambda: bench.machine.preempt("goal-2", early, PATIENCE),
+        lambda: bench.machine.resume(early),
+        lambda: bench.machine.reset(early),
+        lambda: bench.machine.switch(other, PATIENCE, early),
+    ):
+        with pytest.raises(Cancelled, match="after this was asked"):
+            command()
+    assert other.calls == []
+    bench.execute()
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
+def test_a_pause_wins_over_a_resume_that_arrived_before_it(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.machine.pause(arrival())
+    early = arrival()
+    bench.machine.pause(arrival())
+    with pytest.raises(Cancelled, match="pause"):
+        bench.machine.resume(early)
+    bench.until("paused")
 
 
 # --- strategies, and the end ---
@@ -265,7 +302,7 @@ def test_a_goal_that_waits_for_the_one_it_preempts_is_withdrawn_by_a_cancel_of_e
 def test_a_switch_while_nothing_moves_closes_the_old_strategy_and_opens_the_new_one(bench: Bench) -> None:
     other = Arm()
     other.name = "other"  # type: ignore[misc]
-    bench.machine.switch(other, patience=1.0)
+    bench.machine.switch(other, 1.0, arrival())
     assert bench.arm.calls == ["open", "close"]
     assert other.calls == ["open"]
     assert bench.machine.state().strategy == "other"
@@ -276,7 +313,7 @@ def test_a_switch_that_fails_leaves_the_old_strategy_active_and_says_so(bench: B
     other.name = "other"  # type: ignore[misc]
     other.failure = Unavailable("there is no such driver")
     with pytest.raises(Unavailable, match=r"other cannot start: there is no such driver; arm is active again"):
-        bench.machine.switch(other, patience=1.0)
+        bench.machine.switch(other, 1.0, arrival())
     assert bench.arm.calls == ["open", "close", "open"]
     assert bench.machine.state().strategy == "arm"
     bench.execute()
@@ -288,7 +325,7 @@ def test_a_switch_of_a_robot_that_does_not_come_to_rest_is_refused(bench: Bench)
     bench.execute()
     bench.run(0.5)
     with pytest.raises(Unavailable, match="does not come to rest; arm is still active"):
-        bench.machine.switch(Arm(), patience=0.01)  # nobody ticks meanwhile
+        bench.machine.switch(Arm(), 0.01, arrival())  # nobody ticks meanwhile
     assert bench.arm.calls == ["open", "stop"]
     bench.until("idle")
     assert bench.last().status == "cancelled"
@@ -307,12 +344,12 @@ def test_a_machine_that_ends_admits_no_motion(bench: Bench) -> None:
 def test_a_motion_that_was_being_checked_when_the_robot_was_told_to_stop_does_not_start(
     bench: Bench, order: str
 ) -> None:
-    before = bench.machine.stops
+    before = arrival()
     if order == "cancel":
-        bench.machine.cancel(None, "stop")
+        bench.machine.cancel(None, "stop", arrival())
     else:
-        bench.machine.switch(bench.arm, 1.0)
+        bench.machine.switch(bench.arm, 1.0, arrival())
     with pytest.raises(Cancelled):
-        bench.execute(stops=before)
+        bench.execute(asked=before)
     assert bench.machine.state().mode == "idle"
     assert not bench.machine.changes

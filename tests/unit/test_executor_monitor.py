@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from arrivals import arrival
 from executor_bench import EXECUTION, Bench, Disturbance
 from motions import HOME, moved
 
@@ -44,10 +45,10 @@ def fails(bench: Bench, code: str, match: str) -> None:
     np.testing.assert_array_equal(bench.arm.exact.position, rested)
     with pytest.raises(Unavailable, match="executor/reset"):
         bench.machine.admit()
-    bench.machine.cancel(None, "no way out")
-    bench.machine.resume()
+    bench.machine.cancel(None, "no way out", arrival())
+    bench.machine.resume(arrival())
     assert bench.machine.state().mode == "fault"
-    bench.machine.reset()
+    bench.machine.reset(arrival())
     assert bench.machine.state().mode == "idle"
     assert bench.machine.state().problem is None
     bench.machine.admit()
@@ -93,7 +94,7 @@ def test_a_robot_that_never_reported_is_stopped_in_fault(bench: Bench) -> None:
 def test_a_robot_that_stops_reporting_while_paused_is_in_fault(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused")
     bench.arm.disturb = freeze(bench.arm.exact)
     fails(bench, "driver_stalled", "has reported no new joints")
@@ -130,10 +131,10 @@ def test_pauses_do_not_count_towards_the_allowed_duration(bench: Bench) -> None:
     bench.execute()
     for _ in range(10):
         bench.run(0.15)
-        bench.machine.pause()
+        bench.machine.pause(arrival())
         bench.until("paused")
         bench.run(3.0)
-        bench.machine.resume()
+        bench.machine.resume(arrival())
     bench.until("idle")
     assert bench.last().status == "succeeded"
 
@@ -158,14 +159,14 @@ def test_a_robot_that_settles_in_time_has_succeeded(bench: Bench) -> None:
 def test_each_rest_has_a_settle_time_of_its_own(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.arm.disturb = lambda measured: dataclasses.replace(measured, velocity=measured.velocity + 0.05)
     while not bench.arm.follower.at_rest:
         bench.tick()
     bench.run(EXECUTION.settle_time * 0.9)
     bench.arm.disturb = lambda measured: measured
     bench.until("paused")
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.arm.disturb = lag(EXECUTION.goal_tolerance * 2)
     while not bench.arm.follower.finished:
         bench.tick()
@@ -179,14 +180,14 @@ def test_a_robot_that_keeps_moving_after_a_stop_is_in_fault(bench: Bench) -> Non
     bench.execute()
     bench.run(0.5)
     bench.arm.disturb = lambda measured: dataclasses.replace(measured, velocity=measured.velocity + 0.05)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     fails(bench, "tolerance_violated", "still moves at 0.05 rad/s")
 
 
 def test_a_robot_that_was_stopped_and_rests_elsewhere_is_in_fault(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.arm.disturb = lag(EXECUTION.path_tolerance * 1.5)
     fails(bench, "tolerance_violated", "joint_3 left the commanded path by 0.3000 rad")
 
@@ -194,7 +195,7 @@ def test_a_robot_that_was_stopped_and_rests_elsewhere_is_in_fault(bench: Bench) 
 def test_a_robot_that_goes_silent_while_it_stops_is_in_fault(bench: Bench) -> None:
     bench.execute()
     bench.run(0.5)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.arm.disturb = freeze(bench.arm.exact)
     fails(bench, "driver_stalled", "no longer reports its joints")
 
@@ -213,7 +214,7 @@ def test_a_goal_that_was_told_to_stop_ends_in_a_stated_time_whatever_the_strateg
         bench.arm.disturb = lambda measured: dataclasses.replace(measured, position=measured.position + 1.0)
         bench.tick()
     else:
-        bench.machine.pause() if how == "pause" else bench.machine.cancel(None, "enough")
+        bench.machine.pause(arrival()) if how == "pause" else bench.machine.cancel(None, "enough", arrival())
     bench.run(STOPPED_BY - 2 * TICK)
     assert bench.machine.state().mode == "stopping"
     bench.until("fault", patience=4 * TICK)
@@ -250,7 +251,7 @@ def test_a_control_loop_that_was_away_while_nothing_moved_is_no_fault(bench: Ben
     assert bench.machine.state().mode == "idle"
     bench.execute()
     bench.run(0.5)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused")
     bench.tick(60.0)
     assert bench.machine.state().mode == "paused"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arrivals import arrival
 from executor_bench import LIMITS, Bench
 from motions import HOME
 from waves import chunk, target
@@ -85,14 +86,14 @@ def test_a_chunk_out_of_reach_changes_nothing_until_the_client_is_told(bench: Be
 @pytest.mark.parametrize("held", [0.3, 3.0])
 def test_a_stream_that_is_held_has_all_the_time_and_goes_on(bench: Bench, held: float) -> None:
     sequence = follow(bench, 1.0)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused")
     bench.run(held)
     assert bench.machine.state().mode == "paused"
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     follow(bench, 1.0, first=sequence)
     assert bench.machine.state().mode == "running"
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.until("idle", patience=1.5)
     assert bench.last().status == "cancelled"
     assert bench.greatest_acceleration() <= 1.015

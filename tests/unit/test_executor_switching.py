@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from arrivals import arrival
 from executor_bench import Arm, Bench
 from harness import PATIENCE
 from waves import chunk
@@ -19,7 +20,7 @@ class Other(Arm):
 def switch(bench: Bench, other: Arm) -> None:
     """Switch while time passes; raises what the switch raises."""
     with ThreadPoolExecutor(1) as pool:
-        switched = pool.submit(bench.machine.switch, other, PATIENCE)
+        switched = pool.submit(bench.machine.switch, other, PATIENCE, arrival())
         while not switched.done():
             bench.tick()
         switched.result()
@@ -35,12 +36,12 @@ def prepare(state: str) -> Bench:
         bench.execute()
         bench.run(0.5)
     if state == "paused":
-        bench.machine.pause()
+        bench.machine.pause(arrival())
         bench.until("paused")
     elif state == "pausing":
-        bench.machine.pause()
+        bench.machine.pause(arrival())
     elif state == "stopping":
-        bench.machine.cancel(None, "enough")
+        bench.machine.cancel(None, "enough", arrival())
     elif state == "fault":
         bench.arm.disturb = lambda _: None
         bench.until("fault")
@@ -65,7 +66,7 @@ def test_in_every_state_the_robot_rests_first_and_then_the_new_strategy_has_it(s
     if state == "fault":
         with pytest.raises(Unavailable, match="fault"):
             bench.machine.admit()
-        bench.machine.reset()
+        bench.machine.reset(arrival())
     bench.machine.admit()
 
 
@@ -91,10 +92,10 @@ def test_where_the_former_strategy_cannot_open_again_either_that_is_a_fault_whic
     with pytest.raises(Unavailable, match="fault"):
         bench.machine.admit()
     with pytest.raises(Unavailable, match="the disk is full"):
-        bench.machine.reset()
+        bench.machine.reset(arrival())
     assert bench.machine.state().mode == "fault"
     bench.arm.failure = None
-    bench.machine.reset()
+    bench.machine.reset(arrival())
     bench.execute()
     bench.until("idle")
     assert bench.last().status == "succeeded"
@@ -107,7 +108,7 @@ def test_out_of_that_fault_a_switch_to_a_strategy_that_opens_leads_too() -> None
         switch(bench, other)
     other.failure = None
     switch(bench, other)
-    bench.machine.reset()
+    bench.machine.reset(arrival())
     assert other.is_open
     bench.machine.admit()
     bench.machine.release()
@@ -128,11 +129,11 @@ def test_a_robot_that_cannot_be_stopped_is_in_fault_under_the_strategy_switched_
 def test_of_two_switches_at_once_the_second_is_busy_and_nothing_starts_in_between() -> None:
     bench, other, third = prepare("running"), Other(), Other()
     with ThreadPoolExecutor(1) as pool:
-        first = pool.submit(bench.machine.switch, other, PATIENCE)
+        first = pool.submit(bench.machine.switch, other, PATIENCE, arrival())
         while bench.machine.state().mode == "running":
             pass
         with pytest.raises(Busy, match="being switched"):
-            bench.machine.switch(third, PATIENCE)
+            bench.machine.switch(third, PATIENCE, arrival())
         with pytest.raises(Busy, match="being switched"):
             bench.machine.admit(preempt=True)
         while not first.done():
@@ -144,7 +145,7 @@ def test_of_two_switches_at_once_the_second_is_busy_and_nothing_starts_in_betwee
 
 def test_a_goal_that_waits_to_preempt_another_does_not_start_after_a_switch() -> None:
     bench, other = prepare("running"), Other()
-    stops = bench.machine.stops
+    stops = arrival()
     with ThreadPoolExecutor(1) as pool:
         preempting = pool.submit(bench.machine.preempt, "goal-2", stops, PATIENCE)
         while bench.machine.state().mode == "running":
@@ -159,7 +160,7 @@ def test_at_the_end_of_the_process_nothing_is_switched() -> None:
     bench, other = Bench(), Other()
     assert bench.machine.end(PATIENCE)
     with pytest.raises(Unavailable, match="ending"):
-        bench.machine.switch(other, PATIENCE)
+        bench.machine.switch(other, PATIENCE, arrival())
     assert other.calls == []
     bench.machine.release()
     assert bench.arm.calls == ["open", "close"]

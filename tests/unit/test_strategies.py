@@ -6,6 +6,7 @@ from pathlib import Path as Folder
 
 import numpy as np
 import pytest
+from arrivals import arrival
 from driven import FAR, LIMIT
 from driver_bench import MOVING, Case, DriverBench, distance_from
 from motions import HOME, trapezoid
@@ -56,7 +57,7 @@ def test_it_reaches_the_goal_inside_the_limits(bench: DriverBench) -> None:
 def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(bench: DriverBench, after: float) -> None:
     path = bench.execute()
     bench.run(after)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.until("idle", patience=4.0)
     assert bench.statuses()[-2:] == ["stopping", "cancelled"]
     assert bench.rests()
@@ -69,13 +70,13 @@ def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(be
 def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after: float) -> None:
     bench.execute()
     bench.run(after)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused", patience=4.0)
     assert bench.rests()
     held = bench.positions[-1]
     bench.run(5.0)
     np.testing.assert_allclose(bench.positions[-1], held, atol=1e-6)
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.until("idle")
     assert bench.statuses() == ["accepted", "running", "paused", "running", "succeeded"]
     assert bench.rests()
@@ -90,15 +91,15 @@ def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
     bench.execute(HOME + (FAR - HOME) / 4, timed=trapezoid)
     bench.run(ticks * bench.period)
     if command == "pause":
-        bench.machine.pause()
+        bench.machine.pause(arrival())
         bench.until("paused", patience=4.0)
-        bench.machine.resume()
+        bench.machine.resume(arrival())
     elif command == "slower":
         bench.machine.set_speed(0.3)
         bench.run(0.2)
         bench.machine.set_speed(1.0)
     else:
-        bench.machine.cancel(None, "enough")
+        bench.machine.cancel(None, "enough", arrival())
     bench.until("idle", patience=4.0)
     assert bench.last().status == ("cancelled" if command == "cancel" else "succeeded")
     assert bench.rests()
@@ -129,10 +130,10 @@ def test_at_a_lower_speed_a_goal_is_held_goes_on_and_is_not_overdue(bench: Drive
     bench.machine.set_speed(scale)
     path = bench.execute()
     bench.run(0.48 / scale)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused", patience=2.0)
     bench.run(1.0)
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.until("idle", patience=100.0)
     assert bench.statuses() == ["accepted", "running", "paused", "running", "succeeded"]
     assert bench.last().elapsed > path.duration / scale
@@ -145,7 +146,7 @@ def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) ->
     bench.machine.set_speed(0.05)
     bench.execute()
     bench.run(8.0)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.until("idle", patience=1.5)
     assert bench.last().status == "cancelled"
     assert bench.rests()
@@ -155,9 +156,9 @@ def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) ->
 def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> None:
     bench.execute()
     bench.run(1.0)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.run(0.2)
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.until("idle")
     assert bench.statuses()[-1] == "succeeded"
     if bench.case.params != (("stop", "empty"),):
@@ -167,12 +168,12 @@ def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> Non
 def test_a_goal_cancelled_as_soon_as_it_goes_on_again_ends_at_rest_without_a_fault(bench: DriverBench) -> None:
     bench.execute()
     bench.run(0.7)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused", patience=4.0)
     bench.run(3.0)
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.run(0.05)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.until("idle", patience=4.0)
     assert bench.last().status == "cancelled"
     assert bench.rests()
@@ -180,7 +181,7 @@ def test_a_goal_cancelled_as_soon_as_it_goes_on_again_ends_at_rest_without_a_fau
 
 def test_a_goal_cancelled_before_its_first_tick_does_not_move(bench: DriverBench) -> None:
     bench.execute()
-    bench.machine.cancel(None, "never mind")
+    bench.machine.cancel(None, "never mind", arrival())
     bench.until("idle")
     assert bench.statuses() == ["accepted", "stopping", "cancelled"]
     assert bench.rests()
@@ -248,7 +249,7 @@ def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path
     bench.run(0.7)
     bench.stalled = True
     bench.run(0.9)
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.run(0.1)
     stood = bench.arm.position
     bench.stalled = False
@@ -272,7 +273,7 @@ def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_d
         bench.arm.position = bench.positions[-1] + velocity * 0.01
 
     bench.arm.step = runaway  # type: ignore[method-assign]
-    bench.machine.cancel(None, "enough")
+    bench.machine.cancel(None, "enough", arrival())
     bench.until("fault", patience=4.0)
     assert bench.last().status == "aborted"
     assert bench.last().problem is not None
@@ -327,11 +328,11 @@ def test_a_stream_is_held_slowed_and_switched_away_from_like_any_goal(case: Case
     bench.stream(1.0)
     bench.machine.set_speed(0.3)
     bench.run(0.03)
-    bench.machine.pause()
+    bench.machine.pause(arrival())
     bench.until("paused", patience=2.0)
     bench.run(1.0)
     assert bench.machine.state().mode == "paused"
-    bench.machine.resume()
+    bench.machine.resume(arrival())
     bench.run(0.05)
     bench.switch("ghost")
     assert bench.last().status == "cancelled"

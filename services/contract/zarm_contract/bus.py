@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
@@ -11,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import zenoh
+from zenoh.handlers import Callback
 
 from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
@@ -58,6 +60,7 @@ class Bus:
         self._entities: list[Any] = []
         self._followed: list[Following] = []
         self._closing = threading.Event()
+        self._arrivals = itertools.count(1)
         self._observe: Observer = unobserved
         self._answered: Callable[[str, str], object] = unobserved
 
@@ -111,35 +114,73 @@ class Bus:
         A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
         robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
         """
+        self._serve(key, request, lambda asked, _: handler(asked), workers, backlog, readable=readable, in_order=False)
+
+    def serve_in_order(
+        self,
+        key: str,
+        request: type[Request],
+        handler: Callable[[Request, int], Message],
+        *,
+        workers: int = 2,
+        backlog: int = 16,
+        readable: bool = False,
+    ) -> None:
+        """`serve`, and `handler` is told when each query arrived: `handler(request, arrival)`.
+
+        Arrivals are numbered from 1, across all keys that are served or listened to in order on this bus. The number is taken
+        by the thread that reads the network, before a query waits or is decoded: what one session sends first has the smaller
+        one, whichever is handled first.
+        """
+        self._serve(key, request, handler, workers, backlog, readable=readable, in_order=True)
+
+    def _serve(
+        self,
+        key: str,
+        request: type[Request],
+        handler: Callable[[Request, int], Message],
+        workers: int,
+        backlog: int,
+        *,
+        readable: bool,
+        in_order: bool,
+    ) -> None:
         self._require("answers", key)
         room = threading.BoundedSemaphore(workers + backlog)
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
+        refusing = ThreadPoolExecutor(1, thread_name_prefix=f"{key} refuses")
 
-        def answer(query: zenoh.Query) -> None:
+        def answer(query: zenoh.Query, arrival: int) -> None:
             try:
                 with query:
-                    self._answered(key, _reply(query, key, lambda: handler(_request(query, key, request))))
+                    self._answered(key, _reply(query, key, lambda: handler(_request(query, key, request), arrival)))
             finally:
                 room.release()
 
+        def refuse(query: zenoh.Query) -> None:
+            with query:
+                self._answered(key, "busy")
+                _reply_problem(query, Busy(f"{key} has {workers + backlog} requests in hand; try again later"))
+
         def admit(query: zenoh.Query) -> None:
+            arrival = next(self._arrivals)
             if str(query.key_expr) != key and not (readable and query.payload is None):
                 with query:
                     return
-            if not room.acquire(blocking=False):
-                with query:
-                    self._answered(key, "busy")
-                    _reply_problem(query, Busy(f"{key} has {workers + backlog} requests in hand; try again later"))
-                return
+            admitted = room.acquire(blocking=False)
             try:
-                pool.submit(answer, query)
+                if admitted:
+                    pool.submit(answer, query, arrival)
+                else:
+                    refusing.submit(refuse, query)
             except RuntimeError:  # the pool is shut down: this service is closing
-                room.release()
+                if admitted:
+                    room.release()
                 with query:
                     _reply_problem(query, Unavailable(f"{key} is shutting down"))
 
-        self._pools.append(pool)
-        self._entities.append(self._session.declare_queryable(key, admit, complete=True))
+        self._pools += [pool, refusing]
+        self._entities.append(self._session.declare_queryable(key, _direct(admit, in_order), complete=True))
 
     def call(self, key: str, request: Message, reply: type[Reply], *, timeout: float) -> Reply:
         """Send a request and return its answer.
@@ -234,15 +275,47 @@ class Bus:
 
         Nothing is decoded, so high rates are no burden as long as the callback does next to nothing.
         """
+        return self._listen(key, lambda name, payload, _: callback(name, payload), in_order=False)
+
+    def subscribe_in_order(
+        self, key: str, model: type[M], callback: Callable[[str, M, int], None], *, backlog: int = 64
+    ) -> None:
+        """`subscribe`, and the callback is told when each message arrived, in the count of `serve_in_order`.
+
+        What comes while `backlog` messages wait for the callback is logged and dropped.
+        """
+        room = threading.BoundedSemaphore(backlog)
+        pool = ThreadPoolExecutor(1, thread_name_prefix=key)
+
+        def hand_over(name: str, payload: bytes, arrival: int) -> None:
+            try:
+                deliver(name, payload, model, lambda _, message: callback(name, message, arrival))
+            finally:
+                room.release()
+
+        def receive(name: str, payload: bytes, arrival: int) -> None:
+            if not room.acquire(blocking=False):
+                log.warning("dropped a message key=%s reason=%d_wait_already", name, backlog)
+                return
+            try:
+                pool.submit(hand_over, name, payload, arrival)
+            except RuntimeError:  # the pool is shut down: this service is closing
+                room.release()
+
+        self._pools.append(pool)
+        self._listen(key, receive, in_order=True)
+
+    def _listen(self, key: str, callback: Callable[[str, bytes, int], None], *, in_order: bool) -> Callable[[], None]:
         observe = self._observe
 
         def receive(sample: zenoh.Sample) -> None:
+            arrival = next(self._arrivals)
             if understood(sample):
                 name, payload = str(sample.key_expr), sample.payload.to_bytes()
                 observe(name, payload)
-                callback(name, payload)
+                callback(name, payload, arrival)
 
-        subscriber = self._session.declare_subscriber(key, receive)
+        subscriber = self._session.declare_subscriber(key, _direct(receive, in_order))
         self._entities.append(subscriber)
 
         def end() -> None:
@@ -300,6 +373,11 @@ class Bus:
     def _require(self, verb: Verb, key: str) -> None:
         if self.role is not None:
             require(self.role, verb, key)
+
+
+def _direct(callback: Callable[[Any], None], in_order: bool) -> Any:
+    """What has Zenoh call this: in the thread that reads the network, where order counts, else in one for this key alone."""
+    return Callback(callback, indirect=False) if in_order else callback
 
 
 def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:

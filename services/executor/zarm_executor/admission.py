@@ -19,16 +19,16 @@ REST_PATIENCE = 10.0
 
 @dataclass(frozen=True)
 class Turn:
-    """What may be done while one's goal is the one that is checked. `stops`: how often the robot had been told to before."""
+    """What may be done while one's goal, which was asked for at `arrival`, is the one that is checked."""
 
     machine: Machine
     reporter: Reporter
-    stops: int
+    arrival: int
 
     def preempt(self, goal_id: str) -> None:
         """End the goal that there is in favour of `goal_id`, and wait for rest. Raises what `Machine.preempt` raises."""
         try:
-            self.machine.preempt(goal_id, self.stops, REST_PATIENCE)
+            self.machine.preempt(goal_id, self.arrival, REST_PATIENCE)
         finally:
             self.reporter.publish()
 
@@ -36,7 +36,7 @@ class Turn:
         """Start a goal. Raises what `Machine.start` raises, and Unavailable where the goal cannot be put on record."""
         self.reporter.remember(goal.before_motion())
         try:
-            self.machine.start(goal, self.stops)
+            self.machine.start(goal, self.arrival)
         except ZarmError:
             self.reporter.forget()
             raise
@@ -59,8 +59,8 @@ class Admission:
             )
 
     @contextmanager
-    def turn(self, *, preempt: bool = False) -> Iterator[Turn]:
-        """In it a goal is checked and started. One at a time: what waited here would start after a stop that came meanwhile.
+    def turn(self, arrival: int, *, preempt: bool = False) -> Iterator[Turn]:
+        """In it a goal that was asked for at `arrival` is checked and started. One at a time.
 
         Raises Busy, and what `Machine.admit` raises.
         """
@@ -68,8 +68,7 @@ class Admission:
             raise Busy("another motion is being checked; execute again when it has ended or been refused")
         try:
             self.demand_presence()
-            stops = self._machine.stops
             self._machine.admit(preempt=preempt)
-            yield Turn(self._machine, self._reporter, stops)
+            yield Turn(self._machine, self._reporter, arrival)
         finally:
             self._checking.release()

@@ -35,7 +35,10 @@ log = logging.getLogger(__name__)
 
 
 class Executor:
-    """Answers the queries. Every ZarmError it raises is the answer, and then nothing has moved that did not move before."""
+    """Answers the queries. Every ZarmError it raises is the answer, and then nothing has moved that did not move before.
+
+    `arrival` is the number of a query in the order in which they came, see `Machine`.
+    """
 
     def __init__(
         self,
@@ -60,9 +63,9 @@ class Executor:
         self._admission = admission
         self._describing = threading.Lock()
 
-    def execute(self, request: ExecuteRequest) -> Accepted:
+    def execute(self, request: ExecuteRequest, arrival: int) -> Accepted:
         """Check a motion and start it; one that preempts is checked for all but its start before the other one ends."""
-        with self._admission.turn(preempt=request.preempt) as turn:
+        with self._admission.turn(arrival, preempt=request.preempt) as turn:
             plan_id, trajectory = self._plans.chosen(request)
             path = executable(trajectory, self._robot)
             goal_id = self._named(request.goal_id)
@@ -85,30 +88,30 @@ class Executor:
         if mode != "idle":
             raise Busy(f"the executor is in the mode {mode}; let the goal end, or reset what is wrong, and ask again")
 
-    def cancel(self, request: CancelRequest) -> ExecutorState:
+    def cancel(self, request: CancelRequest, arrival: int) -> ExecutorState:
         """Cancel one goal, or the one that runs."""
-        self._machine.cancel(request.goal_id, "the goal was cancelled by a client")
+        self._machine.cancel(request.goal_id, "the goal was cancelled by a client", arrival)
         return self._reporter.publish()
 
-    def stop(self, _: Nothing) -> ExecutorState:
+    def stop(self, _: Nothing, arrival: int) -> ExecutorState:
         """Bring the robot to rest."""
-        self._machine.cancel(None, "the robot was stopped by a client")
+        self._machine.cancel(None, "the robot was stopped by a client", arrival)
         return self._reporter.publish()
 
-    def pause(self, _: Nothing) -> ExecutorState:
+    def pause(self, _: Nothing, arrival: int) -> ExecutorState:
         """Hold the goal that runs."""
-        self._machine.pause()
+        self._machine.pause(arrival)
         return self._reporter.publish()
 
-    def resume(self, _: Nothing) -> ExecutorState:
+    def resume(self, _: Nothing, arrival: int) -> ExecutorState:
         """Go on with the goal that is held. Raises what `Admission.demand_presence` raises."""
         self._admission.demand_presence()
-        self._machine.resume()
+        self._machine.resume(arrival)
         return self._reporter.publish()
 
-    def reset(self, _: Nothing) -> ExecutorState:
+    def reset(self, _: Nothing, arrival: int) -> ExecutorState:
         """Leave `fault`."""
-        self._machine.reset()
+        self._machine.reset(arrival)
         return self._reporter.publish()
 
     def speed(self, request: SpeedRequest) -> Speed:
@@ -133,13 +136,13 @@ class Executor:
     def _speed(self) -> Speed:
         return Speed(speed_scale=self._machine.state().speed_scale)
 
-    def strategy(self, request: StrategyRequest) -> Strategies:
+    def strategy(self, request: StrategyRequest, arrival: int) -> Strategies:
         """Read which strategy is active, or switch to another."""
         name = request.strategy
         if name is None or name == self._machine.state().strategy:
             return self._describe_strategies()
         try:
-            self._machine.switch(self._strategies.find(name), REST_PATIENCE)
+            self._machine.switch(self._strategies.find(name), REST_PATIENCE, arrival)
         finally:
             self._reporter.publish()
         return self.publish_strategies()

@@ -10,6 +10,9 @@ mode      idle -> running -> idle                      a goal that succeeds
 
 A machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and what
 changed waits in `changes` for whoever publishes it.
+
+Commands are carried out by several threads, so each comes with its `arrival`, a number that grows in the order in which they
+reached the process: what arrived before a stop that was carried out already comes too late, however long it waited.
 """
 
 from __future__ import annotations
@@ -39,8 +42,6 @@ _DRAINED = 0.5
 class Machine:
     """See the module. `strategy` is opened; raises the ZarmError of that. `period` (s) is that of the control loop,
     `speed_scale` the speed of the first motion.
-
-    `stops` counts how often the robot was told to stop, whatever it did then.
     """
 
     def __init__(self, strategy: Strategy, period: float, *, speed_scale: float = 1.0) -> None:
@@ -59,8 +60,8 @@ class Machine:
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
+        self._stopped_by = self._held_by = 0.0  # arrivals of the newest stop and of the newest pause
         self.changes: deque[GoalState] = deque()
-        self.stops = 0
 
     # -- commands --
 
@@ -85,45 +86,48 @@ class Machine:
             standing = self._last_tick is not None and now - self._last_tick > _CUT_OFF
             return standing or now - self._back_at < _DRAINED
 
-    def start(self, goal: Goal, stops: int) -> None:
+    def start(self, goal: Goal, arrival: int) -> None:
         """Move the robot along the goal's path, which starts where it stands.
 
-        Raises what `admit` raises, and Cancelled where the robot was told to stop since it had been told so `stops` times.
+        Raises what `admit` raises, and Cancelled where a stop, a pause or a cancel of this goal arrived later than this.
         """
         with self._lock:
             self._successor = None
-            self._demand_no_stop(goal.goal_id, stops)
+            self._demand_present(arrival, goal.goal_id)
             self.admit()
             motion = Motion(goal, self._strategy, self.changes)
             motion.start(self._speed_scale)
             self._motion = motion
 
-    def preempt(self, goal_id: str, stops: int, patience: float) -> None:
+    def preempt(self, goal_id: str, arrival: int, patience: float) -> None:
         """End the goal that there is, if any, as cancelled, so that `goal_id` can start where the robot rests then.
 
-        Raises Unavailable where it does not within `patience` s, and Cancelled as `start` does, or for a cancel of
-        `goal_id`.
+        Raises Unavailable where it does not within `patience` s, and Cancelled as `start` does.
         """
         with self._lock:
-            self._demand_no_stop(goal_id, stops)
+            self._demand_present(arrival, goal_id)
             self._successor = goal_id
             self._end(None, _cancelled(f"{goal_id} was executed instead, which was to preempt this goal"))
         if not self.wait_for_rest(patience):
             raise Unavailable("the robot does not come to rest; see why (executor/state), then execute again")
-        self._demand_no_stop(goal_id, stops)
+        self._demand_present(arrival, goal_id)
 
-    def _demand_no_stop(self, goal_id: str, stops: int) -> None:
+    def _demand_present(self, arrival: float, goal_id: str | None = None) -> None:
+        """Raise Cancelled where what arrived so came before a stop or a pause, or this goal was cancelled before it came."""
         if goal_id in self._withdrawn:
             raise Cancelled(f"{goal_id} was cancelled before it began; the robot has not moved")
-        if self.stops != stops:
-            raise Cancelled("the robot was told to stop while this was being checked; this motion has not begun")
+        if arrival < self._stopped_by:
+            raise Cancelled("the robot was told to stop after this was asked; it is not carried out")
+        if arrival < self._held_by:
+            raise Cancelled("the robot was told to pause after this was asked; it is not carried out")
 
-    def cancel(self, goal_id: str | None, why: str) -> None:
-        """End this goal, or whichever there is, as cancelled. One that has not come yet will not start."""
+    def cancel(self, goal_id: str | None, why: str, arrival: float) -> None:
+        """End this goal, or whichever there is, as cancelled. What has not come yet, or arrived before, will not start."""
         with self._lock:
             if goal_id is not None and self._motion_of(goal_id) is None:
                 self._withdrawn.append(goal_id)
-            self.stops += goal_id in (None, self._successor)
+            if goal_id in (None, self._successor):
+                self._stopped_by = max(self._stopped_by, arrival)
             self._end(goal_id, _cancelled(why))
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> None:
@@ -151,15 +155,17 @@ class Machine:
         motion = self._motion
         return motion if motion is not None and goal_id in (None, motion.goal.goal_id) else None
 
-    def pause(self) -> None:
+    def pause(self, arrival: float) -> None:
         """Bring the running goal to rest and hold it."""
         with self._lock:
+            self._held_by = max(self._held_by, arrival)
             if self._motion is not None:
                 self._motion.pause()
 
-    def resume(self) -> None:
-        """Go on with a goal that was paused."""
+    def resume(self, arrival: float) -> None:
+        """Go on with a goal that was paused. Raises Cancelled where a stop or a pause arrived later."""
         with self._lock:
+            self._demand_present(arrival)
             if self._motion is not None:
                 self._motion.resume(self._speed_scale)
 
@@ -170,18 +176,23 @@ class Machine:
             if self._motion is not None:
                 self._motion.set_speed(speed_scale)
 
-    def reset(self) -> None:
-        """Leave `fault`. Raises the ZarmError of opening the strategy again, where a switch left none open; it is fault then."""
+    def reset(self, arrival: float) -> None:
+        """Leave `fault`.
+
+        Raises Cancelled where a stop arrived later, and the ZarmError of opening the strategy again, where a switch left none
+        open; it is fault then.
+        """
         with self._lock:
+            self._demand_present(arrival)
             if not self._open:
                 self._strategy.open()
                 self._open = True
             self._problem = None
 
-    def switch(self, strategy: Strategy, patience: float) -> None:
+    def switch(self, strategy: Strategy, patience: float, arrival: float) -> None:
         """Bring the robot to rest within `patience` s, then let `strategy` move it; a fault stays.
 
-        Raises Busy while another switch is under way, and Unavailable at the end of the process, where the robot does not
+        Raises Cancelled where a stop arrived later, Busy while another switch is under way, and Unavailable at the end of the process, where the robot does not
         rest, or where `strategy` cannot be opened; then the old one is active as before. Where that cannot be opened again
         either, nothing can move the robot: that is a fault.
         """
@@ -190,13 +201,15 @@ class Machine:
                 raise Unavailable("the executor is ending; switch when it has been started again")
             if self._switching:
                 raise Busy("the strategy is being switched already; try again in a moment")
+            self._demand_present(arrival)
             self._switching = True
         try:
             old = self._strategy
-            self.cancel(None, f"the strategy was switched from {old.name} to {strategy.name}")
+            self.cancel(None, f"the strategy was switched from {old.name} to {strategy.name}", arrival)
             with self._lock:
                 if not self.wait_for_rest(patience):
                     raise Unavailable(f"the robot does not come to rest; {old.name} is still active")
+                self._demand_present(arrival)
                 if self._open:
                     old.close()
                 self._open = False
@@ -226,7 +239,7 @@ class Machine:
         """Bring the robot to rest and admit no further motion; whether it rests within `patience` s."""
         with self._lock:
             self._ending = True
-        self.cancel(None, "the executor was told to end")
+        self.cancel(None, "the executor was told to end", math.inf)
         return self.wait_for_rest(patience)
 
     def release(self) -> None:

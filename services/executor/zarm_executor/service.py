@@ -101,15 +101,13 @@ def start(service: Service) -> Iterator[None]:
     ring = Ring(keys)
     bus.observe(ring.observe)
     period = robot.descriptor.execution.control_period
-    # What a slow reader of the other keys holds up must not hold up the robot: sessions of their own.
+    # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
     with (
         owned(service.options.state / keys.robot, service.name) as folder,
         FaultRecords(folder / "records", keys, ring) as records,
         service.open_bus() as command_bus,
-        service.open_bus() as stream_bus,
     ):
         command_bus.observe(ring.observe)
-        stream_bus.observe(ring.observe)
         strategies = build_strategies(robot, folder, command_bus, keys)
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
@@ -149,7 +147,7 @@ def start(service: Service) -> Iterator[None]:
                 bus.watch(keys.plans, Plan, receive)
                 service.interruptible, service.ailment = executor.check_idle, watchdog.ailment
                 _serve(bus, service, executor)
-                stream_bus.subscribe(keys.stream, StreamChunk, streams.receive)
+                bus.subscribe_in_order(keys.stream, StreamChunk, streams.receive)
                 _exempt_from_collection()
                 service.ready()
                 try:
@@ -207,19 +205,19 @@ def _wait_for(strategy: Strategy, service: Service) -> None:
 
 def _serve(bus: Bus, service: Service, executor: Executor) -> None:
     keys = service.keys
-    bus.serve(keys.execute, ExecuteRequest, executor.execute)
-    bus.serve(keys.strategy, StrategyRequest, executor.strategy, readable=True)
+    bus.serve_in_order(keys.execute, ExecuteRequest, executor.execute)
+    bus.serve_in_order(keys.strategy, StrategyRequest, executor.strategy, readable=True)
     bus.serve(keys.speed, SpeedRequest, executor.speed, readable=True)
     executor.publish_strategies()
     executor.publish_speed()
-    bus.serve(keys.cancel, CancelRequest, executor.cancel, backlog=COMMAND_BACKLOG)
+    bus.serve_in_order(keys.cancel, CancelRequest, executor.cancel, backlog=COMMAND_BACKLOG)
     for key, command in (
         (keys.stop, executor.stop),
         (keys.pause, executor.pause),
         (keys.resume, executor.resume),
         (keys.reset, executor.reset),
     ):
-        bus.serve(key, Nothing, command, backlog=COMMAND_BACKLOG)
+        bus.serve_in_order(key, Nothing, command, backlog=COMMAND_BACKLOG)
 
 
 def main() -> int:

@@ -39,7 +39,7 @@ class Streams:
         self._turns: Array = np.zeros(len(robot.descriptor.joints))
         self._known: OrderedDict[str, bool] = OrderedDict()
 
-    def receive(self, _key: str, chunk: StreamChunk) -> None:
+    def receive(self, _key: str, chunk: StreamChunk, arrival: int) -> None:
         """Begin the stream, or lead the robot over to this chunk; one call at a time."""
         received = time.monotonic()
         sequence = self._machine.sequence(chunk.goal_id)
@@ -51,14 +51,14 @@ class Streams:
         elif chunk.goal_id in self._known or chunk.goal_id == self._machine.state().goal_id:
             self._drop(chunk, "that goal has ended or takes no chunks")
         elif chunk.sequence == 1:
-            self._begin(chunk, received)
+            self._begin(chunk, received, arrival)
         else:
             self._drop(chunk, "its stream is unknown and begins with number 1")
 
-    def _begin(self, chunk: StreamChunk, received: float) -> None:
+    def _begin(self, chunk: StreamChunk, received: float, arrival: int) -> None:
         self._know(chunk.goal_id)
         try:
-            with self._admission.turn() as turn:
+            with self._admission.turn(arrival) as turn:
                 if chunk.start != 0.0:
                     raise InvalidRequest("the first chunk of a stream starts at 0 s of it", field="start")
                 planned = executable(chunk.trajectory, self._robot)
