@@ -16,6 +16,7 @@ from harness import eventually
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 from waves import chunk
 
+from zarm_contract.expiry import Expiry
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
 from zarm_contract.robot import Robot, StrategyParams
 from zarm_executor.goal import Chunk, Goal
@@ -25,7 +26,7 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.path import Array, Path
 from zarm_executor.splice import spliced
 from zarm_executor.strategies import build_strategies
-from zarm_leeloo_sim.player import STEP, Player
+from zarm_leeloo_sim.player import CEILING, STEP, Player
 
 JOINTS = ROBOT.descriptor.joints
 TOLD = tuple(JOINTS[index] for index in (0, 1, 3, 4, 2, 5))
@@ -104,20 +105,26 @@ class DriverBench:
     `phase` s after the ticks at first.
     """
 
-    def __init__(self, case: Case, folder: Folder, rate: float = 100.0, phase: float = 0.003) -> None:
+    def __init__(
+        self, case: Case, folder: Folder, rate: float = 100.0, phase: float = 0.003, ceiling: float = CEILING
+    ) -> None:
         params = dict(case.params)
         self.period = 1.0 / rate
         self.case = case
         self.now = START
         self._arm_at = START + phase
-        self.arm = Player(HOME, plays=case.plays)
+        self.arm = Player(HOME, plays=case.plays, ceiling=ceiling)
         self.silent = False
         self.stalled = False
         self.commands: list[tuple[float, DriverCommand]] = []
         self.joint_states, self.progress = Told(), Told()
         self.positions: list[Array] = []
         self.feeds: list[Array] = []
+        self.truth: list[tuple[Array, Array]] = []
         self._taken = 0
+        self.stalled_at = self.stalled_until = -np.inf
+        self._expiry = Expiry()
+        self.late = 0
         self._told: deque[tuple[float, JointState, DriverProgress | None]] = deque()
         self._sequence = 0
         self.robot = robot_with(control_rate=rate, **params)
@@ -134,15 +141,22 @@ class DriverBench:
             self._arm_step(self._arm_at)
 
     def _arm_step(self, now: float) -> None:
-        while self._taken < len(self.commands) and self.commands[self._taken][0] <= now - LATENCY + 1e-6:
+        passing = now >= self.stalled_until
+        while passing and self._taken < len(self.commands) and self.commands[self._taken][0] <= now - LATENCY + 1e-6:
             command = self.commands[self._taken][1]
             assert command.joint_names == JOINTS
+            if not self._expiry.in_time(command, now):
+                self._taken += 1
+                self.late += 1
+                continue
             self.arm.play(np.array(command.position).reshape(-1, 6), np.array(command.velocity).reshape(-1, 6))
             self._sequence = command.sequence
             self._taken += 1
         self.arm.step(stalled=self.stalled)
+        self.truth.append((self.arm.position, self.arm.velocity))
         self.feeds.append(self.arm.feed.copy())
-        if not self.silent:
+        self._expiry.told(now, now)
+        if not self.silent and passing:
             order = [JOINTS.index(name) for name in TOLD]
             self.joint_states.newest = (
                 JointState(
@@ -155,6 +169,10 @@ class DriverBench:
             )
             if self._sequence:
                 self.progress.newest = DriverProgress(sequence=self._sequence, fraction=self.arm.fraction), now
+
+    def stall(self, seconds: float) -> None:
+        """Hold up all messages, both ways, for so long from now on; then the commands come, and the newest of the joints."""
+        self.stalled_at, self.stalled_until = self.now, self.now + seconds
 
     def freeze(self, seconds: float) -> None:
         """Let time pass in which nobody runs the machine."""
@@ -225,6 +243,11 @@ class DriverBench:
         if self.case.strategy == "emulator":
             return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)))) / self.period**2
         return float(np.max(np.abs(np.diff(self.feeds[::2], axis=0)))) / (2 * STEP)
+
+    def acceleration(self) -> float:
+        """The greatest change of velocity that the arm truly made, rad/s^2, over five points of a command."""
+        velocity = np.array([velocity for _, velocity in self.truth])
+        return float(np.abs(velocity[10:] - velocity[:-10]).max()) / (10 * STEP)
 
     def rests(self, seconds: float = 1.0) -> bool:
         """Whether, once the drives have settled, nothing moves any more."""

@@ -102,6 +102,9 @@ def test_a_driver_whose_clock_is_stepped_back_during_a_silence_is_heard_again(li
 def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: Bus) -> None:
     commands: list[DriverCommand] = []
     bus.subscribe(KEYS.driver_command, DriverCommand, lambda _, command: commands.append(command))
+    driver = bus.publisher(KEYS.driver_joint_states, JointState)
+    driver.put(state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
+    eventually(link.measured, "the joints arrive")
     path = Path.of(rest_to_rest(moved(0.1, 0.2, 0.3)), JOINTS)
     points = Follower(path, link.acceleration_limit).ahead(0.02)
 

@@ -270,6 +270,15 @@ class Bus:
         """
         self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
 
+    def subscribe_timed(self, key: str, model: type[M], callback: Callable[[M, float], None]) -> None:
+        """`subscribe`, and the callback is told when the message arrived (s, monotonic), before it was decoded."""
+
+        def receive(name: str, payload: bytes) -> None:
+            arrived = time.monotonic()
+            deliver(name, payload, model, lambda _, message: callback(message, arrived))
+
+        self.listen(key, receive)
+
     def listen(self, key: str, callback: Callable[[str, bytes], None]) -> Callable[[], None]:
         """Call `callback(key, payload)` for each message on `key` as it came, whatever it holds; what ends it.
 

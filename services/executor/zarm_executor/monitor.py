@@ -6,6 +6,7 @@ import numpy as np
 
 from zarm_contract.errors import ExecutionFailed
 from zarm_contract.robot import RobotDescriptor
+from zarm_executor.follower import CATCH_UP
 from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured, Progress
 
@@ -32,6 +33,7 @@ class Monitor:
         self._rest_since: float | None = None
         self._reached = 0.0
         self._reached_at: float | None = None
+        self._listening_until = -np.inf
 
     def steer(self, path: Path) -> None:
         """The motion goes on along `path`, which is at its present time where the one before is there."""
@@ -51,6 +53,10 @@ class Monitor:
         if not progress.at_rest:
             self._rest_since = None
         age = np.inf if measured is None else now - measured.time
+        if dt > CATCH_UP:  # the executor stood still: what the driver told meanwhile is still to be read
+            self._listening_until = now + self._execution.joint_state_timeout
+        if age > self._execution.joint_state_timeout and now < self._listening_until:
+            return
         if measured is None or age > self._execution.joint_state_timeout:
             raise ExecutionFailed(
                 f"the robot has reported no new joints for {age:.2f} s (joint_state_timeout "

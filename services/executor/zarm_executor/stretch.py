@@ -29,6 +29,11 @@ class Stretch:
         """The index of the last point."""
         return float(len(self.time) - 1)
 
+    def followed_by(self, other: Stretch) -> Stretch:
+        """These points, then those of `other`, whose first is the last of these."""
+        mine, others = ((one.time, one.speed, one.position, one.velocity, one.acceleration) for one in (self, other))
+        return Stretch(self.dt, *(np.concatenate((a, b[1:])) for a, b in zip(mine, others, strict=True)))
+
     def at(self, index: float) -> tuple[float, float, Array]:
         """Path time, path speed and position (J,) at a point, or between two; the nearest end beyond them."""
         index = min(max(index, 0.0), self.last)

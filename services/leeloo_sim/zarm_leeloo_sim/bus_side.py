@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from zarm_contract.bus import Bus
+from zarm_contract.expiry import Expiry
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_leeloo_sim.axes import Axes
@@ -24,13 +25,17 @@ class BusSide:
     def __init__(self, bus: Bus, keys: Keys, axes: Axes) -> None:
         self._bus, self._keys, self._axes = bus, keys, axes
         self._joints = bus.publisher(keys.driver_joint_states, JointState, realtime=True)
+        self._expiry = Expiry()
         self._progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
 
     def listen(self, play: Callable[[Command], None]) -> None:
-        """From now on have the commands that come played."""
+        """From now on have the commands that come in time played."""
         count = len(self._axes.names)
 
-        def received(_key: str, command: DriverCommand) -> None:
+        def received(command: DriverCommand, arrived: float) -> None:
+            if not self._expiry.in_time(command, arrived):
+                log.warning("dropped a late command sequence=%d points=%d", command.sequence, len(command.time))
+                return
             if len(command.joint_names) != count:
                 log.warning("ignored a command joints=%d needed=%d", len(command.joint_names), count)
                 return
@@ -42,14 +47,15 @@ class BusSide:
                 )
             )
 
-        self._bus.subscribe(self._keys.driver_command, DriverCommand, received)
+        self._bus.subscribe_timed(self._keys.driver_command, DriverCommand, received)
 
     def tell_joints(self, position: Array, velocity: Array) -> None:
         """Tell where the joints are, (J,) rad, and how fast, (J,) rad/s."""
-        axes = self._axes
+        axes, stamp = self._axes, time.time()
+        self._expiry.told(stamp, time.monotonic())
         self._joints.put(
             JointState(
-                stamp=time.time(),
+                stamp=stamp,
                 joint_names=axes.told,
                 position=axes.as_told(position),
                 velocity=axes.as_told(velocity),

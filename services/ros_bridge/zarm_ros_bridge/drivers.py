@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -14,6 +15,7 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.expiry import Expiry
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
@@ -30,7 +32,7 @@ COMMAND_DEPTH = 10
 
 
 class Drivers:
-    """Carries commands out (reliable), joint states and progress in; topics are those of `params`.
+    """Carries commands out (reliable) unless they are late, joint states and progress in; topics are those of `params`.
 
     What a driver says that cannot be read goes no further; each kind of fault is logged once. Then the executor hears
     nothing, and stops the robot. A driver may come late, go, and come again. DDS finds each direction by itself: joint states
@@ -44,6 +46,7 @@ class Drivers:
         self._topic = params.joint_states_topic
         self._complaints: set[str] = set()
         self._progress = ProgressReader()
+        self._expiry = Expiry()
         self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
         self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
         self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
@@ -56,9 +59,12 @@ class Drivers:
         ros.listen(RosJointState, params.joint_states_topic, self._joint_states, qos_profile_sensor_data)
         if params.state_topic is not None:
             ros.listen(Float32, params.state_topic, self._state, COMMAND_DEPTH)
-        engine.bus.subscribe(keys.driver_command, DriverCommand, self._command)
+        engine.bus.subscribe_timed(keys.driver_command, DriverCommand, self._command)
 
-    def _command(self, _key: str, command: DriverCommand) -> None:
+    def _command(self, command: DriverCommand, arrived: float) -> None:
+        if not self._expiry.in_time(command, arrived):
+            log.warning("dropped a late command sequence=%d points=%d", command.sequence, len(command.time))
+            return
         message = ros_joint_trajectory(command)
         with self._turn:
             self._progress.sent(command.sequence, len(command.time))
@@ -74,6 +80,7 @@ class Drivers:
         except InvalidRequest as error:
             self._complain(f"{error.problem.field}: {error.problem.message}")
             return
+        self._expiry.told(state.stamp, time.monotonic())
         self._states.put(state)
 
     def _state(self, message: Float32) -> None:

@@ -8,6 +8,7 @@ import time
 import numpy as np
 
 from zarm_contract.bus import Bus
+from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import RobotDescriptor, StrategyParams
@@ -21,6 +22,8 @@ log = logging.getLogger(__name__)
 _STILL = 5e-4
 _STANDING = 0.1
 """A robot stands that has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
+_PASSING_ON = 5e-5
+"""Time (s) that one point may take to be written, sent over 100 Mbit/s and read, so that a long trajectory is not late by itself."""
 _CLOCK_PATIENCE = 1.0
 """How long (s) after a silence joints are held to be old ones by their stamps; what was held up comes within milliseconds."""
 
@@ -54,7 +57,14 @@ class DriverLink:
     # -- to the driver --
 
     def send(self, points: Stretch, *, positions_only: bool = False) -> int:
-        """Have these points played from now on; returns the command's sequence number."""
+        """Have these points played from now on; returns the command's sequence number.
+
+        The driver drops them where they come later than the joints that they are based on are fresh. Raises Unavailable
+        where it has told none.
+        """
+        measured = self.measured()
+        if measured is None:
+            raise Unavailable(f"no driver tells the robot's joints on {self._key}")
         position, velocity, acceleration = (
             tuple(zip(*rows.T[self._columns].tolist(), strict=True))
             for rows in (points.position, points.velocity, points.acceleration)
@@ -63,6 +73,8 @@ class DriverLink:
             DriverCommand(
                 sequence=self._sequence + 1,
                 joint_names=self._names,
+                based_on=measured.stamp,
+                expires_after=self.execution.joint_state_timeout + _PASSING_ON * len(points.time),
                 time=tuple((np.arange(len(points.time)) * points.dt).tolist()),
                 position=position,
                 velocity=() if positions_only else velocity,
@@ -115,6 +127,14 @@ class DriverLink:
         if self._held_up_since is None:
             self._held_up_since = at
         return at - self._held_up_since <= _CLOCK_PATIENCE
+
+    def heard(self, now: float) -> bool:
+        """Whether the driver is heard: its newest joints are fresh `now`, on the monotonic clock.
+
+        While it is not it gets nothing but stops: what is sent may be held up for as long, and played then.
+        """
+        measured = self.measured()
+        return measured is not None and now - measured.time <= self.execution.joint_state_timeout
 
     def velocity(self) -> Array:
         """The measured velocities (J,), whatever the driver tells never outside those that it is sent.

@@ -49,6 +49,9 @@ class JointSpeed(Streaming):
         self._before, self._sent = base, velocity
         return not velocity.any()
 
+    def _forget_sent(self) -> None:
+        self._sent = self._sent[:0]
+
     def _stands(self) -> None:
         self._sent, self._before = self._sent[:0], np.zeros_like(self._before)
 

@@ -23,6 +23,8 @@ _PACE_PERIOD = 0.1
 """The rest of a trajectory is sent with another path speed this long (s) after the last one at the earliest."""
 _ON_TIME = 0.1
 """A robot that is this long (s) more than `delay` behind its driver's clock has a driver that is not on time."""
+_UNTAKEN = 0.3
+"""A trajectory of which the driver has told nothing for so long (s), while the robot stands, was late or lost."""
 _ENCODING = 12e-6
 """Time (s) that it takes to send one point: measured, 36 ms for 3000 points of six joints."""
 
@@ -53,11 +55,12 @@ class JointTrajectory(DriverStrategy):
         self._stopping = False
         self._waited = 0.0
         self._resuming = False
+        self._unheard = False
 
     def start(self, path: Path, speed: float) -> None:
         """Have the whole of `path` played from the next tick on."""
         self._path, self._speed = path, speed
-        self._braking = self._stopping = self._resuming = False
+        self._braking = self._stopping = self._resuming = self._unheard = False
         self._play(self._along(path, 0.0, speed))
 
     def stop(self) -> None:
@@ -82,6 +85,9 @@ class JointTrajectory(DriverStrategy):
         command = self._command
         if command is None:
             return
+        if not self.link.heard(now) or self._unheard:
+            self._brake_unheard(now)
+            return
         if not self._unsent:
             self._clock = (now - self._sent_at) / command.dt
             told = self._told_of(command)
@@ -93,7 +99,7 @@ class JointTrajectory(DriverStrategy):
             self._resume(command, dt)
         elif self._repacing and not self._braking:
             self._repace(command, now, dt)
-        if self._unsent:
+        if self._unsent or self._untaken(now):
             self._transmit(now)
         elif self._braking and self._index == command.last:
             self.hold(now)
@@ -105,6 +111,37 @@ class JointTrajectory(DriverStrategy):
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         time, speed, position = command.at(self._index)
         return Progress(time, speed, position, finished=time >= path.duration)
+
+    def _brake_unheard(self, now: float) -> None:
+        """Where the driver is not heard it is told to stop, by its own means, until it is heard again and the robot stands.
+
+        What was to be sent is forgotten: it would start from where the robot is no longer.
+        """
+        path = self._path
+        if path is None or not (self._stopping or self._braking):
+            return
+        self._stopping = self._unsent = self._resuming = False
+        self._braking = self._unheard = True
+        self.hold(now)
+        measured = self.link.measured()
+        if measured is not None and self.link.heard(now) and self.link.standing():
+            self._unheard = False
+            at = path.nearest(measured.position, 0.0, path.duration)
+            self._command = Follower(path, self.link.acceleration_limit, time=at, speed=0.0, target=0.0).ahead(
+                self.link.params.point_dt
+            )
+            self._index = self._clock = 0.0
+
+    def _untaken(self, now: float) -> bool:
+        """Whether a driver that tells its progress has not taken the trajectory that starts a motion, so that it is sent again."""
+        return (
+            self.link.params.state_topic is not None
+            and not self._braking
+            and self._sequence is not None
+            and self.link.fraction(self._sequence) is None
+            and now - self._sent_at > _UNTAKEN
+            and self.link.standing()
+        )
 
     def _brake(self, command: Stretch, now: float, dt: float) -> None:
         """Brake from where the driver will be when it learns of it."""
@@ -120,12 +157,11 @@ class JointTrajectory(DriverStrategy):
 
     def _brakes_from(self, command: Stretch, now: float, dt: float) -> float | None:
         """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
-        unheard = self._unheard(now)
-        if not self._late(command) and not unheard and self.link.params.stop != "empty":
+        if not self._late(command) and self.link.params.stop != "empty":
             known = self._next(command, dt)
             if known is not None or self._waited < command.dt:
                 return known
-        index = self._playing(command) + unheard / command.dt
+        index = self._playing(command)
         return index - _UNTOLD if self.link.params.state_topic is None else index
 
     def _resume(self, command: Stretch, dt: float) -> None:
@@ -149,12 +185,6 @@ class JointTrajectory(DriverStrategy):
             time, speed, _ = command.at(index)
             self._play(self._along(path, time, speed))
         self._braking = self._resuming = False
-
-    def _unheard(self, now: float) -> float:
-        """How long (s) a driver that has fallen silent has played on since it was heard last; 0 where it is heard."""
-        measured = self.link.measured()
-        silence = 0.0 if measured is None else now - measured.time
-        return silence if silence > self.link.execution.joint_state_timeout else 0.0
 
     def _repace(self, command: Stretch, now: float, dt: float) -> None:
         """Have the rest played at the new path speed, from where the driver will be when it has it."""

@@ -1,8 +1,8 @@
 """Moving a robot by short chunks of points, sent again and again: what `joint_speed` and `joint_pose` have in common.
 
 Every chunk holds the motion from now on and replaces what is left of the one before. It reaches further than the next
-one is away, so that a late chunk does no harm, and no further than that, so that without chunks the driver runs dry and
-stops the robot by itself.
+one is away, so that a late chunk does no harm, and ends with braking along the path, so that without further chunks the driver
+brings the robot to rest on the path by itself.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from abc import abstractmethod
 
 import numpy as np
 
+from zarm_executor.braking import braking
 from zarm_executor.follower import CATCH_UP, TICK, Follower
 from zarm_executor.path import Path
 from zarm_executor.strategies.base import Progress, Steerable
@@ -50,6 +51,8 @@ class Streaming(DriverStrategy, Steerable):
         self._urgent = False
         self._over = True
         self._away: tuple[float, float] | None = None
+        self._lost_at: float | None = None
+        self._played_at = -np.inf
 
     # -- what a streaming strategy decides --
 
@@ -64,6 +67,9 @@ class Streaming(DriverStrategy, Steerable):
     def _stands(self) -> None:
         """The robot stands, whatever was sent."""
 
+    def _forget_sent(self) -> None:
+        """What the driver plays is not known any more."""
+
     # -- what the state machine asks --
 
     def start(self, path: Path, speed: float) -> None:
@@ -71,7 +77,7 @@ class Streaming(DriverStrategy, Steerable):
         self._follower = Follower(path, self.link.acceleration_limit, speed=speed, target=speed)
         self._reference = Reference(self._memory)
         self._expected = Commanded(0.0, 0.0, 0.0, path.start)
-        self._sent_at, self._over, self._away = None, False, None
+        self._sent_at, self._over, self._away, self._lost_at = None, False, None, None
         self._wanted = speed
 
     def stop(self) -> None:
@@ -106,14 +112,21 @@ class Streaming(DriverStrategy, Steerable):
             if self._wanted == 0.0:
                 self.hold(now)
             return
+        if self._sent_at is not None and dt > CATCH_UP:
+            self._away = now, dt
+        if self._away is not None and self._unheard(now, self._away[0]):
+            return
+        if not self.link.heard(now):
+            self._brake_unheard(follower, now, dt)
+            return
+        if self._lost_at is not None and self._wanted == 0.0:
+            self._rest_where_found(follower, now)
+            return
         if self._sent_at is not None:
-            if dt > CATCH_UP:
-                self._away = now, dt
-            if self._away is not None:
-                back_at, pause = self._away
-                if self._unheard(now, back_at):
-                    return
-                self._away = None
+            if self._away is not None or self._lost_at is not None:
+                pause = self._away[1] if self._away is not None else now - (self._lost_at or now)
+                self._away = self._lost_at = None
+                self._forget_sent()
                 follower = self._picked_up(follower, now, pause)
             else:
                 follower.advance(dt)
@@ -125,6 +138,7 @@ class Streaming(DriverStrategy, Steerable):
         if begin is not None:
             played = 0 if self._sent_at is None else round((begin - self._sent_at) / self._dt)
             ahead = self._ahead(follower, begin - now)
+            self._played_at = begin + len(ahead.time) * self._dt
             follower.target = self._wanted
             rests = self._send(ahead, now, played)
             self._sent_at, self._urgent = begin, False
@@ -142,6 +156,30 @@ class Streaming(DriverStrategy, Steerable):
         """Whether what the driver told during a pause is still to be read: until then it brakes the robot by itself."""
         measured, patience = self.link.measured(), self.link.execution.joint_state_timeout
         return (measured is None or now - measured.time > patience) and now - back_at <= patience
+
+    def _brake_unheard(self, follower: Follower, now: float, dt: float) -> None:
+        """The driver is not heard: it brakes the robot with the chunk that it has, and is expected to."""
+        self._away = None
+        if self._lost_at is None:
+            self._lost_at = now
+        follower.target = 0.0
+        follower.advance(min(dt, CATCH_UP))
+        self._reference.note(now, follower)
+        self._expected = self._reference.at(now - self._delay)
+        self._hold_once_played(now)
+
+    def _hold_once_played(self, now: float) -> None:
+        """Have the driver stop the robot by its own means where the last chunk has not brought it to rest."""
+        if now > self._played_at:
+            self.hold(now)
+
+    def _rest_where_found(self, follower: Follower, now: float) -> None:
+        """The driver is heard again, and brakes the robot with the chunk that it had: the motion is held where that stands."""
+        self._hold_once_played(now)
+        if self.link.standing():
+            self._lost_at, self._over = None, True
+            follower = self._halted(follower, ahead=now - (self._sent_at or now))
+            self._expected = Commanded(now, follower.time, 0.0, follower.position)
 
     def _picked_up(self, follower: Follower, now: float, dt: float) -> Follower:
         """After a pause in which nothing was sent: the motion goes on from where, and as fast as, the robot moves by now.
@@ -165,11 +203,14 @@ class Streaming(DriverStrategy, Steerable):
         self._follower = follower
         return follower
 
-    def _halted(self, follower: Follower) -> Follower:
-        """A robot that stands already must not begin to move in order to brake: the motion is held where it stands."""
+    def _halted(self, follower: Follower, ahead: float = 0.0) -> Follower:
+        """A robot that stands already must not begin to move in order to brake: the motion is held where it stands.
+
+        It may be up to `ahead` s of the path further than the motion.
+        """
         measured, time = self.link.measured(), follower.time
         if measured is not None:
-            time = follower.path.nearest(measured.position, time - _BEHIND, time)
+            time = follower.path.nearest(measured.position, time - _BEHIND, time + ahead)
         self._follower = Follower(follower.path, self.link.acceleration_limit, time=time, speed=0.0, target=0.0)
         self._stands()
         return self._follower
@@ -194,7 +235,9 @@ class Streaming(DriverStrategy, Steerable):
         scout = copy.copy(follower)
         scout.advance(seconds)
         scout.target = self._wanted
-        return scout.ahead(self._dt, self._count)
+        ahead = scout.ahead(self._dt, self._count)
+        time, speed = float(ahead.time[-1]), float(ahead.speed[-1])
+        return ahead.followed_by(braking(follower.path, time, speed, self.link.acceleration_limit, self._dt))
 
     def _caught_up(self) -> bool:
         """Whether the robot has had the time to come to rest as well."""

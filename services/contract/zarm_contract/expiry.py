@@ -1,0 +1,41 @@
+"""Late commands: what the driver's side of the bus must not begin any more."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+from zarm_contract.messages import DriverCommand
+
+_REMEMBERED = 1024
+"""Joint states whose moment is known: 10 s of them at 100 Hz, 1 s at 1 kHz."""
+
+
+class Expiry:
+    """Tells commands that come in time from late ones. Whoever passes commands on to a robot has one, and drops what is late.
+
+    A link that stalls holds commands up and delivers them seconds later. The two sides need no common clock: a command names
+    a joint state of the driver's own by its stamp, and how long after that it may be begun. All moments (s) are on one clock
+    of the driver's side, which must not be stepped.
+    """
+
+    def __init__(self) -> None:
+        self._told: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
+        self._lock = threading.Lock()
+
+    def told(self, stamp: float, now: float) -> None:
+        """A joint state with this stamp is told at the moment `now`."""
+        with self._lock:
+            self._told.append((stamp, now))
+
+    def in_time(self, command: DriverCommand, arrived: float) -> bool:
+        """Whether a command that arrived then may be begun. A stop always may.
+
+        Of a stamp that was not told the one before it counts: some program may tell the joints once more, under its own.
+        """
+        based_on, expires_after = command.based_on, command.expires_after
+        if based_on is None or expires_after is None:
+            return True
+        with self._lock:
+            told = next((moment for stamp, moment in reversed(self._told) if stamp <= based_on), None)
+        return told is not None and arrived - told <= expires_after

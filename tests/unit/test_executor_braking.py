@@ -1,0 +1,48 @@
+"""The way to rest with which every streamed chunk ends."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motions import HOME, ROBOT, trapezoid
+
+from zarm_executor.braking import braking
+from zarm_executor.follower import Follower
+from zarm_executor.path import Path
+
+LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
+DT = 0.02
+BEND = 1.02
+"""A path at its limits may be above them by a hundredth, and bends within a point."""
+
+
+def planned_path(seed: int) -> Path:
+    random = np.random.default_rng(seed)
+    goal = HOME + random.uniform(-1.5, 1.5, len(HOME))
+    return Path.of(trapezoid(goal), ROBOT.descriptor.joints)
+
+
+@settings(max_examples=200)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.05, 0.999), speed=st.floats(0.01, 1.0))
+def test_from_anywhere_it_leads_along_the_path_to_rest_inside_the_limits_as_fast_as_braking_step_by_step(
+    seed: int, share: float, speed: float
+) -> None:
+    path = planned_path(seed)
+    time = share * path.duration
+    points = braking(path, time, speed, LIMIT, DT)
+    np.testing.assert_allclose(points.position[0], path.at(time)[0])
+    np.testing.assert_allclose(points.velocity[0], path.at(time)[1] * speed)
+    np.testing.assert_array_equal(points.velocity[-1], np.zeros(6))
+    np.testing.assert_allclose(points.position, path.sample(points.time)[0])
+    assert np.all(np.diff(points.time) >= 0.0)
+    change = np.abs(np.diff(points.velocity, axis=0)) / DT
+    assert np.all(change <= LIMIT * BEND), change.max()
+    follower = Follower(path, LIMIT, time=time, speed=speed, target=0.0)
+    assert len(points.time) <= len(follower.ahead(DT).time) + 3
+
+
+def test_at_rest_there_is_nothing_to_brake() -> None:
+    path = planned_path(1)
+    for time, speed in ((0.5, 0.0), (path.duration, 1.0)):
+        assert len(braking(path, time, speed, LIMIT, DT).time) == 1
