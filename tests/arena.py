@@ -14,12 +14,14 @@ from driven import FAR, THERE, Driven
 from harness import ServiceProcess, eventually, free_endpoint
 from link import Link, link
 from motions import HOME, plan, rest_to_rest
+from router_process import router_process
 from wall_clock import WallClock
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ExecutorState, JointState, Plan, Trajectory
 from zarm_contract.session import open_router
+from zarm_leeloo_sim.player import Kind
 
 STEP = 0.01
 """Period of the simulated arm, s: what counts samples of it counts time as the arm has it."""
@@ -32,16 +34,29 @@ class Arena(Driven):
     The arm does whatever it is commanded, with no limit of its own, and brakes by itself as the M1013 does, so that what is
     wrong with a command shows. The router can be restarted.
 
-    With `wired`, executor and driver are connected by links of their own and have clocks of their own.
+    With `wired`, executor and driver are connected by links of their own and have clocks of their own. With `stallable` the
+    router is a process, `router`. The arm `plays` velocities or positions.
     """
 
-    def __init__(self, stack: ExitStack, folder: Path, strategy: str, *, wired: bool) -> None:
+    def __init__(
+        self,
+        stack: ExitStack,
+        folder: Path,
+        strategy: str,
+        *,
+        wired: bool,
+        stallable: bool = False,
+        plays: Kind = "velocity",
+    ) -> None:
         self.folder = folder
         self._stack = stack
         endpoint = free_endpoint()
         self._router = stack.enter_context(ExitStack())
         with ahead_of_others():
-            self._router.enter_context(open_router(endpoint))
+            if stallable:
+                self.router = self._router.enter_context(router_process(endpoint))
+            else:
+                self._router.enter_context(open_router(endpoint))
         super().__init__(stack.enter_context(Bus(endpoint)), endpoint, folder, strategy)
         self._lines = (folder / "trace.csv").open("a+")
         stack.callback(self._lines.close)
@@ -56,7 +71,7 @@ class Arena(Driven):
                 with ahead_of_others():
                     self.links[name] = stack.enter_context(link(endpoint))
                 self.clocks[name] = WallClock(folder / f"{name}.clock")
-        arguments = ("--ceiling", "1000", "--trace", str(folder / "trace.csv"))
+        arguments = ("--ceiling", "1000", "--plays", plays, "--trace", str(folder / "trace.csv"))
         with ahead_of_others():
             self.driver = stack.enter_context(self._wired(self.new_driver(*arguments), "driver"))
         self.driver.wait_ready(self.bus, self.keys)

@@ -242,6 +242,8 @@ def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus
     command = DriverCommand(
         sequence=1,
         joint_names=state.joint_names,
+        based_on=state.stamp,
+        expires_after=PATIENCE,
         time=(0.0, 2.0),
         position=(state.position, away),
         velocity=(tuple(0.25 for _ in rest), rest),

@@ -66,7 +66,14 @@ class Side:
         times = tuple(0.02 * k for k in range(POINTS))
         names = tuple(f"joint_{j}" for j in range(1, 7))
         message = DriverCommand(
-            sequence=sequence, joint_names=names, time=times, position=rows, velocity=rows, acceleration=rows
+            sequence=sequence,
+            joint_names=names,
+            based_on=0.0,
+            expires_after=0.1,
+            time=times,
+            position=rows,
+            velocity=rows,
+            acceleration=rows,
         )
         self._arrived.clear()
         began = time.perf_counter()

@@ -82,7 +82,13 @@ DRIVER = (
         "publication",
         (
             m.DriverCommand(
-                sequence=1, joint_names=JOINTS, time=(0.0, 0.02), position=((0.0,) * 6,) * 2, velocity=((0.3,) * 6,) * 2
+                sequence=1,
+                joint_names=JOINTS,
+                based_on=1.75e9,
+                expires_after=0.1,
+                time=(0.0, 0.02),
+                position=((0.0,) * 6,) * 2,
+                velocity=((0.3,) * 6,) * 2,
             ),
         ),
     ),

@@ -61,7 +61,44 @@ def test_a_ur5e_is_moved_through_its_controller_topic(bus: Bus, endpoint: str, t
         assert np.max(np.abs(client.position() - there)) > 0.05
 
 
+def told_joints(bus: Bus, ros: RosClient) -> float:
+    """Have the driver tell its joints, so that a command can be based on them; their stamp."""
+    latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
+    publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
+    eventually(publisher.get_subscription_count, "the bridge listens")
+    return eventually(
+        lambda: publisher.publish(_state(HUMBLE, VALUES, stamp=1000)) or latest.get(), "the joints have come"
+    ).stamp
+
+
+def test_a_late_command_does_not_reach_the_driver(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
+    heard = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
+    names, row = M1013.descriptor.joints, (0.0,) * 6
+    commands = bus.publisher(Keys("doosan_m1013").driver_command, m.DriverCommand)
+    told(heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver")
+    based_on = told_joints(bus, ros)
+    for sequence, stamp, expires_after, points in (
+        (2, based_on, 1e-6, 2),
+        (3, based_on - 1.0, 1000.0, 2),
+        (4, based_on, 1000.0, 3),
+    ):
+        commands.put(
+            m.DriverCommand(
+                sequence=sequence,
+                joint_names=names,
+                based_on=stamp,
+                expires_after=expires_after,
+                time=tuple(0.02 * k for k in range(points)),
+                position=(row,) * points,
+            )
+        )
+    eventually(lambda: [len(one.points) for one in heard if one.points] == [3], "what is in time has come, and no more")
+    for sequence in (2, 3):
+        assert f"dropped a late command sequence={sequence}" in bridge.output()
+
+
 def test_commands_reach_the_driver_as_they_are(bus: Bus, bridge: ServiceProcess, ros: RosClient) -> None:
+    fresh = {"based_on": told_joints(bus, ros), "expires_after": 1000.0}
     heard = ros.heard(JointTrajectory, "/leeloo/execute_trajectory")
     names = M1013.descriptor.joints
     rows = tuple(tuple(0.1 * i + j for j in range(6)) for i in range(2))
@@ -69,10 +106,10 @@ def test_commands_reach_the_driver_as_they_are(bus: Bus, bridge: ServiceProcess,
     told(heard, lambda: commands.put(m.DriverCommand(sequence=1, joint_names=names)), "the bridge knows of the driver")
     commands.put(
         m.DriverCommand(
-            sequence=2, joint_names=names, time=(0.0, 0.02), position=rows, velocity=rows, acceleration=rows
+            sequence=2, joint_names=names, time=(0.0, 0.02), position=rows, velocity=rows, acceleration=rows, **fresh
         )
     )
-    commands.put(m.DriverCommand(sequence=3, joint_names=names, time=(0.0, 1.5), position=rows))
+    commands.put(m.DriverCommand(sequence=3, joint_names=names, time=(0.0, 1.5), position=rows, **fresh))
     commands.put(m.DriverCommand(sequence=4, joint_names=names))
     moving = [True, True, False]
     eventually(lambda: [bool(one.points) for one in heard[-3:]] == moving, "the commands have come")
@@ -156,7 +193,12 @@ def test_progress_is_of_the_command_that_was_sent_last(bus: Bus, bridge: Service
     commands = bus.publisher(keys.driver_command, m.DriverCommand)
     row = (0.0,) * 6
     command = m.DriverCommand(
-        sequence=7, joint_names=M1013.descriptor.joints, time=(0.0, 0.1, 0.2, 0.3), position=(row,) * 4
+        sequence=7,
+        joint_names=M1013.descriptor.joints,
+        based_on=told_joints(bus, ros),
+        expires_after=1000.0,
+        time=(0.0, 0.1, 0.2, 0.3),
+        position=(row,) * 4,
     )
     told(sent, lambda: commands.put(command), "the command has come")
     for value in (math.nan, 0.25, 0.5):

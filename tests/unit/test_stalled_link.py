@@ -80,6 +80,8 @@ def test_a_command_may_be_begun_until_it_expires_and_a_stop_always() -> None:
     assert expiry.in_time(command(1000.005), 5.1), "a stamp of another's counts as the one before it"
     assert not expiry.in_time(command(999.0), 5.02), "of a joint state that nobody told"
     assert expiry.in_time(DriverCommand(sequence=2, joint_names=("a",)), 100.0)
+    undated = DriverCommand(sequence=3, joint_names=("a",), time=(0.0,), position=((0.0,),))
+    assert not expiry.in_time(undated, 5.02), "it does not say until when"
 
 
 def test_a_step_of_the_drivers_clock_makes_nothing_late() -> None:

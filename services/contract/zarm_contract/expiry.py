@@ -34,8 +34,10 @@ class Expiry:
         Of a stamp that was not told the one before it counts: some program may tell the joints once more, under its own.
         """
         based_on, expires_after = command.based_on, command.expires_after
-        if based_on is None or expires_after is None:
+        if not command.time:
             return True
+        if based_on is None or expires_after is None:
+            return False
         with self._lock:
             told = next((moment for stamp, moment in reversed(self._told) if stamp <= based_on), None)
         return told is not None and arrived - told <= expires_after

@@ -3,10 +3,10 @@
     python zenoh_driver.py --joints joint_1 joint_2 joint_3 joint_4 joint_5 joint_6 --at 0 0 1.570796 0 1.570796 0
 
 It needs `eclipse-zenoh` and nothing of zarm, so any language with Zenoh will do. Your controller is called in `Arm`. zarm expects:
-
 - it publishes its joints on `zarm/<robot>/driver/joint_states`, at 100 Hz better than at 20, moving or not, each time with
   another `stamp`: what is told again with an old one counts as silence;
 - it plays the newest `driver/command` from its arrival on, one point each `time`, instead of what was left of the last;
+- it drops a command that comes more than `expires_after` s after it told the joints with the stamp `based_on`: it is late;
 - a command without points, and points that run out, bring the robot to rest: that is the watchdog for a dead executor;
 - it publishes on `driver/progress` how much of the command is played, or leaves `state_topic` out of the descriptor;
 - it refuses by itself what its robot cannot do: limits of velocity and acceleration are the last line of defence.
@@ -18,6 +18,7 @@ import argparse
 import json
 import threading
 import time
+from collections import deque
 from typing import Any
 
 import zenoh
@@ -42,39 +43,38 @@ class Driver:
     """Plays commands on an arm whose joints have these names, in this order."""
 
     def __init__(self, session: zenoh.Session, robot: str, joints: list[str], arm: Arm) -> None:
-        self._joints, self._arm = joints, arm
+        self._joints, self._arm, self._stepped = joints, arm, time.monotonic()
         self._newest: tuple[float, dict[str, Any]] = (0.0, {})
-        self._stepped = time.monotonic()
+        self._told: deque[tuple[float, float]] = deque(maxlen=1000)
         prefix = f"zarm/{robot}/driver"
         self._states = session.declare_publisher(f"{prefix}/joint_states", express=True)
         self._progress = session.declare_publisher(f"{prefix}/progress", express=True)
         self._commands = session.declare_subscriber(f"{prefix}/command", self._receive)
 
     def _receive(self, sample: zenoh.Sample) -> None:
-        command = json.loads(sample.payload.to_bytes())
-        if sorted(command["joint_names"]) == sorted(self._joints):
-            self._newest = time.monotonic(), command
+        now, command = time.monotonic(), json.loads(sample.payload.to_bytes())
+        based_on, expires_after = command.get("based_on", -1.0), command.get("expires_after", 0.0)
+        told = next((moment for stamp, moment in reversed([*self._told]) if stamp <= based_on), -1e9)
+        in_time = not command.get("time") or now - told <= expires_after
+        if in_time and sorted(command["joint_names"]) == sorted(self._joints):
+            self._newest = now, command
 
     def step(self) -> None:
         """One period: play what is due, and tell where the arm is."""
-        now, (began, command) = time.monotonic(), self._newest
+        now, stamp, (began, command) = time.monotonic(), time.time(), self._newest
         times, rows = command.get("time", []), command.get("velocity", [])
-        played = sum(moment <= now - began for moment in times)
+        played, velocity = sum(moment <= now - began for moment in times), [0.0] * len(self._joints)
         point_dt = times[1] if len(times) > 1 else PERIOD
-        velocity = [0.0] * len(self._joints)
         if rows and now - began < times[-1] + point_dt:
             row = dict(zip(command["joint_names"], rows[played - 1], strict=True))
             velocity = [row[joint] for joint in self._joints]
         self._arm.move(velocity, now - self._stepped)
         self._stepped = now
         if times:
-            self._put(self._progress, sequence=command["sequence"], fraction=played / len(times))
-        state = {"joint_names": self._joints, "position": self._arm.position, "velocity": self._arm.velocity}
-        self._put(self._states, stamp=time.time(), **state)
-
-    @staticmethod
-    def _put(publisher: zenoh.Publisher, **message: Any) -> None:
-        publisher.put(json.dumps(message))
+            self._progress.put(json.dumps({"sequence": command["sequence"], "fraction": played / len(times)}))
+        joints = {"joint_names": self._joints, "position": self._arm.position, "velocity": self._arm.velocity}
+        self._told.append((stamp, now))
+        self._states.put(json.dumps({"stamp": stamp, **joints}))
 
 
 def main() -> None:
@@ -87,8 +87,8 @@ def main() -> None:
     parser.add_argument("--config", help="Zenoh's configuration of a client, where certificates are asked for")
     options = parser.parse_args()
     config = zenoh.Config.from_file(options.config) if options.config else zenoh.Config()
-    for setting, value in (("mode", "client"), ("connect/endpoints", [options.connect])):
-        config.insert_json5(setting, json.dumps(value))
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([options.connect]))
     with zenoh.open(config) as session:
         driver = Driver(session, options.robot, options.joints, Arm(options.at))
         while not threading.Event().wait(PERIOD):

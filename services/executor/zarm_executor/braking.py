@@ -35,7 +35,9 @@ def braking(path: Path, time: float, speed: float, limit: Array, dt: float) -> S
             table = _Table(path, time, _SHARE * limit, dt / _FINENESS)
         rate = max(table.least(time, speed), -speed / dt)
         after = speed + rate * dt
-        rate = max(rate, table.least(time + 0.5 * (speed + after) * dt, after))  # the limits hold where the step ends, too
+        rate = max(
+            rate, table.least(time + 0.5 * (speed + after) * dt, after)
+        )  # the limits hold where the step ends, too
         after = speed + rate * dt
         time = min(time + 0.5 * (speed + after) * dt, path.duration)
         speed = 0.0 if after < 1e-9 or time >= path.duration else after

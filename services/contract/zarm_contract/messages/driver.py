@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import JointNames, Joints, NonNegative, same_length, same_width
@@ -19,7 +19,8 @@ class DriverCommand(Message):
     strategy sends positions alone. `sequence` grows with every command of one executor and begins anew with the next.
 
     A command with points is late, and must be dropped, where it arrives more than `expires_after` s after the driver told the
-    joint state with the stamp `based_on`, the newest that the executor had heard. A stop is never late.
+    joint state with the stamp `based_on`, the newest that the executor had heard; one that says neither always is. A stop is
+    never late, and says neither.
     """
 
     sequence: Annotated[int, Field(ge=1)]
@@ -49,12 +50,6 @@ class DriverCommand(Message):
             same_length(rows, info, "time")
         same_width(rows, info)
         return rows
-
-    @model_validator(mode="after")
-    def _points_expire(self) -> Self:
-        if bool(self.time) != (self.based_on is not None and self.expires_after is not None):
-            raise ValueError("a command with points, and no other, needs based_on and expires_after")
-        return self
 
 
 class DriverProgress(ShortMessage):
