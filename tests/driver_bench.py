@@ -200,7 +200,9 @@ class DriverBench:
     ) -> Path:
         """Start a motion along a path to `goal`."""
         trajectory = timed(moved(1.0, -0.5, 0.3) if goal is None else goal, start)
-        path = Path.of(trajectory, JOINTS).approached_from(self.positions[-1], np.full(6, 1.2), np.full(6, 1.0))
+        path = Path.of(trajectory, JOINTS).approached_from(
+            self.positions[-1], np.full(6, 1.2), np.full(6, 1.0), np.full(6, 500.0)
+        )
         monitor = Monitor(path, self.robot.descriptor)
         self.machine.start(Goal("goal", None, path, monitor), arrival())
         return path

@@ -16,7 +16,7 @@ CERTIFICATES = "/certs"
 _HEAD = """\
 // Made from router.json5 and the table in services/contract/zarm_contract/access.py by tests/router_file.py.
 // The router of a zarm bus with certificates and access control, for Zenoh's own router:
-//     zenohd -c deploy/router-secure.json5 -l tls/0.0.0.0:7447
+//     ZENOH_RUNTIME='(rx: (worker_threads: 16))' zenohd -c deploy/router-secure.json5 -l tls/0.0.0.0:7447
 // `ZARM_SECURITY=on ZARM_CERTS=/certs zarm router` sets the same; a test holds the two equal. /certs is what `zarm certs`
 // made: ca.pem, router.pem and router.key are all that a router needs of it.
 """

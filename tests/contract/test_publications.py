@@ -6,20 +6,22 @@ import queue
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import pytest
 import zenoh
 from contract.examples import by_class
 from contract.wire import declared
-from harness import PATIENCE, eventually
+from harness import PATIENCE, eventually, free_endpoint
 from link import link
 
 from zarm_contract import messages as m
 from zarm_contract.bus import Bus
 from zarm_contract.codec import decode, encode
-from zarm_contract.errors import InternalError
+from zarm_contract.errors import InternalError, Problem
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
+from zarm_contract.session import listens_at, router_config, run_router
 
 KEYS = Keys("arm")
 (JOINTS,) = by_class()[m.JointState]
@@ -35,6 +37,44 @@ def stamped(stamp: float) -> m.JointState:
 
 
 # -- latched values --
+
+
+def test_every_value_of_a_burst_arrives_at_a_reader_that_stands_still_for_a_moment() -> None:
+    """As many as no buffer between the two holds."""
+    config = router_config(free_endpoint())
+    config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", str(int(PATIENCE * 1e6)))
+    endpoint, *_ = listens_at(config)
+    long = Problem(code="internal", message="x" * 10_000)
+    values = [GOAL.model_copy(update={"elapsed": float(number), "problem": long}) for number in range(3000)]
+    seen: list[float] = []
+    goes_on = threading.Event()
+
+    def read(_: str, goal: m.GoalState) -> None:
+        goes_on.wait()
+        seen.append(goal.elapsed)
+
+    with closing(run_router(config)), Bus(endpoint) as publishing, Bus(endpoint) as reading:
+        goals = publishing.latched(KEYS.goal("*"), m.GoalState)
+        reading.subscribe(KEYS.goal("*"), m.GoalState, read)
+        declared(reading)
+        published = 0
+
+        def publish() -> None:
+            nonlocal published
+            for value in values:
+                goals.set(value, key=KEYS.goal("goal-1"))
+                published += 1
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        before = -1
+        while thread.is_alive() and published > before:  # until it waits for room, or has no need to
+            before = published
+            thread.join(0.1)
+        goes_on.set()
+        thread.join()
+        eventually(lambda: seen[-1:] == [values[-1].elapsed], "the last one is read", 10)
+    assert seen == [value.elapsed for value in values]
 
 
 def test_a_late_joiner_sees_the_present_state_and_then_every_change(bus: Bus, other: Bus) -> None:

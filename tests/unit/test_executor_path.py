@@ -10,6 +10,7 @@ from zarm_executor.path import Path
 JOINTS = ROBOT.descriptor.joints
 VELOCITY = np.array(ROBOT.descriptor.cspace.velocity)
 ACCELERATION = np.array(ROBOT.descriptor.cspace.acceleration)
+JERK = np.array(ROBOT.descriptor.cspace.jerk)
 
 
 def test_the_path_meets_position_velocity_and_acceleration_of_every_sample() -> None:
@@ -68,19 +69,25 @@ def test_samples_too_close_in_time_to_divide_by_are_refused() -> None:
     assert refusal.value.problem.field == "trajectory.time"
 
 
-def test_a_robot_beside_the_start_is_led_to_it_inside_every_limit() -> None:
-    stands = moved(0.04, -0.02)
+@pytest.mark.parametrize("jerk", [500.0, 10.0, 1.0])
+@pytest.mark.parametrize("acceleration", [0.0, 1.0, -1.0], ids=["gently", "forwards at once", "backwards at once"])
+def test_a_robot_beside_the_start_is_led_to_it_inside_every_limit(jerk: float, acceleration: float) -> None:
+    stands = moved(-0.04, 0.02)
     path = Path.of(rest_to_rest(moved(1.0)), JOINTS)
-    whole = path.approached_from(stands, VELOCITY, ACCELERATION)
+    path.acceleration[0] = acceleration * ACCELERATION
+    whole = path.approached_from(stands, VELOCITY, ACCELERATION, np.full(6, jerk))
     lead = whole.duration - path.duration
     np.testing.assert_allclose(whole.at(0.0), (stands, np.zeros(6), np.zeros(6)), atol=1e-12)
     np.testing.assert_allclose(whole.at(lead)[0], HOME, atol=1e-9)
     np.testing.assert_allclose(whole.at(lead + 0.5), path.at(0.5), atol=1e-9)
-    motion = np.array([whole.at(time) for time in np.linspace(0.0, lead, 200)])
-    assert np.all(np.abs(motion[:, 1]) <= VELOCITY * 1.0001)
-    assert np.all(np.abs(motion[:, 2]) <= ACCELERATION * 1.0001)
+    times = np.linspace(0.0, lead, 1000)
+    _, velocity, bend = whole.sample(times)
+    assert np.all(np.abs(velocity) <= VELOCITY * 1.0001)
+    assert np.all(np.abs(bend) <= ACCELERATION * 1.0001)
+    if acceleration == 0.0:
+        assert np.max(np.abs(np.diff(bend, axis=0))) <= jerk * times[1] * 1.0001
 
 
 def test_a_robot_at_the_start_is_led_nowhere() -> None:
     path = Path.of(rest_to_rest(moved(1.0)), JOINTS)
-    assert path.approached_from(HOME, VELOCITY, ACCELERATION) is path
+    assert path.approached_from(HOME, VELOCITY, ACCELERATION, JERK) is path

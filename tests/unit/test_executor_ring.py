@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
+import tracemalloc
 from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
 
-from zarm_contract.codec import MAX_BYTES
 from zarm_contract.keys import Keys
+from zarm_contract.messages import JointState, Message, Plan
 from zarm_executor import ring as module
 from zarm_executor.ring import Ring
 
@@ -55,10 +56,27 @@ def test_the_memory_of_the_ring_is_bounded_whatever_comes(clock) -> None:
     assert payloads(ring)[-1] == bytes(4_999 % 3000)
 
 
-def test_a_message_that_nobody_would_read_for_its_size_is_left_out(clock) -> None:
+@pytest.mark.parametrize(("key", "model"), [(KEYS.plans, Plan), (KEYS.driver_joint_states, JointState)])
+def test_a_message_that_nobody_would_read_for_its_size_is_left_out(key: str, model: type[Message]) -> None:
     ring = Ring(KEYS)
-    ring.observe(KEYS.driver_joint_states, bytes(MAX_BYTES + 1))
-    assert payloads(ring) == []
+    longest = bytes(model.max_bytes)
+    ring.observe(key, longest)
+    ring.observe(key, longest + b" ")
+    assert payloads(ring) == [longest]
+
+
+@pytest.mark.parametrize("length", [10, 100, 1000])
+def test_the_size_of_the_ring_is_what_it_takes_of_memory(length: int) -> None:
+    size = 4 * 2**20
+    tracemalloc.start()
+    try:
+        ring = Ring(KEYS, size=size)
+        for _ in range(2 * size // (length + 200)):
+            ring.observe("".join(KEYS.driver_joint_states), bytes(length))
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert 0.75 * size < taken <= 1.02 * size
 
 
 def test_the_preview_and_what_is_no_publication_are_left_out() -> None:

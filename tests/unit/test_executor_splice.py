@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,6 +81,16 @@ def test_a_chunk_beside_the_motion_is_reached_in_the_shortest_time_that_the_limi
     assert far.at(0.1 + 0.1)[0][0] < chunk(0.1, off=0.02).at(0.1)[0][0] - 0.005
     LIMITS.check(near)
     LIMITS.check(far)
+
+
+@pytest.mark.parametrize("jerk", [500.0, 50.0, 10.0])
+def test_a_chunk_beside_the_motion_is_reached_inside_the_jerk_limit(jerk: float) -> None:
+    cspace = ROBOT.descriptor.cspace.model_copy(update={"jerk": (jerk,) * 6})
+    descriptor = ROBOT.descriptor.model_copy(update={"cspace": cspace})
+    joined = spliced(chunk(0.0), 0.1, chunk(0.1, off=0.001), 0.1, Limits(replace(ROBOT, descriptor=descriptor)))
+    times = np.linspace(0.0, 0.8, 8001)
+    change = np.abs(np.diff(joined.sample(times)[2], axis=0)).max()
+    assert change <= jerk * LIMIT_TOLERANCE * times[1] * 1.001
 
 
 def test_a_chunk_out_of_reach_is_refused() -> None:

@@ -54,13 +54,14 @@ class Latched(Generic[M]):
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
 
     def set(self, message: M, *, key: str | None = None) -> None:
-        """Change the value and publish it; `key` names the member of a family."""
+        """Change the value and publish it; `key` names the member of a family. Waits where the link has no room."""
         key = key or self._key
         payload, encoding = encode(message), encoding_of(type(message))
         with self._order:  # publications leave in the order in which the value changed, and no answer waits for one
             with self._lock:
                 self._values[key] = payload, encoding
-            self._session.put(key, payload, encoding=encoding)
+            # Zenoh would drop it where a link has no room, and nobody would ever publish it again.
+            self._session.put(key, payload, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK)
             self._observe(key, payload)
 
     def forget(self, key: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,6 +28,10 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
 ROUTER_MAX_BYTES = 2 * MAX_BYTES
 """Longest payload that a router passes on. What is a little too long is refused by its receiver, with a sentence."""
+
+_ROUTER_RUNTIME = "(rx: (worker_threads: 16))"
+"""Each client that publishes to one that takes nothing occupies one of these threads until that one's link is given up. Zenoh's own
+two are soon none, and then nothing passes, a stop neither."""
 
 _ENDPOINT = re.compile(r"(?:(?:tcp|tls|quic|ws|udp)/\S+:\d+|unixsock-stream/\S+?)(?:[?#]\S*)?")
 _LOCAL = re.compile(r"\w+/(?:127\.|localhost:|\[::1\])|unixsock-stream/")
@@ -109,6 +114,7 @@ def run_router(config: zenoh.Config) -> zenoh.Session:
             "`zarm certs FOLDER` makes some, then set ZARM_SECURITY=on and ZARM_CERTS=FOLDER, or listen on loopback",
             " and ".join(exposed),
         )
+    os.environ.setdefault("ZENOH_RUNTIME", _ROUTER_RUNTIME)  # Zenoh reads it when a process opens its first session
     try:
         with realtime_offspring(PROCESS_PRIORITY):
             return zenoh.open(config)

@@ -50,7 +50,7 @@ def startable(path: Path, measured: Measured | None, now: float, robot: Robot) -
     """
     path, at = placed(path, measured, now, robot)
     limits = robot.descriptor.cspace
-    return path.approached_from(at.position, np.array(limits.velocity), np.array(limits.acceleration))
+    return path.approached_from(at.position, *map(np.array, (limits.velocity, limits.acceleration, limits.jerk)))
 
 
 def placed(path: Path, measured: Measured | None, now: float, robot: Robot) -> tuple[Path, Measured]:

@@ -1,4 +1,4 @@
-"""The ghost: every plan is replayed once for the eye, whatever the strategy. It never moves anything."""
+"""The ghost: every plan is replayed once for the eye, whatever the strategy. It never moves anything, and may fail alone."""
 
 from __future__ import annotations
 
@@ -41,7 +41,14 @@ class Ghost:
             self._newest = plan
 
     def play(self, now: float) -> None:
-        """One period; `now` is on the monotonic clock."""
+        """One period; `now` is on the monotonic clock. What fails ends the preview of this plan and nothing else."""
+        try:
+            self._play(now)
+        except Exception:  # nothing that only shows may end a process that moves a robot
+            log.exception("the preview failed; it goes on with the next plan")
+            self._path = None
+
+    def _play(self, now: float) -> None:
         plan = self._next() if now - self._began > LEAST else None
         if plan is not None:
             self._begin(plan, now)

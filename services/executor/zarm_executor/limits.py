@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from math import comb
 
@@ -19,7 +19,7 @@ POSITION_TOLERANCE = 1e-4
 _HALVINGS = 16
 _BERNSTEIN = {
     degree: np.array([[comb(i, k) / comb(degree, k) for k in range(degree + 1)] for i in range(degree + 1)])
-    for degree in (3, 4, 5)
+    for degree in (2, 3, 4, 5)
 }
 """From powers to control points: b_i = sum over k <= i of (i over k) / (D over k) c_k (Farouki and Rajan 1987)."""
 
@@ -45,17 +45,21 @@ class _Curve:
 
 
 class Limits:
-    """The limits of position (rad), velocity (rad/s) and acceleration (rad/s^2) of a robot's joints."""
+    """The limits of position (rad), velocity (rad/s), acceleration (rad/s^2) and jerk (rad/s^3) of a robot's joints.
+
+    That of jerk is held by what the executor makes itself. Whoever sends a trajectory may change the acceleration at once.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self._joints = robot.descriptor.joints
         self._lower, self._upper = np.array(robot.lower), np.array(robot.upper)
         self._velocity = np.array(robot.descriptor.cspace.velocity)
         self._acceleration = np.array(robot.descriptor.cspace.acceleration)
+        self._jerk = np.array(robot.descriptor.cspace.jerk)
 
     def check(self, path: Path) -> None:
-        """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside."""
-        if self._certain(path.coefficients, path.steps).all():
+        """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not looked at."""
+        if _inside(self._curves(path.coefficients, path.steps, _hull)).all():
             return
         for curve in self._curves(path.coefficients, path.steps, _extremes):
             if curve.inside.all():
@@ -74,20 +78,21 @@ class Limits:
 
     def first_inside(self, coefficients: Array, steps: Array) -> int | None:
         """The first of these segments, coefficients (N, 6, J) over the times (N,) s, that is inside every limit, if any."""
-        certain = np.flatnonzero(self._certain(coefficients, steps))
+        # With a tenth of the work many are seen to be inside for certain, but not all that are.
+        certain = np.flatnonzero(_inside(self._all_curves(coefficients, steps, _hull)))
         before = int(certain[0]) if certain.size else len(steps)
         if before == 0:
             return 0
-        inside = np.flatnonzero(self._inside(coefficients[:before], steps[:before], _extremes))
+        inside = np.flatnonzero(_inside(self._all_curves(coefficients[:before], steps[:before], _extremes)))
         return int(inside[0]) if inside.size else before if certain.size else None
 
-    def _certain(self, coefficients: Array, steps: Array) -> Array:
-        """Which (N,) segments are inside for certain: seen with a tenth of the work, but not all that are inside."""
-        return self._inside(coefficients, steps, _hull)
-
-    def _inside(self, coefficients: Array, steps: Array, values: _Values) -> Array:
-        inside = [curve.inside.all(axis=(0, 2)) for curve in self._curves(coefficients, steps, values)]
-        return np.asarray(np.logical_and.reduce(inside))
+    def _all_curves(self, coefficients: Array, steps: Array, values: _Values) -> Iterator[_Curve]:
+        yield from self._curves(coefficients, steps, values)
+        jerk = np.moveaxis(coefficients, 1, 0)  # (6, segments, J)
+        for _ in range(3):
+            jerk = _derivative(jerk) / steps[:, None]
+        limit = self._jerk * LIMIT_TOLERANCE
+        yield _Curve("jerk", "rad/s^3", values(jerk), np.zeros_like(limit), limit)
 
     def _curves(self, coefficients: Array, steps: Array, values: _Values) -> Iterator[_Curve]:
         position = np.moveaxis(coefficients, 1, 0)  # (6, segments, J)
@@ -98,6 +103,11 @@ class Limits:
         yield _Curve("position", "rad", values(position), middle, reach)
         yield _Curve("velocity", "rad/s", values(velocity), none, self._velocity * LIMIT_TOLERANCE)
         yield _Curve("acceleration", "rad/s^2", values(acceleration), none, self._acceleration * LIMIT_TOLERANCE)
+
+
+def _inside(curves: Iterable[_Curve]) -> Array:
+    """Which (N,) segments are inside."""
+    return np.asarray(np.logical_and.reduce([curve.inside.all(axis=(0, 2)) for curve in curves]))
 
 
 def _derivative(polynomials: Array) -> Array:

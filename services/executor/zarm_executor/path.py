@@ -149,18 +149,23 @@ class Path:
         """The same motion with `offset` (J,) rad added to every position."""
         return Path(self.time, self.position + offset, self.velocity, self.acceleration)
 
-    def approached_from(self, position: Array, velocity_limit: Array, acceleration_limit: Array) -> Path:
-        """This path with a motion from rest at `position` (J,) to its start before it.
+    def approached_from(
+        self, position: Array, velocity_limit: Array, acceleration_limit: Array, jerk_limit: Array
+    ) -> Path:
+        """This path with a motion from rest at `position` (J,) to its start before it, inside these limits (J,).
 
         The robot may stand a tolerance away from where the path starts; jumping there would break every limit. The
-        quintic from rest to rest over the distance d in time T peaks at 15/8 d/T and 10/sqrt(3) d/T^2.
+        quintic from rest to rest over the distance d in time T peaks at 15/8 d/T, 10/sqrt(3) d/T^2 and 60 d/T^3. Where the
+        path starts with an acceleration, reaching that adds to the second by `_SWING` of it.
         """
         distance = np.abs(self.start - position)
         if distance.max() <= NEGLIGIBLE:
             return self
+        acceleration_left = acceleration_limit - _SWING * np.abs(self.acceleration[0])
         time = max(
             float(np.max(15 / 8 * distance / velocity_limit)),
-            float(np.max(np.sqrt(10 / np.sqrt(3) * distance / acceleration_limit))),
+            float(np.max(np.sqrt(10 / np.sqrt(3) * distance / acceleration_left))),
+            float(np.max(np.cbrt(60 * distance / jerk_limit))),
         )
         rest = np.zeros((1, len(position)))
         return Path(
@@ -171,6 +176,9 @@ class Path:
         )
 
 
+_SWING = 0.375
+"""The quintic from rest to a point with the acceleration a, without any distance, reaches -0.374 a on its way there: the least value
+of 3 u - 12 u^2 + 10 u^3."""
 SHORTEST = 1e-6
 """Least time between two samples, s."""
 NEGLIGIBLE = 1e-6

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import logging
 import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from zarm_contract.bus import Bus, Publisher
 from zarm_contract.messages import (
@@ -64,6 +65,10 @@ JOINT_STATES_PERIOD = 0.008
 SWITCH_INTERVAL = 0.0001
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
 
+LARGE = 32 * 1024
+"""Bytes: half of a batch of Zenoh (64 KiB), the pieces in which a large message comes."""
+_M_MMAP_THRESHOLD = -3
+
 
 class Control:
     """One period of control: moves the robot on and publishes where it is, `JOINT_STATES_PERIOD` apart at least."""
@@ -96,6 +101,7 @@ class Control:
 def start(service: Service) -> Iterator[None]:
     """The executor, from its first tick until the robot rests after the last."""
     sys.setswitchinterval(SWITCH_INTERVAL)
+    _give_back_large_blocks()
     robot, keys, bus = service.robot, service.keys, service.bus
     joints = robot.descriptor.joints
     ring = Ring(keys)
@@ -181,6 +187,16 @@ def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
     metrics.read_histogram(
         "zarm_tick_lateness_seconds", "How late ticks of the control loop began.", LATE, loop.lateness
     )
+
+
+def _give_back_large_blocks() -> None:
+    """Have a freed block of `LARGE` bytes or more go back to the system, where the C library is glibc.
+
+    By itself glibc raises its bound from 128 KiB to 32 MiB by and by (mallopt(3)), and keeps what is smaller for the thread that had
+    it: measured, payloads of 8 MB to all keys left 600 MiB in the process, and with this 240 MiB.
+    """
+    with suppress(AttributeError):  # another C library
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE)
 
 
 def _exempt_from_collection() -> None:

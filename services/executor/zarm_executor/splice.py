@@ -1,8 +1,8 @@
 """Leading a robot from the motion that it makes over to another one, without a jump.
 
 From one moment on the old path is left on a quintic that meets the new one in position, velocity and acceleration a
-blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit. The path speed
-goes on as it was, so what the follower promises of a path inside the limits holds on the way over too.
+blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit, that of jerk
+too. The path speed goes on as it was, so what the follower promises of a path inside the limits holds on the way over too.
 """
 
 from __future__ import annotations

@@ -8,6 +8,8 @@ from typing import Any
 from rclpy.action import ActionServer
 from rclpy.action.server import ServerGoalHandle
 
+from zarm_ros_bridge.rclpy_parts import goal_asked_for
+
 _arrivals = itertools.count()
 
 
@@ -24,8 +26,8 @@ class OrderedActionServer(ActionServer):  # type: ignore[misc] # rclpy is not fo
     def take_data(self) -> dict[str, Any]:
         """Called by rclpy, for one request at a time."""
         data: dict[str, Any] = super().take_data()
-        if "goal" in data:
-            self._coming[id(data["goal"][1].goal)] = next(_arrivals)
+        if (goal := goal_asked_for(data)) is not None:
+            self._coming[id(goal)] = next(_arrivals)
         return data
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
@@ -33,8 +35,8 @@ class OrderedActionServer(ActionServer):  # type: ignore[misc] # rclpy is not fo
         try:
             await super().execute(taken_data)
         finally:
-            if "goal" in taken_data:
-                del self._coming[id(taken_data["goal"][1].goal)]
+            if (goal := goal_asked_for(taken_data)) is not None:
+                del self._coming[id(goal)]
 
     def _accepted(self, handle: ServerGoalHandle) -> None:
         handle.arrival = self._coming[id(handle.request)]

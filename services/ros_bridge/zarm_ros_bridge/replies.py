@@ -12,29 +12,22 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from zarm_ros_bridge.rclpy_parts import SENDERS, UNSENT, RCLError
 
 PATIENCE = 4.0
 """For so long (s) a reply is sent again: a heartbeat of Fast DDS, 3 s, brings what was lost of the description of a client. One
 that asks for durability, or another quality that services do not have, is never found."""
 _SOON, _LATE = 0.01, 0.5  # s until it is sent again: as long again as it has waited
 
-_SENDERS = (
-    (rclpy_implementation.Service, "service_send_response"),
-    (rclpy_implementation.ActionServer, "send_goal_response"),
-    (rclpy_implementation.ActionServer, "send_cancel_response"),
-    (rclpy_implementation.ActionServer, "send_result_response"),
-)
 
-
-class Unanswered(rclpy_implementation.RCLError):  # type: ignore[misc] # rclpy is not followed
+class Unanswered(RCLError):  # type: ignore[misc] # rclpy is not followed
     """A client has no reply. Where it was that its goal is accepted, rclpy does not execute the goal."""
 
 
 def insist() -> None:
     """From now on every service and action of this process sends a reply again, for PATIENCE s, then raises Unanswered. Once."""
-    warnings.filterwarnings("error", "failed to send response", RuntimeWarning)
-    for kind, name in _SENDERS:
+    warnings.filterwarnings("error", UNSENT, RuntimeWarning)
+    for kind, name in SENDERS:
         setattr(kind, name, insistent(getattr(kind, name)))
 
 

@@ -5,22 +5,20 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import rclpy
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.parameter_service import ParameterService
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from zarm_ros_bridge.leader_followers import LeaderFollowersExecutor
+from zarm_ros_bridge.rclpy_parts import CheckedParameterService
 from zarm_ros_bridge.replies import Unanswered
 
 log = logging.getLogger(__name__)
@@ -118,7 +116,7 @@ class Ros:
             enable_rosout=parameters,
         )
         if parameters:
-            _ParameterServices(node)  # which the node keeps
+            CheckedParameterService(node)  # which the node keeps
         return node
 
 
@@ -133,29 +131,3 @@ def _spin(executor: Executor) -> None:
             log.exception("a callback of ROS failed")
         else:
             return
-
-
-class _ParameterServices(ParameterService):  # type: ignore[misc] # rclpy is not followed
-    """Those of rclpy, which raise where a type of a parameter is none, and leave the client without an answer."""
-
-    def _set_parameters_callback(self, request: Any, response: Any) -> Any:
-        if (fault := _fault(request.parameters)) is None:
-            return super()._set_parameters_callback(request, response)
-        response.results = [fault for _ in request.parameters]
-        return response
-
-    def _set_parameters_atomically_callback(self, request: Any, response: Any) -> Any:
-        if (fault := _fault(request.parameters)) is None:
-            return super()._set_parameters_atomically_callback(request, response)
-        response.result = fault
-        return response
-
-
-def _fault(parameters: Iterable[Any]) -> SetParametersResult | None:
-    known = {kind.value for kind in Parameter.Type}
-    for parameter in parameters:
-        if (kind := parameter.value.type) not in known:
-            return SetParametersResult(
-                successful=False, reason=f"{parameter.name} is given with the type {kind}, and there is none such"
-            )
-    return None

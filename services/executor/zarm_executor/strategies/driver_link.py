@@ -39,6 +39,7 @@ class DriverLink:
         self.execution = descriptor.execution
         self.joints = descriptor.joints
         self.acceleration_limit = np.array(descriptor.cspace.acceleration)
+        self.jerk_limit = np.array(descriptor.cspace.jerk)
         self.velocity_clamp = np.array(params.velocity or descriptor.cspace.velocity)
         self.acceleration_clamp = np.array(params.acceleration or descriptor.cspace.acceleration)
         self._names = params.joint_order or self.joints

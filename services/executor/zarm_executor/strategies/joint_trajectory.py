@@ -280,7 +280,7 @@ class JointTrajectory(DriverStrategy):
         measured, command = self.link.measured(), self._command
         if measured is None or command is None:
             return
-        limits = self.link.velocity_clamp, self.link.acceleration_limit
+        limits = self.link.velocity_clamp, self.link.acceleration_limit, self.link.jerk_limit
         way = Path.standing(command.position[0]).approached_from(measured.position, *limits)
         times = np.arange(0.0, way.duration - 1.0, command.dt)  # without the second of rest
         position, velocity, acceleration = way.sample(times)

@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 import numpy as np
-from numba.core import types
+from numba import types
 from numpy.typing import NDArray
 
 from zarm_planner.kernels.compiled import inlined

@@ -11,11 +11,9 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from llvmlite import ir
-from numba.core import types
-from numba.core.cgutils import get_or_insert_function
-from numba.core.datamodel.models import PrimitiveModel
+from numba import types
 from numba.extending import intrinsic as numba_intrinsic
-from numba.extending import lower_builtin, register_model, type_callable
+from numba.extending import lower_builtin, models, register_model, type_callable
 
 LANES = 16
 
@@ -41,7 +39,7 @@ lanes = LanesType()
 
 
 @register_model(LanesType)
-class _LanesModel(PrimitiveModel):
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, fe_type: Any) -> None:
         super().__init__(manager, fe_type, _FLOATS)  # type: ignore[no-untyped-call]
 
@@ -82,7 +80,7 @@ def _llvm(name: str, arity: int) -> Any:
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         signature = ir.FunctionType(_FLOATS, [_FLOATS] * arity)
-        function = get_or_insert_function(builder.module, signature, f"llvm.{name}.v{LANES}f32")
+        function = builder.module.declare_intrinsic(f"llvm.{name}.v{LANES}f32", fnty=signature)
         return builder.call(function, args, fastmath=_FAST)
 
     return build

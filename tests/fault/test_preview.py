@@ -1,0 +1,38 @@
+"""The preview fails alone: the robot moves on, and the next plan is shown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from executor_client import Client
+from harness import ServiceProcess, eventually
+from motions import KEYS, moved, plan, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.messages import Health, JointState, Nothing, Plan
+
+SCRIPT = str(Path(__file__).parents[1] / "failing_preview.py")
+BAD, GOOD = plan("plan-bad", rest_to_rest(moved(0.4))), plan("plan-good", rest_to_rest(moved(0.0, -0.3)))
+
+
+def test_a_preview_that_fails_stops_nothing_and_shows_the_next_plan(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path, script=SCRIPT) as executor:
+        executor.wait_ready(bus, KEYS)
+        client, shown = Client(bus), []
+        bus.subscribe(KEYS.preview_joint_states, JointState, lambda _, joints: shown.append(joints.position))
+        goal_id = client.execute(rest_to_rest(moved(0.5), slower=2.0))
+        client.under_way(goal_id)
+        plans = bus.publisher(KEYS.plans, Plan)
+        plans.put(BAD)
+        eventually(lambda: "ZeroDivisionError" in executor.output(), "the preview has failed")
+        assert client.ended(goal_id).status == "succeeded"
+        assert shown == []
+        plans.put(GOOD)
+        eventually(
+            lambda: shown and np.allclose(shown[-1], GOOD.trajectory.position[-1]), "the next plan is shown to its end"
+        )
+        health = bus.call(KEYS.health("executor"), Nothing(), Health, timeout=10)
+        assert health.pid == executor.process.pid
+        assert executor.output().count("Traceback") == 1
+        assert client.state().problem is None
