@@ -19,7 +19,7 @@ import threading
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
-from zarm_contract.messages import ExecutorState, GoalState, RobotMode
+from zarm_contract.messages import ExecutorState, GoalState, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.limits import Limits
 from zarm_executor.motion import Motion
@@ -40,7 +40,8 @@ class Machine:
     """See the module. `strategy` is opened; raises the ZarmError of that. `period` (s) is that of the control loop,
     `speed_scale` the speed of the first motion.
 
-    `stops` counts how often the robot was told to stop, whatever it did then.
+    `stops` and `pauses` count how often the robot was told to stop and to pause, whatever it did then. `scene` is the revision
+    of the scene as it was told last, None before the first time.
     """
 
     def __init__(self, strategy: Strategy, period: float, *, speed_scale: float = 1.0) -> None:
@@ -61,6 +62,8 @@ class Machine:
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
         self.changes: deque[GoalState] = deque()
         self.stops = 0
+        self.pauses = 0
+        self.scene: SceneRevision | None = None
 
     # -- commands --
 
@@ -154,14 +157,15 @@ class Machine:
     def pause(self) -> None:
         """Bring the running goal to rest and hold it."""
         with self._lock:
+            self.pauses += 1
             if self._motion is not None:
                 self._motion.pause()
 
-    def resume(self) -> None:
-        """Go on with a goal that was paused."""
+    def resume(self, scene: SceneRevision | None = None) -> None:
+        """Go on with a goal that was paused, the scene now being `scene`. Raises what `Motion.resume` raises."""
         with self._lock:
             if self._motion is not None:
-                self._motion.resume(self._speed_scale)
+                self._motion.resume(self._speed_scale, scene)
 
     def set_speed(self, speed_scale: float) -> None:
         """Move at this share of the planned speed from now on; a goal that is held does so when it goes on."""
@@ -246,6 +250,7 @@ class Machine:
                 strategy=self._strategy.name,
                 goal_id=self._motion.goal.goal_id if self._motion else None,
                 problem=self._problem,
+                scene_changed=self._motion is not None and self._motion.goal.scene != self.scene,
                 speed_scale=self._speed_scale,
                 missed_ticks=self._missed_ticks,
             )
