@@ -120,7 +120,8 @@ class StreamChunk(Message):
 class ExecutorState(Message):
     """What the robot's owner is doing. `problem` says why it is in `fault`; `missed_ticks` counts since start.
 
-    `scene_changed` says that the goal's scene is not the present one: whether its motion is still free, nobody has looked.
+    `scene_changed` says that the scene is no longer the one that the goal was begun in: nothing has checked its motion against
+    the present one.
     """
 
     mode: RobotMode

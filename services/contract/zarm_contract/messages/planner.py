@@ -115,7 +115,7 @@ class Plan(Message):
 
     `clearance` is capped at 1 m; nothing thicker than `resolution` (m) was missed between the moments that were looked at.
     `waypoint_times` (s) are when the waypoints of the goal are passed, the last one at the end. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
-    It holds in the scene of `scene_revision` alone.
+    It holds only in the scene of `scene_revision`.
     """
 
     plan_id: Name
