@@ -114,19 +114,19 @@ class Bench:
             self.tick()
         raise AssertionError(f"{self.machine.state()} does not become {mode}")
 
-    def execute(self, goal_id: str = "goal-1", asked: int | None = None) -> Path:
+    def execute(self, goal_id: str = "goal-1", asked: int | None = None, scene: str | None = None) -> Path:
         """Start a motion that was asked for at the arrival `asked` (left out: just now)."""
         path = Path.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
-        goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor))
+        goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor), scene)
         self.machine.start(goal, arrival() if asked is None else asked)
         return path
 
-    def stream(self, chunk: Path, *, last: bool = False, deadline: float = 0.1) -> None:
+    def stream(self, chunk: Path, *, last: bool = False, deadline: float = 0.1, scene: str | None = None) -> None:
         """Begin the stream `stream-1` with a chunk that starts where the arm is."""
         path = spliced(Path.standing(self.arm.exact.position), 0.0, chunk, 0.0, LIMITS)
         monitor = Monitor(path, ROBOT.descriptor)
-        first = Chunk(1, 0.0, path, self.now, deadline, last)
-        self.machine.start(Goal("stream-1", None, path, monitor, chunk=first), arrival())
+        first = Chunk(1, 0.0, path, self.now, deadline, last, scene)
+        self.machine.start(Goal("stream-1", None, path, monitor, scene, chunk=first), arrival())
 
     def steer(self, sequence: int, start: float, chunk: Path, *, last: bool = False, deadline: float = 0.1) -> None:
         """Send a later chunk."""

@@ -48,7 +48,7 @@ class Client:
         trajectory: Trajectory | None = None,
         *,
         plan_id: str | None = None,
-        scene_revision: int | None = None,
+        scene_revision: str | None = None,
         preempt: bool = False,
     ) -> str:
         request = ExecuteRequest(trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision, preempt=preempt)

@@ -16,6 +16,8 @@ ROBOT = load_robot("doosan_m1013")
 """The robot that tests move."""
 KEYS = Keys(ROBOT.descriptor.name)
 HOME = np.array(ROBOT.descriptor.home)
+SCENE = "1-5be0c1d2f3a4"
+"""A revision of the scene."""
 
 
 def rest_to_rest(
@@ -106,7 +108,7 @@ def moved(*distances: float, start: np.ndarray = HOME) -> np.ndarray:
 
 
 def plan(
-    plan_id: str, trajectory: Trajectory, *, revision: int = 0, robot: Robot = ROBOT, robot_hash: str = ""
+    plan_id: str, trajectory: Trajectory, *, revision: str = SCENE, robot: Robot = ROBOT, robot_hash: str = ""
 ) -> Plan:
     """A Plan as the planner publishes it."""
     return Plan(

@@ -49,7 +49,7 @@ def every_kind_of_plan(model: RobotModel) -> None:
     upright = HeldAxes(axes=(True, True, False, False, False, False), angle_tolerance=0.1)
     for objects in ((), (ball, post)):
         world = World(objects, 0.005)
-        snapshot = Snapshot(1, model, world, ExactScene(model, world))
+        snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
         for goal in (to_joints, to_pose, through):
             for held in (None, upright):
                 plan(snapshot, home, goal, Options(Limits.of(model), held, 10, 0.05, 0), Stop(60.0))

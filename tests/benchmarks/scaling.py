@@ -218,7 +218,7 @@ def timed_plan(
     """A motion among other objects than the problem's, where its time went, and the seconds that it took to make the scene ready."""
     began = time.perf_counter()
     world = World(objects, 0.005)
-    snapshot = Snapshot(1, model, world, ExactScene(model, world))
+    snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
     ready = time.perf_counter() - began
     goal = JointGoal(kind="joints", position=problem.goals[0])
     options = Options(Limits.of(model), held=None, max_attempts=100, optimize_s=0.0, seed=0)

@@ -74,6 +74,7 @@ _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
 _ADD = m.AddObjects(op="add", objects=(*_OBJECTS, _CLOUD), replace=True)
 _REMOVE = m.RemoveObjects(op="remove", names=("table", "ball.1"))
+_REVISION = "12-5be0c1d2f3a4"
 _CLEAR = m.ClearScene(op="clear")
 _LOAD = m.LoadScene(op="load", objects=(_SPHERE,))
 _POSE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
@@ -121,7 +122,7 @@ EXAMPLES: tuple[Message, ...] = (
         plan_id="plan-1",
         robot="arm_2",
         robot_hash="0123456789abcdef",
-        scene_revision=3,
+        scene_revision=_REVISION,
         trajectory=_TRAJECTORY,
         tip=_POSE,
         clearance=0.021,
@@ -160,8 +161,8 @@ EXAMPLES: tuple[Message, ...] = (
     # scene
     *_OBJECTS,
     m.OccupancyRequest(resolution=0.1),
-    m.Occupancy(scene_revision=12, resolution=0.1, cells=((0, 0, 0), (1, -2, 3))),
-    m.Scene(revision=12, objects=_OBJECTS, attached=(_ATTACHED,), ignored_links=("link_5",)),
+    m.Occupancy(scene_revision=_REVISION, resolution=0.1, cells=((0, 0, 0), (1, -2, 3))),
+    m.Scene(revision=_REVISION, objects=_OBJECTS, attached=(_ATTACHED,), ignored_links=("link_5",)),
     _ADD,
     _REMOVE,
     _CLEAR,
@@ -178,10 +179,10 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_ATTACH),
     m.SceneEdit(edit=_DETACH),
     m.SceneEdit(edit=_LINKS),
-    m.SceneEdited(revision=13, count=4),
+    m.SceneEdited(revision=_REVISION, count=4),
     # executor
     m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1"),
-    m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=3),
+    m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=_REVISION),
     m.Accepted(goal_id="goal-1"),
     m.GoalState(
         goal_id="goal-1",
@@ -195,7 +196,13 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     m.CancelRequest(goal_id="goal-1"),
     m.ExecutorState(
-        mode="fault", strategy="emulator", goal_id="goal-1", problem=_PROBLEM, speed_scale=0.5, missed_ticks=2
+        mode="fault",
+        strategy="emulator",
+        goal_id="goal-1",
+        problem=_PROBLEM,
+        scene_changed=True,
+        speed_scale=0.5,
+        missed_ticks=2,
     ),
     _EMULATOR,
     m.Strategies(active="emulator", strategies=(_EMULATOR,)),

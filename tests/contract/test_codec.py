@@ -177,7 +177,8 @@ scene_objects = st.one_of(
         for kind, shape in (("capsule", m.Capsule), ("cylinder", m.Cylinder))
     ),
 )
-scenes = st.builds(m.Scene, revision=st.integers(min_value=0), objects=st.lists(scene_objects, max_size=5).map(tuple))
+revisions = st.from_regex(r"[1-9][0-9]{0,17}-[0-9a-f]{12}", fullmatch=True)
+scenes = st.builds(m.Scene, revision=revisions, objects=st.lists(scene_objects, max_size=5).map(tuple))
 
 
 @given(message=st.one_of(trajectories(), poses, scenes))
@@ -230,7 +231,10 @@ def test_no_more_fields_are_read_than_the_largest_scene_has() -> None:
     with pytest.raises(InvalidRequest, match=r"Field required \(plan_id\)"):
         decode(m.Plan, b'{"trajectory": [%s 0]}' % (b"[], " * 100_000))
     ball = m.Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 0.0), radius=1.0)
-    scene = m.Scene(revision=1, objects=tuple(ball.model_copy(update={"name": f"b{n}"}) for n in range(m.MAX_OBJECTS)))
+    scene = m.Scene(
+        revision="1-5be0c1d2f3a4",
+        objects=tuple(ball.model_copy(update={"name": f"b{n}"}) for n in range(m.MAX_OBJECTS)),
+    )
     assert decode(m.Scene, encode(scene)) == scene
 
 

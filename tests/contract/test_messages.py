@@ -220,7 +220,11 @@ _BALLS_10001 = [_BALL] * (messages.MAX_OBJECTS + 1)
         (messages.PlanRequest, ("request_id",), _NAME_65),
         (messages.PlanRequest, ("request_id",), "a/b"),
         (messages.PlanRequest, ("request_id",), ""),
-        (messages.Plan, ("scene_revision",), -1),
+        (messages.Plan, ("scene_revision",), 3),
+        (messages.Plan, ("scene_revision",), "3"),
+        (messages.Plan, ("scene_revision",), "-1-5be0c1d2f3a4"),
+        (messages.Plan, ("scene_revision",), "03-5be0c1d2f3a4"),
+        (messages.Plan, ("scene_revision",), "3-5be0c1d2f3a4\n"),
         (messages.CancelPlan, ("request_id",), "*"),
         (messages.IkRequest, ("poses",), _POSES_1001),
         (messages.IkRequest, ("poses",), []),
@@ -298,7 +302,7 @@ def test_an_execute_request_has_one_source_of_its_motion() -> None:
     by_plan, by_trajectory = (json.loads(encode(example)) for example in by_class()[messages.ExecuteRequest])
     both = json.dumps(by_trajectory | by_plan).encode()
     assert refused_field(messages.ExecuteRequest, both) == "trajectory"
-    revised_plan = json.dumps(by_plan | {"scene_revision": 3}).encode()
+    revised_plan = json.dumps(by_plan | {"scene_revision": "3-5be0c1d2f3a4"}).encode()
     assert refused_field(messages.ExecuteRequest, revised_plan) == "scene_revision"
 
 

@@ -113,7 +113,7 @@ def test_a_request_that_cannot_be_read_is_refused_with_its_field(bus: Bus, other
 
 
 def test_a_request_over_the_limit_is_refused(bus: Bus, other: Bus) -> None:
-    bus.serve(KEYS.scene_edit, m.RemoveObjects, lambda _: m.SceneEdited(revision=1, count=0))
+    bus.serve(KEYS.scene_edit, m.RemoveObjects, lambda _: m.SceneEdited(revision="1-5be0c1d2f3a4", count=0))
     declared(bus)
     names = ("n" * 64,) * (MAX_BYTES // 64)
     with pytest.raises(InvalidRequest) as refusal:

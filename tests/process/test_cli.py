@@ -96,10 +96,12 @@ def test_a_published_plan_can_be_executed_by_its_id(up: Up, observer: Bus, empty
     assert "nosuchplan" in refused(up, "execute", "--plan-id", "nosuchplan")
 
 
-def test_a_plan_older_than_its_scene_does_not_move_the_robot(up: Up, empty_scene: None) -> None:
-    done(up, "plan", "--joints", near_home(0.4))
+def test_a_plan_of_another_scene_does_not_move_the_robot(up: Up, empty_scene: None, tmp_path: Path) -> None:
+    file = str(tmp_path / "plan.json")
+    done(up, "plan", "--joints", near_home(0.4), "--save", file)
     done(up, "scene", "add", "sphere", "ball", "--at", "0,-1,0.2", "--radius", "0.05")
     assert "stale_plan" in refused(up, "execute")
+    assert "stale_plan" in refused(up, "execute", "--plan", file)
 
 
 def test_a_file_that_holds_no_plan_is_named(up: Up, tmp_path: Path) -> None:

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from executor_client import Client
 from harness import ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, moved, plan, rest_to_rest
+from motions import HOME, KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 
-from zarm_contract.bus import Bus
+from zarm_contract.bus import Bus, Latched
 from zarm_contract.errors import (
     ExecutionRefused,
     InvalidRequest,
+    Unavailable,
 )
 from zarm_contract.messages import (
     JointState,
@@ -26,12 +27,20 @@ from zarm_contract.messages import (
 SHORT = rest_to_rest(moved(0.01))
 
 
+def tell_scene(bus: Bus, revision: str = SCENE) -> Latched[SceneEdited]:
+    """What the planner says of its scene; keep it."""
+    scene = bus.latched(KEYS.scene_revision, SceneEdited)
+    scene.set(SceneEdited(revision=revision, count=0))
+    return scene
+
+
 # --- plans and the scene ---
 
 
 def test_plans_are_executed_by_id_or_as_the_last_one(client: Client) -> None:
     with pytest.raises(InvalidRequest, match="no plan"):
         client.execute()
+    tell_scene(client.bus)
     plans = client.bus.latched(KEYS.plans, Plan)
     plans.set(plan("first", rest_to_rest(moved(0.02))))
     plans.set(plan("second", SHORT))
@@ -57,6 +66,7 @@ def attempt(client: Client, plan_id: str) -> str | None:
 def test_the_plan_that_the_planner_holds_runs_before_its_publication_arrives(
     endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
+    tell_scene(bus)
     held = [plan("first", rest_to_rest(moved(0.02)))]
     bus.serve(KEYS.plans, Nothing, lambda _: held[-1], readable=True)  # nothing is ever published
     with ServiceProcess("executor", endpoint, tmp_path) as process:
@@ -70,7 +80,9 @@ def test_the_plan_that_the_planner_holds_runs_before_its_publication_arrives(
 
 
 def test_where_no_planner_answers_the_plan_published_last_runs(client: Client) -> None:
+    scene = client.bus.publisher(KEYS.scene_revision, SceneEdited)
     plans = client.bus.publisher(KEYS.plans, Plan)
+    scene.put(SceneEdited(revision=SCENE, count=0))
     plans.put(plan("first", rest_to_rest(moved(0.02))))
     plans.put(plan("second", SHORT))
     goal_id = eventually(lambda: attempt(client, "second"), "the executor knows the second plan")
@@ -80,6 +92,7 @@ def test_where_no_planner_answers_the_plan_published_last_runs(client: Client) -
 
 
 def test_a_plan_made_before_the_executor_started_can_be_executed(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    tell_scene(bus)
     bus.latched(KEYS.plans, Plan).set(plan("early", SHORT))
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
@@ -87,23 +100,38 @@ def test_a_plan_made_before_the_executor_started_can_be_executed(endpoint: str, 
         assert client.ended(client.execute()).plan_id == "early"
 
 
-def test_a_plan_older_than_the_scene_is_stale(endpoint: str, bus: Bus, tmp_path: Path) -> None:
-    scene = bus.latched(KEYS.scene_revision, SceneEdited)
-    scene.set(SceneEdited(revision=3, count=0))
-    bus.latched(KEYS.plans, Plan).set(plan("made-in-3", SHORT, revision=3))
+def refused(client: Client, trajectory: Trajectory | None = None, scene_revision: str | None = None) -> str:
+    with pytest.raises(ExecutionRefused) as refusal:
+        client.execute(trajectory, scene_revision=scene_revision)
+    return refusal.value.code
+
+
+@pytest.mark.parametrize("other", ["4-5be0c1d2f3a4", "3-0123456789ab", "2-5be0c1d2f3a4"])
+def test_a_plan_of_any_other_scene_than_the_present_one_is_stale(
+    endpoint: str, bus: Bus, tmp_path: Path, other: str
+) -> None:
+    present = "3-5be0c1d2f3a4"
+    scene = tell_scene(bus, present)
+    bus.latched(KEYS.plans, Plan).set(plan("made-in-3", SHORT, revision=present))
     with ServiceProcess("executor", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
         client = Client(bus)
-        with pytest.raises(ExecutionRefused) as refusal:
-            client.execute(SHORT, scene_revision=2)
-        assert refusal.value.code == "stale_plan"
+        assert refused(client, SHORT, other) == "stale_plan"
         client.ended(client.execute())
         client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
-        scene.set(SceneEdited(revision=4, count=1))
-        with pytest.raises(ExecutionRefused) as refusal:
-            client.execute()
-        assert refusal.value.code == "stale_plan"
+        client.ended(client.execute(SHORT, scene_revision=present))
+        client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
+        scene.set(SceneEdited(revision=other, count=1))
+        assert refused(client) == "stale_plan"
+        assert refused(client, SHORT, present) == "stale_plan"
         assert client.stands()
+
+
+def test_a_plan_whose_scene_nobody_can_compare_with_the_present_one_is_refused(client: Client) -> None:
+    with pytest.raises(Unavailable, match="start the planner"):
+        client.execute(SHORT, scene_revision=SCENE)
+    assert client.stands()
+    client.ended(client.execute(SHORT))  # its client answers for it
 
 
 # --- the ghost ---

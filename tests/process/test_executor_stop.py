@@ -10,7 +10,7 @@ import pytest
 from arrivals import arrival
 from executor_bench import Bench
 from harness import PATIENCE
-from motions import KEYS, ROBOT, moved, plan, rest_to_rest
+from motions import KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, Unavailable
@@ -21,6 +21,7 @@ from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
+from zarm_executor.scene import PresentScene
 
 
 def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus: Bus, tmp_path: Path) -> None:
@@ -35,16 +36,18 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         raise Unavailable("no planner")
 
     bench = Bench(now=float("inf"))  # fresh, though nobody ticks
+    bench.machine.scene = SCENE
     reporter = Reporter(
         bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState), lambda _: None, Metrics()
     )
-    plans = Plans(ROBOT.hash, newest, unanswered)
+    plans = Plans(ROBOT.hash, newest)
     executor = Executor(
         ROBOT,
         bench.machine,
         reporter,
         Admission(bench.machine, reporter),
         plans,
+        PresentScene(bench.machine, unanswered),
         {},
         bus.publisher(KEYS.strategy, Strategies),
         bus.publisher(KEYS.speed, Speed),

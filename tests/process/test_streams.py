@@ -13,11 +13,12 @@ import pytest
 from driven import LIMIT, driven
 from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
+from motions import HOME, KEYS, ROBOT, SCENE, moved, rest_to_rest
 from waves import as_message, chunk
 
 from zarm_contract.bus import Bus
-from zarm_contract.messages import GoalState, StreamChunk
+from zarm_contract.errors import ExecutionRefused
+from zarm_contract.messages import GoalState, SceneEdited, StreamChunk
 from zarm_contract.session import open_client
 from zarm_executor.path import Path as Motion
 
@@ -63,6 +64,31 @@ def test_the_example_of_a_client_is_followed_to_its_end(client: Client, endpoint
     assert swing.max() - HOME[0] == pytest.approx(0.3, abs=0.01)
     assert client.greatest_acceleration() <= 1.03
     assert client.stands()
+
+
+def test_a_held_stream_goes_on_only_when_a_chunk_has_come_since_the_scene_was_edited(
+    client: Client, endpoint: str
+) -> None:
+    scene = client.bus.latched(KEYS.scene_revision, SceneEdited)
+    scene.set(SceneEdited(revision=SCENE, count=0))
+    process = run_example(endpoint, 60.0)
+    try:
+        eventually(lambda: client.state().mode == "running", "the stream runs")
+        client.command(KEYS.pause)
+        client.mode("paused")
+        process.send_signal(signal.SIGSTOP)
+        scene.set(SceneEdited(revision="2-0123456789ab", count=1))
+        eventually(lambda: client.state().scene_changed, "the edit is known")
+        with pytest.raises(ExecutionRefused) as refusal:
+            client.command(KEYS.resume)
+        assert refusal.value.code == "stale_plan"
+        assert client.stands()
+        process.send_signal(signal.SIGCONT)
+        eventually(lambda: not client.state().scene_changed, "a chunk has come")
+        assert client.command(KEYS.resume).mode == "running"
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_a_client_that_is_frozen_leaves_a_robot_at_rest_that_is_idle(client: Client, endpoint: str) -> None:

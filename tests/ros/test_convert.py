@@ -375,7 +375,9 @@ def test_a_colour_is_kept_only_where_it_is_one() -> None:
 
 @promised(st.lists(st.tuples(*[st.integers(-1000, 1000)] * 3), max_size=50), st.sampled_from([0.002, 0.05, 1.0]))
 def test_a_cloud_has_the_centres_of_the_voxels(cells: list[tuple[int, int, int]], resolution: float) -> None:
-    cloud = ros_cloud(Occupancy(scene_revision=1, resolution=resolution, cells=tuple(cells)), "base_link")
+    cloud = ros_cloud(
+        Occupancy(scene_revision="1-5be0c1d2f3a4", resolution=resolution, cells=tuple(cells)), "base_link"
+    )
     assert (cloud.header.frame_id, cloud.height, cloud.width) == ("base_link", 1, len(cells))
     assert [(field.name, field.offset) for field in cloud.fields] == [("x", 0), ("y", 4), ("z", 8)]
     points = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)

@@ -153,6 +153,24 @@ def test_a_goal_that_is_refused_says_why_as_on_the_bus(robot: Robot, actions: Ac
     assert (status, result.success, result.message) == (ABORTED, False, str(refusal.value))
 
 
+def test_an_edit_of_the_scene_under_a_goal_is_said_on_rosout_and_the_goal_goes_on(
+    running: Stack, robot: Robot, actions: Actions
+) -> None:
+    said: list[str] = []
+    listener = running.ros.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
+    robot.plan()
+    goal = actions.send()
+    goal.under_way()
+    ball = Sphere(kind="sphere", name="ball", position=(2.0, 2.0, 2.0), radius=0.1)
+    for edit in (AddObjects(op="add", objects=(ball,)), RemoveObjects(op="remove", names=("ball",))):
+        robot.bus.call(KEYS.scene_edit, SceneEdit(edit=edit), SceneEdited, timeout=PATIENCE)
+    changed = "The scene has changed since the motion "
+    eventually(lambda: any(line.startswith(changed) for line in said), "the bridge says so")
+    assert goal.ended()[0] == SUCCEEDED
+    assert sum(line.startswith(changed) for line in said) == 1
+    running.ros.node.destroy_subscription(listener)
+
+
 def test_a_plan_is_not_run_a_second_time_from_where_it_ended(robot: Robot, actions: Actions) -> None:
     robot.plan()
     assert actions.send().ended()[0] == SUCCEEDED

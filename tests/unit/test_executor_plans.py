@@ -6,11 +6,11 @@ from typing import NoReturn
 
 import pytest
 from harness import PATIENCE
-from motions import ROBOT, moved, plan, rest_to_rest
+from motions import ROBOT, SCENE, moved, plan, rest_to_rest
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import ExecuteRequest, Plan, SceneEdited
-from zarm_executor.plans import REMEMBERED, Plans
+from zarm_contract.messages import ExecuteRequest, Plan
+from zarm_executor.plans import REMEMBERED, Chosen, Plans
 
 TRAJECTORY = rest_to_rest(moved(0.1))
 
@@ -19,19 +19,15 @@ def unanswered() -> NoReturn:
     raise Unavailable("no planner")
 
 
-def scene_at(revision: int) -> SceneEdited:
-    return SceneEdited(revision=revision, count=0)
-
-
 @pytest.fixture
 def plans() -> Plans:
-    return Plans(ROBOT.hash, unanswered, unanswered)
+    return Plans(ROBOT.hash, unanswered)
 
 
 def test_an_empty_request_means_the_last_plan(plans: Plans) -> None:
     for name in ("a", "b", "a"):
         plans.add("", plan(name, TRAJECTORY))
-    assert plans.chosen(ExecuteRequest())[0] == "a"
+    assert plans.chosen(ExecuteRequest()).plan_id == "a"
 
 
 def test_before_the_first_plan_an_empty_request_is_refused(plans: Plans) -> None:
@@ -42,18 +38,18 @@ def test_before_the_first_plan_an_empty_request_is_refused(plans: Plans) -> None
 def test_the_last_plans_are_known_by_their_id_and_older_ones_are_forgotten(plans: Plans) -> None:
     for number in range(REMEMBERED + 1):
         plans.add("", plan(f"plan-{number}", TRAJECTORY))
-    assert plans.chosen(ExecuteRequest(plan_id="plan-1"))[0] == "plan-1"
+    assert plans.chosen(ExecuteRequest(plan_id="plan-1")).plan_id == "plan-1"
     with pytest.raises(InvalidRequest, match="plan-0") as refusal:
         plans.chosen(ExecuteRequest(plan_id="plan-0"))
     assert refusal.value.problem.field == "plan_id"
 
 
 def test_the_plan_that_the_planner_calls_its_newest_goes_before_those_published() -> None:
-    plans = Plans(ROBOT.hash, lambda: plan("newest", TRAJECTORY), unanswered)
+    plans = Plans(ROBOT.hash, lambda: plan("newest", TRAJECTORY))
     plans.add("", plan("published", TRAJECTORY))
-    assert plans.chosen(ExecuteRequest())[0] == "newest"
-    assert plans.chosen(ExecuteRequest(plan_id="newest"))[0] == "newest"
-    assert plans.chosen(ExecuteRequest(plan_id="published"))[0] == "published"
+    assert plans.chosen(ExecuteRequest()).plan_id == "newest"
+    assert plans.chosen(ExecuteRequest(plan_id="newest")).plan_id == "newest"
+    assert plans.chosen(ExecuteRequest(plan_id="published")).plan_id == "published"
 
 
 def test_the_publication_of_a_plan_before_the_newest_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,44 +60,24 @@ def test_the_publication_of_a_plan_before_the_newest_is_waited_for(monkeypatch: 
         return plan("newest", TRAJECTORY)
 
     monkeypatch.setattr("zarm_executor.plans.PUBLICATION_PATIENCE", PATIENCE)
-    plans = Plans(ROBOT.hash, newest, unanswered)
+    plans = Plans(ROBOT.hash, newest)
     with ThreadPoolExecutor(1) as pool:
         chosen = pool.submit(plans.chosen, ExecuteRequest(plan_id="on-its-way"))
         assert asked.wait(PATIENCE)
         plans.add("", plan("on-its-way", TRAJECTORY))
-        assert chosen.result(PATIENCE)[0] == "on-its-way"
+        assert chosen.result(PATIENCE).plan_id == "on-its-way"
 
 
-def test_a_plan_older_than_the_scene_is_stale(plans: Plans) -> None:
-    plans.add("", plan("old", TRAJECTORY, revision=3))
-    plans.set_scene("", scene_at(3))
-    plans.chosen(ExecuteRequest())
-    plans.set_scene("", scene_at(4))
-    with pytest.raises(ExecutionRefused, match="revision 3 of the scene, which is at 4 now") as refusal:
-        plans.chosen(ExecuteRequest(plan_id="old"))
-    assert refusal.value.problem.code == "stale_plan"
-
-
-def test_a_trajectory_that_names_its_scene_is_stale_like_a_plan(plans: Plans) -> None:
-    plans.set_scene("", scene_at(4))
-    plans.chosen(ExecuteRequest(trajectory=TRAJECTORY))
-    plans.chosen(ExecuteRequest(trajectory=TRAJECTORY, scene_revision=4))
-    with pytest.raises(ExecutionRefused) as refusal:
-        plans.chosen(ExecuteRequest(trajectory=TRAJECTORY, scene_revision=3))
-    assert refusal.value.problem.code == "stale_plan"
+def test_a_plan_names_its_scene_and_a_trajectory_does_where_its_client_says_so(plans: Plans) -> None:
+    plans.add("", plan("made", TRAJECTORY, revision=SCENE))
+    assert plans.chosen(ExecuteRequest()) == Chosen("made", TRAJECTORY, SCENE)
+    claimed = ExecuteRequest(trajectory=TRAJECTORY, scene_revision=SCENE)
+    assert plans.chosen(claimed) == Chosen(None, TRAJECTORY, SCENE)
+    assert plans.chosen(ExecuteRequest(trajectory=TRAJECTORY)) == Chosen(None, TRAJECTORY, None)
 
 
 def test_a_plan_for_another_description_of_the_robot_is_stale(plans: Plans) -> None:
     plans.add("", plan("foreign", TRAJECTORY, robot_hash="0123456789abcdef"))
     with pytest.raises(ExecutionRefused, match="same descriptor") as refusal:
-        plans.chosen(ExecuteRequest())
-    assert refusal.value.problem.code == "stale_plan"
-
-
-def test_the_scene_that_the_planner_has_goes_before_the_one_published() -> None:
-    plans = Plans(ROBOT.hash, unanswered, lambda: scene_at(4))
-    plans.add("", plan("old", TRAJECTORY, revision=3))
-    plans.set_scene("", scene_at(3))
-    with pytest.raises(ExecutionRefused) as refusal:
         plans.chosen(ExecuteRequest())
     assert refusal.value.problem.code == "stale_plan"

@@ -44,7 +44,7 @@ def held_plan(
     model: RobotModel, goal: Goal, held: HeldAxes, *objects: SceneObject, optimize_s: float = 0.0
 ) -> Verified:
     world = World(objects, 0.005)
-    snapshot = Snapshot(1, model, world, ExactScene(model, world))
+    snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
     options = Options(Limits.of(model), held=held, max_attempts=10, optimize_s=optimize_s, seed=0)
     return plan(snapshot, HOME, goal, options, Stop(60.0))[0]
 

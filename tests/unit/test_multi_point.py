@@ -45,7 +45,7 @@ def through(
     seed: int = 0,
 ) -> Verified:
     world = World(objects, 0.005)
-    snapshot = Snapshot(1, model, world, ExactScene(model, world))
+    snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
     options = Options(Limits.of(model), held=None, max_attempts=10, optimize_s=optimize_s, seed=seed)
     return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))[0]
 
@@ -70,7 +70,7 @@ def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint_and_than_r
 ) -> None:
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     found = through(model, *goals)
-    snapshot = Snapshot(1, model, EMPTY, ExactScene(model, EMPTY))
+    snapshot = Snapshot("1-000000000000", model, EMPTY, ExactScene(model, EMPTY))
     options = Options(Limits.of(model), held=None, max_attempts=10, optimize_s=0.0, seed=0)
     alone = [
         plan(snapshot, start, goal, options, Stop(60.0))[0].motion.duration

@@ -36,7 +36,7 @@ def post(model: RobotModel) -> SceneObject:
 
 def snapshot(model: RobotModel, *objects: SceneObject) -> Snapshot:
     world = World(objects, 0.005)
-    return Snapshot(1, model, world, ExactScene(model, world))
+    return Snapshot("1-000000000000", model, world, ExactScene(model, world))
 
 
 def options(model: RobotModel, seed: int = 0) -> Options:

@@ -76,7 +76,7 @@ def test_every_motion_is_free_and_within_limits(name: str, changed: str, tmp_pat
         start, goal = free_near_home(robot, collisions, rng)
         model = bare.carrying(attached, ignored)
         world = World(objects, 0.005)
-        snapshot = Snapshot(1, model, world, ExactScene(model, world))
+        snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
         options = Options(Limits.of(model), held=None, max_attempts=100, optimize_s=0.0, seed=seed)
         wanted = JointGoal(kind="joints", position=tuple(goal.tolist()))
         try:

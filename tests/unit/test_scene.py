@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,15 +62,22 @@ def files_no_longer_than(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
-def test_a_new_scene_is_empty_and_is_revision_0(tmp_path: Path) -> None:
-    assert SceneStore(tmp_path).scene == Scene(revision=0)
+def number(scene: Scene) -> int:
+    """How many edits it has had, by its revision."""
+    return int(scene.revision.partition("-")[0])
+
+
+def test_a_new_scene_is_empty_and_has_had_no_edit(tmp_path: Path) -> None:
+    scene = SceneStore(tmp_path).scene
+    assert scene == Scene(revision=scene.revision)
+    assert number(scene) == 0
 
 
 def test_every_edit_makes_the_next_revision(tmp_path: Path) -> None:
     store = SceneStore(tmp_path)
     edits = (add(ball("a"), ball("b")), add(ball("a", 0.2), replace=True), remove("b"), load(ball("c")), CLEAR, CLEAR)
     scenes = [store.edit(edit) for edit in edits]
-    assert [scene.revision for scene in scenes] == [1, 2, 3, 4, 5, 6]
+    assert [number(scene) for scene in scenes] == [1, 2, 3, 4, 5, 6]
     assert [names(scene) for scene in scenes] == [["a", "b"], ["a", "b"], ["a"], ["c"], [], []]
     assert scenes[1].objects[0] == ball("a", 0.2)
 
@@ -122,7 +130,7 @@ def test_the_scene_outlives_the_process(tmp_path: Path) -> None:
     again = SceneStore(tmp_path / "deep" / "folder")
     assert again.scene == scene
     assert again.lost is None
-    assert again.edit(CLEAR).revision == scene.revision + 1
+    assert number(again.edit(CLEAR)) == number(scene) + 1
 
 
 def test_what_a_crash_left_half_written_is_not_the_scene(tmp_path: Path) -> None:
@@ -138,7 +146,7 @@ def test_an_edit_that_cannot_be_saved_is_not_applied(tmp_path: Path) -> None:
         store.edit(add(ball("b")))
     assert store.scene == before
     assert SceneStore(tmp_path).scene == before
-    assert store.edit(add(ball("b"))).revision == before.revision + 1
+    assert number(store.edit(add(ball("b")))) == number(before) + 1
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff\xfe", b'{"format": 1, "scene": {"revision": -1}}', b"[" * 5000])
@@ -162,10 +170,35 @@ def test_a_lost_scene_stays_lost_until_someone_edits_it(tmp_path: Path) -> None:
     assert SceneStore(tmp_path).lost is None
 
 
-def test_after_a_loss_no_earlier_revision_comes_again(tmp_path: Path) -> None:
-    before = SceneStore(tmp_path).edit(add(ball("a")))
-    (tmp_path / "scene.json").write_text("broken")
-    assert SceneStore(tmp_path).scene.revision > before.revision
+@pytest.mark.parametrize("content", [None, "broken"])
+def test_when_its_file_is_gone_or_lost_no_earlier_revision_comes_again(tmp_path: Path, content: str | None) -> None:
+    file, revisions = tmp_path / "scene.json", set[str]()
+    for _ in range(3):
+        store = SceneStore(tmp_path)
+        revisions |= {store.scene.revision, store.edit(add(ball("a"))).revision, store.edit(CLEAR).revision}
+        file.unlink() if content is None else file.write_text(content)
+    assert len(revisions) == 9
+
+
+def test_a_new_scene_is_the_same_after_a_restart(tmp_path: Path) -> None:
+    assert SceneStore(tmp_path).scene == SceneStore(tmp_path).scene
+
+
+def test_copies_of_one_scene_that_are_edited_apart_are_two_scenes(tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    before = SceneStore(here).edit(add(ball("a")))
+    shutil.copytree(here, there)
+    assert SceneStore(there).scene == before
+    assert SceneStore(here).edit(CLEAR).revision != SceneStore(there).edit(CLEAR).revision
+
+
+def test_a_scene_that_is_put_back_as_it_was_is_another_one(tmp_path: Path) -> None:
+    store = SceneStore(tmp_path)
+    before = store.edit(add(ball("a")))
+    store.edit(remove("a"))
+    again = store.edit(add(ball("a")))
+    assert again.objects == before.objects
+    assert again.revision != before.revision
 
 
 def test_the_scene_of_a_newer_zarm_is_left_alone(tmp_path: Path) -> None:
@@ -177,18 +210,27 @@ def test_the_scene_of_a_newer_zarm_is_left_alone(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "scene.json").read_text())["version"] == 99
 
 
-def test_the_scene_of_an_older_zarm_is_taken_over_and_its_file_kept(tmp_path: Path) -> None:
-    """What zarm 0.1.0 wrote before files stated a version."""
-    old = (
-        b'{"format":1,"scene":{"revision":7,"objects":[{"kind":"sphere","name":"a","position":[0.1,0.2,0.3],"radius":0.05}],'
-        b'"attached":[],"ignored_links":[]}}'
-    )
+_OLD_SCENE = (
+    b'{"revision":7,"objects":[{"kind":"sphere","name":"a","position":[0.1,0.2,0.3],"radius":0.05}],"attached":[],'
+    b'"ignored_links":[]}'
+)
+
+
+@pytest.mark.parametrize(
+    ("version", "old"),
+    [
+        (0, b'{"format":1,"scene":' + _OLD_SCENE + b"}"),
+        (1, b'{"version": 1, "written_by": "0.1.0", "content": ' + _OLD_SCENE + b"}"),
+    ],
+)
+def test_the_scene_of_an_older_zarm_is_taken_over_and_its_file_kept(tmp_path: Path, version: int, old: bytes) -> None:
+    """What zarm 0.1.0 wrote before files stated a version, and before a revision was more than a number."""
     (tmp_path / "scene.json").write_bytes(old)
     store = SceneStore(tmp_path)
     assert store.lost is None
-    assert (store.scene.revision, [item.name for item in store.scene.objects]) == (7, ["a"])
-    assert (tmp_path / "scene.json.v0").read_bytes() == old
-    assert json.loads((tmp_path / "scene.json").read_text())["version"] == 1
+    assert (number(store.scene), [item.name for item in store.scene.objects]) == (7, ["a"])
+    assert (tmp_path / f"scene.json.v{version}").read_bytes() == old
+    assert json.loads((tmp_path / "scene.json").read_text())["version"] == 2
     assert SceneStore(tmp_path).scene == store.scene
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import queue
 import secrets
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from zarm_cli.client import AsJson, Client, Connect, Name, connected, message
 from zarm_cli.interrupts import wait_for
-from zarm_cli.output import err, facts, out, print_json
+from zarm_cli.output import SCENE_CHANGED, err, facts, out, print_json
 from zarm_cli.planning import JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
 from zarm_contract.errors import Unavailable, from_problem
 from zarm_contract.messages import (
@@ -102,6 +103,7 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
                 client.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=_WITHDRAW_SECONDS
             )
         raise
+    _warn_of_edits(client, goal_id)
     goal = _Goal(client, goal_id)
     columns = (
         TextColumn("{task.description}"),
@@ -127,6 +129,18 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
             last = goal.follow(show, _STOP_SECONDS)
             err.print(f"zarm: {last.status}: the robot stands still at {last.progress:.0%} of the motion")
             raise
+
+
+def _warn_of_edits(client: Client, goal_id: str) -> None:
+    """Say it, once, when the scene becomes another than the one that the goal was begun in."""
+    said = threading.Event()
+
+    def look(_: str, state: ExecutorState) -> None:
+        if state.scene_changed and state.goal_id == goal_id and not said.is_set():
+            said.set()
+            err.print(f"zarm: {SCENE_CHANGED}", soft_wrap=True)
+
+    client.bus.watch(client.keys.executor_state, ExecutorState, look)
 
 
 class _Goal:
@@ -199,6 +213,8 @@ def _print_state(state: ExecutorState, as_json: bool) -> None:
         return
     goal = f", goal {state.goal_id}" if state.goal_id else ""
     out.print(f"{state.mode} ({state.strategy}{goal})" + (f": {state.problem.message}" if state.problem else ""))
+    if state.scene_changed:
+        out.print(SCENE_CHANGED)
 
 
 def speed(

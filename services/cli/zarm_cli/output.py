@@ -18,6 +18,10 @@ from zarm_contract.messages import Message, Pose
 out = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 120)
 err = Console(highlight=False, markup=False, stderr=True)
 
+SCENE_CHANGED = (
+    "the scene has changed since this motion was checked: stop it, and plan again, if something is in its way"
+)
+
 
 def print_json(value: Message | Mapping[str, object]) -> None:
     """A line of JSON: one message as it goes over the bus, or several by name."""

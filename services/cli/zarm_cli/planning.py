@@ -164,7 +164,10 @@ def read_plan(path: Path) -> Plan:
     try:
         return decode(Plan, content)
     except InvalidRequest as error:
-        raise InvalidRequest(f"{path} holds no plan: {error.problem.message}", field=error.problem.field) from error
+        raise InvalidRequest(
+            f"{path} holds no plan: {error.problem.message}; plan again with this version of zarm, and save it anew",
+            field=error.problem.field,
+        ) from error
 
 
 def read_bytes(path: Path) -> bytes:

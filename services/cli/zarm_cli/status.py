@@ -13,7 +13,7 @@ from rich.table import Table
 from zarm_cli.agreement import mismatches
 from zarm_cli.client import AsJson, Client, Connect, Name, connected
 from zarm_cli.interrupts import pause
-from zarm_cli.output import counted, degrees, err, facts, out, pose_text, print_json
+from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, out, pose_text, print_json
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
@@ -102,6 +102,8 @@ def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
     rows = [("mode", state.mode + (f", goal {state.goal_id}" if state.goal_id else "")), ("strategy", state.strategy)]
     if state.speed_scale != 1.0:
         rows.append(("speed", f"{state.speed_scale:g} of the planned speed"))
+    if state.scene_changed:
+        rows.append(("warning", SCENE_CHANGED))
     if state.problem is not None:
         rows.append(("problem", f"{state.problem.code}: {state.problem.message}"))
     return rows

@@ -151,7 +151,8 @@ class _Teller:
 def _line(message: Message) -> tuple[str, str] | None:
     match message:
         case ExecutorState():
-            return "robot", message.mode + (f": {message.problem.code}" if message.problem else "")
+            changed = ", the scene has changed" if message.scene_changed else ""
+            return "robot", message.mode + changed + (f": {message.problem.code}" if message.problem else "")
         case GoalState():
             ended = f" at {message.progress:.0%} after {message.elapsed:.2f} s in motion" if message.done else ""
             return f"goal {message.goal_id}", message.status + ended + _reason(message.problem)

@@ -29,6 +29,7 @@ from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
+from zarm_executor.scene import PresentScene
 from zarm_executor.strategies.repertoire import Repertoire
 
 log = logging.getLogger(__name__)
@@ -47,6 +48,7 @@ class Executor:
         reporter: Reporter,
         admission: Admission,
         plans: Plans,
+        present: PresentScene,
         strategies: Repertoire,
         publisher: Publisher[Strategies],
         speeds: Publisher[Speed],
@@ -56,6 +58,7 @@ class Executor:
         self._machine = machine
         self._reporter = reporter
         self._plans = plans
+        self._present = present
         self._strategies = strategies
         self._publisher = publisher
         self._speeds = speeds
@@ -66,13 +69,15 @@ class Executor:
     def execute(self, request: ExecuteRequest, arrival: int) -> Accepted:
         """Check a motion and start it; one that preempts is checked for all but its start before the other one ends."""
         with self._admission.turn(arrival, preempt=request.preempt) as turn:
-            plan_id, trajectory = self._plans.chosen(request)
-            path = executable(trajectory, self._robot)
+            chosen = self._plans.chosen(request)
+            scene = self._present.demand(chosen.name, chosen.scene_revision)
+            path = executable(chosen.trajectory, self._robot)
             goal_id = self._named(request.goal_id)
             if request.preempt:
                 turn.preempt(goal_id)
+                scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest took a while
             path = startable(path, self._machine.joint_state(), time.monotonic(), self._robot)
-            turn.start(Goal(goal_id, plan_id, path, Monitor(path, self._robot.descriptor)))
+            turn.start(Goal(goal_id, chosen.plan_id, path, Monitor(path, self._robot.descriptor), scene))
         return Accepted(goal_id=goal_id)
 
     def _named(self, goal_id: str | None) -> str:
@@ -104,9 +109,9 @@ class Executor:
         return self._reporter.publish()
 
     def resume(self, _: Nothing, arrival: int) -> ExecutorState:
-        """Go on with the goal that is held. Raises what `Admission.demand_presence` raises."""
+        """Go on with the goal that is held. Raises what `Admission.demand_presence` and `Machine.resume` raise."""
         self._admission.demand_presence()
-        self._machine.resume(arrival)
+        self._machine.resume(arrival, self._present.look())
         return self._reporter.publish()
 
     def reset(self, _: Nothing, arrival: int) -> ExecutorState:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionFailed, Problem
-from zarm_contract.messages import GoalState, GoalStatus
+from zarm_contract.messages import GoalState, GoalStatus, SceneRevision
 from zarm_executor.monitor import Monitor
 from zarm_executor.path import Path
 from zarm_executor.strategies.base import Progress
@@ -29,7 +29,7 @@ class Outcome:
 class Chunk:
     """A piece of a stream: `path` begins at `start` s of it. The next one is due `deadline` s after the moment `received`.
 
-    `received` is on the monotonic clock.
+    `received` is on the monotonic clock; `scene` is the revision that the scene had then.
     """
 
     sequence: int
@@ -38,12 +38,15 @@ class Chunk:
     received: float
     deadline: float
     last: bool
+    scene: SceneRevision | None = None
 
 
 @dataclass
 class Goal:
     """A motion along `path`; of a stream `chunk` is the newest one.
 
+    `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None where nobody had
+    told one.
     `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion.
     """
 
@@ -51,6 +54,7 @@ class Goal:
     plan_id: str | None
     path: Path
     monitor: Monitor
+    scene: SceneRevision | None = None
     status: GoalStatus = "accepted"
     elapsed: float = 0.0
     pausing: bool = False
@@ -70,7 +74,7 @@ class Goal:
 
     def steer(self, path: Path, chunk: Chunk) -> None:
         """Go on along `path`, which leads to `chunk`."""
-        self.path, self.chunk = path, chunk
+        self.path, self.chunk, self.scene = path, chunk, chunk.scene
         self.monitor.steer(path)
 
     def late(self, now: float) -> Problem | None:

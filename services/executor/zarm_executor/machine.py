@@ -22,7 +22,7 @@ import threading
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
-from zarm_contract.messages import ExecutorState, GoalState, RobotMode
+from zarm_contract.messages import ExecutorState, GoalState, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.limits import Limits
 from zarm_executor.motion import Motion
@@ -42,6 +42,8 @@ _DRAINED = 0.5
 class Machine:
     """See the module. `strategy` is opened; raises the ZarmError of that. `period` (s) is that of the control loop,
     `speed_scale` the speed of the first motion.
+
+    `scene` is the revision of the scene as it was told last, None before the first time.
     """
 
     def __init__(self, strategy: Strategy, period: float, *, speed_scale: float = 1.0) -> None:
@@ -62,6 +64,7 @@ class Machine:
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
         self._stopped_by = self._held_by = 0.0  # arrivals of the newest stop and of the newest pause
         self.changes: deque[GoalState] = deque()
+        self.scene: SceneRevision | None = None
 
     # -- commands --
 
@@ -162,12 +165,15 @@ class Machine:
             if self._motion is not None:
                 self._motion.pause()
 
-    def resume(self, arrival: float) -> None:
-        """Go on with a goal that was paused. Raises Cancelled where a stop or a pause arrived later."""
+    def resume(self, arrival: float, scene: SceneRevision | None = None) -> None:
+        """Go on with a goal that was paused, the scene now being `scene`.
+
+        Raises Cancelled where a stop or a pause arrived later, and what `Motion.resume` raises.
+        """
         with self._lock:
             self._demand_present(arrival)
             if self._motion is not None:
-                self._motion.resume(self._speed_scale)
+                self._motion.resume(self._speed_scale, scene)
 
     def set_speed(self, speed_scale: float) -> None:
         """Move at this share of the planned speed from now on; a goal that is held does so when it goes on."""
@@ -259,6 +265,7 @@ class Machine:
                 strategy=self._strategy.name,
                 goal_id=self._motion.goal.goal_id if self._motion else None,
                 problem=self._problem,
+                scene_changed=self._motion is not None and self._motion.goal.scene != self.scene,
                 speed_scale=self._speed_scale,
                 missed_ticks=self._missed_ticks,
             )

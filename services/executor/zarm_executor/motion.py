@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from zarm_contract.errors import ExecutionFailed, Unavailable
-from zarm_contract.messages import GoalState, GoalStatus, RobotMode
+from zarm_contract.errors import ExecutionFailed, ExecutionRefused, Unavailable
+from zarm_contract.messages import GoalState, GoalStatus, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.limits import Limits
 from zarm_executor.splice import spliced
@@ -44,10 +44,17 @@ class Motion:
             self.goal.pausing = True
             self._strategy.stop()
 
-    def resume(self, speed_scale: float) -> None:
-        """Go on where it was paused."""
+    def resume(self, speed_scale: float, scene: SceneRevision | None) -> None:
+        """Go on where it was paused. Raises ExecutionRefused (`stale_plan`) where its scene is not the present one, `scene`."""
         goal = self.goal
         if goal.outcome is None and goal.pausing:
+            if goal.scene != scene:
+                raise ExecutionRefused(
+                    f"the scene is not the one that {goal.goal_id} was begun in (revision {goal.scene}, now {scene}), so that "
+                    "what is left of it may lead through something; it stays held: cancel it, and plan again from where the "
+                    "robot is",
+                    code="stale_plan",
+                )
             goal.pausing = False
             goal.monitor.go_on()
             self._strategy.move(speed_scale)

@@ -1,13 +1,14 @@
-"""The plans that can be executed, and the scene that they must not be older than."""
+"""The plans that can be executed."""
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import ExecuteRequest, Plan, SceneEdited, Trajectory
+from zarm_contract.messages import ExecuteRequest, Plan, SceneRevision, Trajectory
 
 REMEMBERED = 32
 """How many plans stay executable by their id."""
@@ -16,20 +17,31 @@ PUBLICATION_PATIENCE = 0.5
 """Longest wait, s, for the publication of a plan whose id a client knows already."""
 
 
-class Plans:
-    """The last plans of the planner and the present revision of its scene. Safe from any thread.
+@dataclass(frozen=True)
+class Chosen:
+    """What a request asks for: a plan, or a trajectory of no plan that may claim no scene."""
 
-    A client may have its plan from the planner, or have edited the scene, and ask for an execution before the publication
-    of that is read here. So `newest` asks the planner for its newest plan, and `scene` for the scene's revision; they raise
-    Unavailable where none answers.
+    plan_id: str | None
+    trajectory: Trajectory
+    scene_revision: SceneRevision | None
+
+    @property
+    def name(self) -> str:
+        """As it is called in a refusal."""
+        return self.plan_id or "the trajectory"
+
+
+class Plans:
+    """The last plans of the planner. Safe from any thread.
+
+    A client may have its plan from the planner and ask for its execution before the publication of it is read here. So
+    `newest` asks the planner for its newest plan; it raises Unavailable where none answers.
     """
 
-    def __init__(self, robot_hash: str, newest: Callable[[], Plan], scene: Callable[[], SceneEdited]) -> None:
+    def __init__(self, robot_hash: str, newest: Callable[[], Plan]) -> None:
         self._robot_hash = robot_hash
         self._newest = newest
-        self._scene = scene
         self._plans: OrderedDict[str, Plan] = OrderedDict()
-        self._revision = 0
         self._changed = threading.Condition()
 
     def add(self, _key: str, plan: Plan) -> None:
@@ -41,20 +53,13 @@ class Plans:
                 self._plans.popitem(last=False)
             self._changed.notify_all()
 
-    def set_scene(self, _key: str, scene: SceneEdited) -> None:
-        """Note the present revision of the scene."""
-        with self._changed:
-            self._revision = scene.revision
+    def chosen(self, request: ExecuteRequest) -> Chosen:
+        """What a request asks for.
 
-    def chosen(self, request: ExecuteRequest) -> tuple[str | None, Trajectory]:
-        """The plan id, if it is a plan, and the trajectory that a request asks for.
-
-        Raises InvalidRequest for a plan that is not known, ExecutionRefused (`stale_plan`) for one that no longer holds.
+        Raises InvalidRequest for a plan that is not known, ExecutionRefused (`stale_plan`) for one of another robot.
         """
         if request.trajectory is not None:
-            if request.scene_revision is not None:
-                self._check_revision("the trajectory", request.scene_revision)
-            return None, request.trajectory
+            return Chosen(None, request.trajectory, request.scene_revision)
         plan = self._last() if request.plan_id is None else self._named(request.plan_id)
         if plan.robot_hash != self._robot_hash:
             raise ExecutionRefused(
@@ -62,8 +67,7 @@ class Plans:
                 f"{self._robot_hash}); start the planner with the same descriptor and plan again",
                 code="stale_plan",
             )
-        self._check_revision(plan.plan_id, plan.scene_revision)
-        return plan.plan_id, plan.trajectory
+        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision)
 
     def _last(self) -> Plan:
         newest = self._ask()
@@ -97,15 +101,3 @@ class Plans:
             return self._newest()
         except Unavailable:
             return None
-
-    def _check_revision(self, what: str, revision: int) -> None:
-        try:
-            present = self._scene().revision
-        except Unavailable:
-            with self._changed:
-                present = self._revision
-        if revision < present:
-            raise ExecutionRefused(
-                f"{what} was verified in revision {revision} of the scene, which is at {present} now; plan again",
-                code="stale_plan",
-            )

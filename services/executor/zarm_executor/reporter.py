@@ -130,6 +130,12 @@ class Reporter:
         before = self._state
         if before is None or state != before.model_copy(update={"missed_ticks": state.missed_ticks}):
             _log("state mode=%s strategy=%s", state.mode, state.strategy, problem=state.problem)
+            if state.scene_changed and not (before and before.scene_changed and before.goal_id == state.goal_id):
+                log.warning(
+                    "the scene has changed since this motion was checked goal_id=%s remedy=%s",
+                    state.goal_id,
+                    "stop it, and plan again, if something is in its way",
+                )
         elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:
             return state
         self._states.set(state)

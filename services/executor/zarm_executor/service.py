@@ -43,6 +43,7 @@ from zarm_executor.plans import Plans
 from zarm_executor.reporter import PERIOD as REPORTER_PERIOD
 from zarm_executor.reporter import Reporter
 from zarm_executor.ring import Ring
+from zarm_executor.scene import PresentScene
 from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
 from zarm_executor.streams import Streams
@@ -126,16 +127,15 @@ def start(service: Service) -> Iterator[None]:
             )
             reporter.report_interrupted()
             reporter.publish()
-            plans = Plans(
-                robot.hash,
-                newest=lambda: bus.call(keys.plans, Nothing(), Plan, timeout=PLANNER_PATIENCE),
-                scene=lambda: bus.call(keys.scene_revision, Nothing(), SceneEdited, timeout=PLANNER_PATIENCE),
+            plans = Plans(robot.hash, lambda: bus.call(keys.plans, Nothing(), Plan, timeout=PLANNER_PATIENCE))
+            present = PresentScene(
+                machine, lambda: bus.call(keys.scene_revision, Nothing(), SceneEdited, timeout=PLANNER_PATIENCE)
             )
             ghost = Ghost(bus, keys, robot)
             told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
             admission = Admission(machine, reporter)
             streams = Streams(robot, machine, reporter, admission)
-            executor = Executor(robot, machine, reporter, admission, plans, strategies, *told, kept_speed)
+            executor = Executor(robot, machine, reporter, admission, plans, present, strategies, *told, kept_speed)
             loop = Loop("control", period, control.tick, realtime=True)
             _export(service.metrics, machine, loop)
             with (
@@ -144,7 +144,7 @@ def start(service: Service) -> Iterator[None]:
                 Loop("ghost", GHOST_PERIOD, ghost.play),
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
-                bus.watch(keys.scene_revision, SceneEdited, plans.set_scene)
+                bus.watch(keys.scene_revision, SceneEdited, present.hear)
 
                 def receive(key: str, plan: Plan) -> None:
                     plans.add(key, plan)

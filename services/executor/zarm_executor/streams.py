@@ -67,7 +67,8 @@ class Streams:
                 # From where the robot stands, which may be a tolerance away, it is led over as between two chunks.
                 path = spliced(Path.standing(at.position), 0.0, path, 0.0, self._limits)
                 monitor = Monitor(path, self._robot.descriptor)
-                turn.start(Goal(chunk.goal_id, None, path, monitor, chunk=self._chunk(chunk, path, received)))
+                piece = self._chunk(chunk, path, received)
+                turn.start(Goal(chunk.goal_id, None, path, monitor, piece.scene, chunk=piece))
         except ZarmError as error:
             self._refuse(chunk, error)
 
@@ -79,9 +80,8 @@ class Streams:
             self._machine.abort(chunk.goal_id, error.problem)
             self._reporter.publish()
 
-    @staticmethod
-    def _chunk(chunk: StreamChunk, path: Path, received: float) -> Chunk:
-        return Chunk(chunk.sequence, chunk.start, path, received, chunk.deadline, chunk.last)
+    def _chunk(self, chunk: StreamChunk, path: Path, received: float) -> Chunk:
+        return Chunk(chunk.sequence, chunk.start, path, received, chunk.deadline, chunk.last, scene=self._machine.scene)
 
     def _refuse(self, chunk: StreamChunk, error: ZarmError) -> None:
         """Say under the stream's goal why it has not begun."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import JointGoal, PoseGoal
+from zarm_contract.messages import JointGoal, PoseGoal, SceneRevision
 from zarm_planner.exact import RESOLUTION, ExactScene, Nearest
 from zarm_planner.frames import matrix
 from zarm_planner.held import Held
@@ -35,7 +35,7 @@ _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 class Snapshot:
     """One scene as plans use it: the robot as it is in it, the obstacles with their margin, and exact geometry."""
 
-    revision: int
+    revision: SceneRevision
     model: RobotModel
     world: World
     exact: ExactScene

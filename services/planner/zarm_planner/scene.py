@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
+import secrets
 import threading
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, assert_never
@@ -28,6 +28,7 @@ from zarm_contract.messages import (
     Scene,
     SceneEdit,
     SceneObject,
+    SceneRevision,
     SetLinkCollision,
     Sphere,
     Voxels,
@@ -53,16 +54,33 @@ def _named(document: Any) -> Any:
     return document["scene"]
 
 
+def _identified(scene: Any) -> Any:
+    """A scene of version 1, whose revision was a number alone, with an identity of its own."""
+    return scene | {"revision": _revision(scene["revision"])}
+
+
+def _revision(edits: int) -> SceneRevision:
+    """A revision that there has never been, of a scene that has had so many edits."""
+    return f"{edits}-{secrets.token_hex(6)}"
+
+
+def _next(revision: SceneRevision) -> SceneRevision:
+    edits, _, _ = revision.partition("-")
+    return _revision(int(edits) + 1)
+
+
 class SceneStore:
     """The scene of one robot, in `<folder>/scene.json`, with the shapes of its meshes. Safe for use by any number of threads.
 
+    Its revision is drawn anew with every edit and kept in the file: that of a scene from the file holds again, that of a file
+    that is gone or lost never does. A copy of the file that is edited elsewhere becomes another scene.
     A file that cannot be read is put aside as `scene.json.broken`. From then on `lost` says so, until the first edit:
     the objects that it held may still stand around the robot.
     """
 
     def __init__(self, folder: Path, meshes: Meshes | None = None) -> None:
         """Raises Unavailable where the folder cannot be used, or holds the scene of a newer zarm."""
-        self._file = StateFile(folder / "scene.json", Scene, migrations=(_named,), flushed=True)
+        self._file = StateFile(folder / "scene.json", Scene, migrations=(_named, _identified), flushed=True)
         self._lock = threading.Lock()
         self.meshes = meshes or Meshes()
         self.lost: str | None = None
@@ -83,7 +101,7 @@ class SceneStore:
             if self.lost is not None and isinstance(request.edit, SetLinkCollision):
                 raise Unavailable(self.lost)  # such an edit says nothing of what stands around the robot
             scene = _edited(self._scene, request, tip, self.meshes)
-            scene = scene.model_copy(update={"revision": self._scene.revision + 1})
+            scene = scene.model_copy(update={"revision": _next(self._scene.revision)})
             content = encode(scene)
             if len(content) > MAX_BYTES:
                 raise InvalidRequest(
@@ -101,21 +119,23 @@ class SceneStore:
 
     def _read(self) -> Scene:
         saved = self._file.load()
+        if saved is not None:
+            return saved
+        new = Scene(revision=_revision(0))
         broken = self._file.broken
         if broken is None:
-            return saved or Scene(revision=0)
+            self._file.save(new)
+            return new
         self.lost = (
             f"the saved scene could not be read and lies in {broken}; plans are refused until the scene is edited: "
             "load or add what stands around the robot, or clear it if nothing does"
         )
         log.error("scene lost remedy=%s", self.lost)
-        # Plans made in the lost scene must not pass for plans made in this one. No scene has had this revision: that
-        # would have taken an edit every second since 1970.
-        return Scene(revision=int(time.time()))
+        return new
 
 
 def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Scene:
-    """The scene after an edit, still of the same revision; objects stay in the order in which they came."""
+    """The scene after an edit, not yet with a revision of its own; objects stay in the order in which they came."""
     objects = {item.name: item for item in scene.objects}
     match request.edit:
         case AttachObject() as edit:

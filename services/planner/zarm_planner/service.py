@@ -26,6 +26,7 @@ from zarm_contract.messages import (
     Scene,
     SceneEdit,
     SceneEdited,
+    SceneObject,
     SettingsChange,
 )
 from zarm_contract.metrics import Metrics
@@ -132,20 +133,20 @@ def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Sce
     revision = bus.latched(keys.scene_revision, SceneEdited)
     whole = bus.latched(keys.scene, Scene)
     single = bus.latched(keys.scene_object("*"), Message)
-    shown = Scene(revision=0)
+    shown: tuple[SceneObject, ...] = ()
 
     def show(scene: Scene) -> SceneEdited:
         nonlocal shown
         answer = SceneEdited(revision=scene.revision, count=len(scene.objects))
         revision.set(answer)
-        before = {item.name: item for item in shown.objects}
+        before = {item.name: item for item in shown}
         for item in scene.objects:
             if before.pop(item.name, None) != item:
                 single.set(item, key=keys.scene_object(item.name))
         for name in before:
             single.forget(keys.scene_object(name))
         whole.set(scene)
-        shown = scene
+        shown = scene.objects
         return answer
 
     def edit(request: SceneEdit) -> SceneEdited:

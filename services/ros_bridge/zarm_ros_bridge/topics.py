@@ -36,7 +36,9 @@ class Topics:
         self._engine = engine
         self._colours = colours
         self._emulated = False
+        self._changed_under: str | None = None
         node, bus, keys = ros.node, engine.bus, engine.keys
+        self._log = node.get_logger()
         params = engine.robot.descriptor.strategy_params
         own = node.resolve_topic_name("joint_states")
         told = params is not None and node.resolve_topic_name(params.joint_states_topic) == own
@@ -76,6 +78,9 @@ class Topics:
 
     def _state(self, _key: str, state: ExecutorState) -> None:
         self._emulated = state.strategy == "emulator"
+        if state.scene_changed and state.goal_id != self._changed_under:
+            self._changed_under = state.goal_id
+            self._log.warning(f"The scene has changed since the motion {state.goal_id} was checked.")
 
     def _scene(self, _key: str, scene: Scene) -> None:
         descriptor = self._engine.robot.descriptor

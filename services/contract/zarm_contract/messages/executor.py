@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Trajectory
+from zarm_contract.messages.scene import SceneRevision
 
 RobotMode = Literal["idle", "running", "stopping", "paused", "fault"]
 GoalStatus = Literal["accepted", "running", "paused", "stopping", "succeeded", "cancelled", "aborted"]
@@ -19,7 +20,7 @@ SpeedScale = Annotated[float, Field(ge=0.05, le=1)]
 class ExecuteRequest(Message):
     """Move the robot: along the plan `plan_id`, along `trajectory`, or (empty request) along the last plan.
 
-    With `trajectory`, `scene_revision` may state the scene it was verified in; a scene that has changed since is refused.
+    With `trajectory`, `scene_revision` may state the scene it was verified in; it is refused unless that is the present one.
     A goal that is not at its end makes this one `busy`, unless `preempt`: then that goal is cancelled, and this one starts as
     soon as the robot rests, checked against where it rests.
 
@@ -29,7 +30,7 @@ class ExecuteRequest(Message):
 
     plan_id: Name | None = None
     trajectory: Trajectory | None = None
-    scene_revision: Annotated[int, Field(ge=0)] | None = None
+    scene_revision: SceneRevision | None = None
     preempt: bool = False
     goal_id: Name | None = None
 
@@ -42,7 +43,7 @@ class ExecuteRequest(Message):
 
     @field_validator("scene_revision")
     @classmethod
-    def _of_a_trajectory(cls, revision: int | None, info: ValidationInfo) -> int | None:
+    def _of_a_trajectory(cls, revision: str | None, info: ValidationInfo) -> str | None:
         if revision is not None and info.data.get("trajectory", revision) is None:
             raise ValueError("scene_revision belongs to a trajectory; a plan carries its own")
         return revision
@@ -117,12 +118,17 @@ class StreamChunk(Message):
 
 
 class ExecutorState(Message):
-    """What the robot's owner is doing. `problem` says why it is in `fault`; `missed_ticks` counts since start."""
+    """What the robot's owner is doing. `problem` says why it is in `fault`; `missed_ticks` counts since start.
+
+    `scene_changed` says that the scene is no longer the one that the goal was begun in: nothing has checked its motion against
+    the present one.
+    """
 
     mode: RobotMode
     strategy: str
     goal_id: Name | None = None
     problem: Problem | None = None
+    scene_changed: bool = False
     speed_scale: SpeedScale
     missed_ticks: Annotated[int, Field(ge=0)]
 

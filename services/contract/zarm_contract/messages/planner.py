@@ -18,6 +18,7 @@ from zarm_contract.messages.motion import (
     Trajectory,
     Vector3,
 )
+from zarm_contract.messages.scene import SceneRevision
 
 
 class PoseGoal(Message):
@@ -114,12 +115,13 @@ class Plan(Message):
 
     `clearance` is capped at 1 m; nothing thicker than `resolution` (m) was missed between the moments that were looked at.
     `waypoint_times` (s) are when the waypoints of the goal are passed, the last one at the end. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
+    It holds only in the scene of `scene_revision`.
     """
 
     plan_id: Name
     robot: Name
     robot_hash: str
-    scene_revision: Annotated[int, Field(ge=0)]
+    scene_revision: SceneRevision
     trajectory: Trajectory
     tip: Pose
     clearance: float

@@ -112,13 +112,18 @@ class Attached(Message):
     touch_links: tuple[str, ...] = ()
 
 
+SceneRevision = Annotated[str, Field(pattern=r"^(0|[1-9][0-9]{0,17})-[0-9a-f]{12}$")]
+"""Names one state of one scene, `7-5be0c1d2f3a4`: how many edits it has had, for people, and an identity drawn at random
+with every edit. Equal revisions mean the same scene; which of two is newer, or whether they are of one planner, nothing says."""
+
+
 class Scene(Message):
-    """All objects, in the base frame, and what the robot carries. `revision` grows by one with every change, never back.
+    """All objects, in the base frame, and what the robot carries. `revision` never comes again once the scene has changed.
 
     `ignored_links` are those of the robot whose collisions are not looked at.
     """
 
-    revision: Annotated[int, Field(ge=0)]
+    revision: SceneRevision
     objects: tuple[SceneObject, ...] = Field(default=(), max_length=MAX_OBJECTS)
     attached: tuple[Attached, ...] = Field(default=(), max_length=MAX_ATTACHED)
     ignored_links: tuple[str, ...] = ()
@@ -195,7 +200,7 @@ class SceneEdit(Message):
 class SceneEdited(ShortMessage):
     """The scene's revision after the edit, and how many objects it holds."""
 
-    revision: Annotated[int, Field(ge=0)]
+    revision: SceneRevision
     count: Annotated[int, Field(ge=0)]
 
 
@@ -211,6 +216,6 @@ class Occupancy(Message):
     No part of an object is outside them. What the robot carries is not there.
     """
 
-    scene_revision: Annotated[int, Field(ge=0)]
+    scene_revision: SceneRevision
     resolution: Resolution
     cells: tuple[tuple[Index, Index, Index], ...] = Field(max_length=MAX_CELLS)

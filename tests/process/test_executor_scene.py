@@ -1,0 +1,74 @@
+"""What the executor does where the scene changes, or a client thinks better of it, while it looks at the scene."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from arrivals import arrival
+from executor_bench import Bench
+from motions import KEYS, ROBOT, SCENE, moved, rest_to_rest
+
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Cancelled, ExecutionRefused, Unavailable
+from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
+from zarm_contract.metrics import Metrics
+from zarm_contract.state_file import StateFile
+from zarm_executor.admission import Admission
+from zarm_executor.executor import Executor
+from zarm_executor.plans import Plans
+from zarm_executor.reporter import Reporter
+from zarm_executor.scene import PresentScene
+
+
+def unanswered() -> Plan:
+    raise Unavailable("no planner")
+
+
+def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneEdited]) -> Executor:
+    reporter = Reporter(
+        bus, KEYS, bench.machine, StateFile(folder / "running_goal.json", GoalState), lambda _: None, Metrics()
+    )
+    return Executor(
+        ROBOT,
+        bench.machine,
+        reporter,
+        Admission(bench.machine, reporter),
+        Plans(ROBOT.hash, unanswered),
+        PresentScene(bench.machine, scene),
+        {},
+        bus.publisher(KEYS.strategy, Strategies),
+        bus.publisher(KEYS.speed, Speed),
+        StateFile(folder / "speed.json", Speed),
+    )
+
+
+def test_a_goal_that_preempts_is_refused_where_the_scene_was_edited_while_the_other_one_came_to_rest(
+    bus: Bus, tmp_path: Path
+) -> None:
+    answers = iter((SCENE, "2-0123456789ab"))
+    bench = Bench(now=float("inf"))  # fresh, though nobody ticks
+    executor = executor_of(bench, bus, tmp_path, lambda: SceneEdited(revision=next(answers), count=0))
+    request = ExecuteRequest(trajectory=rest_to_rest(moved(0.5)), scene_revision=SCENE, preempt=True)
+    with pytest.raises(ExecutionRefused) as refusal:
+        executor.execute(request, arrival())
+    assert refusal.value.code == "stale_plan"
+    assert bench.machine.state().mode == "idle"
+
+
+def test_a_pause_that_comes_while_a_resume_looks_at_the_scene_wins(bus: Bus, tmp_path: Path) -> None:
+    def look() -> SceneEdited:
+        executor.pause(Nothing(), arrival())
+        return SceneEdited(revision=SCENE, count=0)
+
+    bench = Bench(now=time.monotonic() + 3600.0)  # here just now, though it ticks only when told to
+    executor = executor_of(bench, bus, tmp_path, look)
+    bench.execute(scene=SCENE)
+    bench.run(0.3)
+    bench.machine.pause(arrival())
+    bench.until("paused")
+    with pytest.raises(Cancelled, match="told to pause"):
+        executor.resume(Nothing(), arrival())
+    assert bench.machine.state().mode == "paused"
