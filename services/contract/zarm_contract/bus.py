@@ -7,17 +7,20 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, NoReturn, Self, TypeVar
 
 import zenoh
 
 from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
+from zarm_contract.asking import asked_by, asker_of
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.following import Following
-from zarm_contract.keys import parse_alive
+from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
+from zarm_contract.messages import Asker
 from zarm_contract.publications import (
     Latched,
     Latest,
@@ -28,6 +31,7 @@ from zarm_contract.publications import (
     understood,
     unobserved,
 )
+from zarm_contract.room import Room
 from zarm_contract.security import client_role, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT, open_client
 
@@ -55,7 +59,8 @@ class Bus:
         self.role = (role or client_role()) if security_on() else None
         self._session = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
-        self._entities: list[Any] = []
+        self._client = str(self._session.info.zid())
+        self._entities: list[Any] = [self._session.liveliness().declare_token(client_token(self._client))]
         self._followed: list[Following] = []
         self._closing = threading.Event()
         self._observe: Observer = unobserved
@@ -101,42 +106,53 @@ class Bus:
         *,
         workers: int = 2,
         backlog: int = 16,
+        share: int | None = None,
         readable: bool = False,
     ) -> None:
         """Answer queries on `key` with `handler(request)`, run by up to `workers` threads of this key's own.
 
         A ZarmError raised by the handler is the answer; any other exception is logged with its trace and answered as
-        `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`.
+        `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`, and so is one of a client that
+        has `share` of them (left out: all); `asker` tells the handler who that is. An answer that cannot be sent is logged
+        with its trace, and its outcome is `unsent`.
 
         A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
         robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
         """
         self._require("answers", key)
-        room = threading.BoundedSemaphore(workers + backlog)
+        room = Room(key, workers + backlog, share or workers + backlog)
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
 
-        def answer(query: zenoh.Query) -> None:
+        def answer(query: zenoh.Query, work: Callable[[], Message]) -> None:
             try:
                 with query:
-                    self._answered(key, _reply(query, key, lambda: handler(_request(query, key, request))))
+                    self._answered(key, _reply(query, key, work))
+            except Exception:
+                log.exception("answer not sent key=%s", key)
+                self._answered(key, "unsent")
+
+        def handle(query: zenoh.Query, who: Asker) -> None:
+            try:
+                with asked_by(who):
+                    answer(query, lambda: handler(_request(query, key, request)))
             finally:
-                room.release()
+                room.leave(who.client)
 
         def admit(query: zenoh.Query) -> None:
             if str(query.key_expr) != key and not (readable and query.payload is None):
                 with query:
                     return
-            if not room.acquire(blocking=False):
-                with query:
-                    self._answered(key, "busy")
-                    _reply_problem(query, Busy(f"{key} has {workers + backlog} requests in hand; try again later"))
+            who = asker_of(query)
+            try:
+                room.enter(who.client)
+            except Busy as busy:
+                answer(query, partial(_refuse, busy))
                 return
             try:
-                pool.submit(answer, query)
+                pool.submit(handle, query, who)
             except RuntimeError:  # the pool is shut down: this service is closing
-                room.release()
-                with query:
-                    _reply_problem(query, Unavailable(f"{key} is shutting down"))
+                room.leave(who.client)
+                answer(query, partial(_refuse, Unavailable(f"{key} is shutting down")))
 
         self._pools.append(pool)
         self._entities.append(self._session.declare_queryable(key, admit, complete=True))
@@ -154,7 +170,10 @@ class Bus:
                 f"the request of {len(payload)} bytes is over the limit of {MAX_BYTES}; send less at once",
                 field="payload",
             )
-        return self._ask(key, reply, timeout, payload=payload, encoding=encoding_of(type(request)))
+        asker = Asker(client=self._client, patience=max(0.0, timeout))
+        return self._ask(
+            key, reply, timeout, payload=payload, encoding=encoding_of(type(request)), attachment=encode(asker)
+        )
 
     def read(self, key: str, model: type[Reply], *, timeout: float) -> Reply:
         """The present value of a latched or readable key. Raises Unavailable and InternalError as `call` does."""
@@ -295,6 +314,15 @@ class Bus:
         tokens = self._session.liveliness().get(key, timeout=timeout)
         return sorted({parse_alive(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
 
+    def watch_clients(self, gone: Callable[[str], object]) -> None:
+        """Call `gone(client)` with the `Asker.client` that can no longer be answered: it has left, or the link to it is lost."""
+
+        def changed(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                gone(str(sample.key_expr).rpartition("/")[2])
+
+        self._entities.append(self._session.liveliness().declare_subscriber(ALL_CLIENTS, changed))
+
     # -- access --
 
     def _require(self, verb: Verb, key: str) -> None:
@@ -310,6 +338,10 @@ def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:
             "(`zarm status` shows who runs which)"
         )
     return decode(model, query.payload.to_bytes() if query.payload is not None else b"")
+
+
+def _refuse(error: ZarmError) -> NoReturn:
+    raise error
 
 
 def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:

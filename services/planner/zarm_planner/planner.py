@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from zarm_contract.asking import asker
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     AttachObject,
@@ -62,7 +63,7 @@ _BATCH_TIMEOUT = 60.0
 
 
 class Planner:
-    """The planner of one robot, for any number of threads. `name` is the robot's on the bus.
+    """The planner of one robot, for any number of threads, each working for its `asker`. `name` is the robot's on the bus.
 
     `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`).
     """
@@ -118,7 +119,9 @@ class Planner:
             snapshot = self._look(request.margin)
             return snapshot, plan(snapshot, start, request.goal, options, stop)
 
-        snapshot, (verified, timings) = self._running.run(work, request.timeout or settings.timeout, request.request_id)
+        snapshot, (verified, timings) = self._running.run(
+            work, asker(), request.timeout or settings.timeout, request.request_id
+        )
         return Plan(
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
@@ -134,8 +137,12 @@ class Planner:
         )
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:
-        """End the planning of a request."""
+        """End the planning of a request, or of one that is still on its way here."""
         return CancelledPlan(was_running=self._running.cancel(request.request_id))
+
+    def leave(self, client: str) -> None:
+        """End all that is in hand for a client that can no longer be answered."""
+        self._running.leave(client)
 
     def ik(self, request: IkRequest) -> IkSolutions:
         """Joints for poses. Raises InvalidRequest."""
@@ -157,7 +164,7 @@ class Planner:
             )
             return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
 
-        return self._running.run(work, _BATCH_TIMEOUT)
+        return self._running.run(work, asker(), _BATCH_TIMEOUT)
 
     def fk(self, request: FkRequest) -> FkPoses:
         """Poses for joints. Raises InvalidRequest."""
@@ -190,7 +197,7 @@ class Planner:
                 )
             return CheckResults(results=tuple(results))
 
-        return self._running.run(work, _BATCH_TIMEOUT)
+        return self._running.run(work, asker(), _BATCH_TIMEOUT)
 
     def occupancy(self, request: OccupancyRequest) -> Occupancy:
         """Which cells of a grid the scene's objects reach into. Raises InvalidRequest where they are too many."""
@@ -204,7 +211,7 @@ class Planner:
                 cells=tuple(map(tuple, cells.tolist())),
             )
 
-        return self._running.run(work, _BATCH_TIMEOUT)
+        return self._running.run(work, asker(), _BATCH_TIMEOUT)
 
     def edit(self, request: SceneEdit) -> Scene:
         """Apply an edit of the scene and return the result.

@@ -41,8 +41,11 @@ log = logging.getLogger(__name__)
 
 Request = TypeVar("Request", bound=Message)
 
-PLANS_WAITING = 16
-"""Plan requests that may wait for their turn; each waits in a thread of its own, where it can be cancelled."""
+SHARE = (os.cpu_count() or 1) + 16
+"""Requests on one key that a client may have in hand: one for each core, and 16 that wait for their turn. Each is in a thread
+of its own, where it can be cancelled while it waits."""
+SHARES = 4
+"""How many clients may have all of their share in hand at once."""
 
 
 @contextmanager
@@ -68,6 +71,9 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             return handler(request)
 
         return guarded
+
+    def compute(key: str, model: type[Request], handler: Callable[[Request], Message]) -> None:
+        bus.serve(key, model, when_warm(handler), workers=SHARES * SHARE, backlog=0, share=SHARE)
 
     plans = bus.latched(keys.plans, Plan)
 
@@ -108,11 +114,12 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         _serve_scene(service, store.scene, planner.edit)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
         bus.serve(keys.plan_cancel, CancelPlan, planner.cancel)
-        bus.serve(keys.plan, PlanRequest, when_warm(plan), workers=(os.cpu_count() or 1) + PLANS_WAITING, backlog=0)
-        bus.serve(keys.ik, IkRequest, when_warm(planner.ik))
         bus.serve(keys.fk, FkRequest, when_warm(planner.fk))
-        bus.serve(keys.check, CheckRequest, when_warm(planner.check))
-        bus.serve(keys.occupancy, OccupancyRequest, when_warm(planner.occupancy), workers=1)
+        compute(keys.plan, PlanRequest, plan)
+        compute(keys.ik, IkRequest, planner.ik)
+        compute(keys.check, CheckRequest, planner.check)
+        compute(keys.occupancy, OccupancyRequest, planner.occupancy)
+        bus.watch_clients(planner.leave)
         planner.warm_up(service.starting)
         gc.freeze()  # what is loaded stays; looking for garbage in it again and again would delay a plan by 0.1 s at times
         warm = True

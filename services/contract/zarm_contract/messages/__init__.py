@@ -87,7 +87,7 @@ from zarm_contract.messages.scene import (
     Sphere,
     Voxels,
 )
-from zarm_contract.messages.service import Health, Nothing
+from zarm_contract.messages.service import Asker, Health, Nothing
 
 __all__ = [
     "MAX_ATTACHED",
@@ -97,6 +97,7 @@ __all__ = [
     "MAX_POINTS",
     "Accepted",
     "AddObjects",
+    "Asker",
     "AttachObject",
     "Attached",
     "CancelPlan",
