@@ -145,6 +145,14 @@ def test_all_that_a_client_has_in_hand_ends_when_it_leaves(monkeypatch: pytest.M
         assert stays.result(PATIENCE) == "b1 was told"
 
 
+def test_a_cancel_ends_what_runs_and_what_waits_under_its_name() -> None:
+    with desk(1) as one:
+        for answer, name in [(one.ask("a1"), "a1"), (one.ask("a2"), "a2")]:
+            assert one.running.cancel(name)
+            with pytest.raises(Cancelled):
+                answer.result(PATIENCE)
+
+
 def test_a_cancel_that_overtakes_its_request_ends_it_and_no_other() -> None:
     with desk(1) as one:
         assert not one.running.cancel("a1")
