@@ -279,13 +279,13 @@ def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus:
             release.wait(PATIENCE)
         return ANSWER
 
-    bus.serve(KEYS.fk, m.FkRequest, handler, workers=4, backlog=0, share=2)
+    bus.serve(KEYS.fk, m.FkRequest, handler, workers=4, backlog=0, shared=True)
     declared(bus)
     with ThreadPoolExecutor(2) as callers:
         taken = [callers.submit(call, other) for _ in range(2)]
         assert entered.acquire(timeout=PATIENCE)
         assert entered.acquire(timeout=PATIENCE)
-        with pytest.raises(Busy, match=r"2 requests of this client.*wait for an answer"):
+        with pytest.raises(Busy, match=r"2 requests of this client.*room for 2 more.*wait for an answer"):
             call(other)
         assert call(bus, timeout=PATIENCE / 2) == ANSWER
         release.set()

@@ -17,9 +17,10 @@ from planner_client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL
 from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.messages import IkRequest, IkSolutions, Message, PlanRequest, Pose, WaypointsGoal
-from zarm_planner.service import SHARE
+from zarm_planner.service import ROOM
 
 CORES = os.cpu_count() or 1
+SHARE = ROOM // 2
 MODEST = PlanRequest(start=HOME, goal=to_joints(-0.3, *HOME[1:]), timeout=60.0)
 ENDLESS = PlanRequest(start=HOME, goal=to_joints(*BEHIND_WALL), timeout=60.0, max_attempts=1000)
 OPTIMIZED = PlanRequest(

@@ -26,7 +26,8 @@ class Desk:
     """Asks for work in threads; `begun` are the names of what has begun, in order, and each ends when it is told to."""
 
     def __init__(self, slots: int, pool: ThreadPoolExecutor) -> None:
-        self.running = Running(slots)
+        self.there: set[str] = set()
+        self.running = Running(slots, self.there.__contains__)
         self.begun: list[str] = []
         self._pool = pool
         self._ends: dict[str, threading.Event] = {}
@@ -145,6 +146,17 @@ def test_all_that_a_client_has_in_hand_ends_when_it_leaves(monkeypatch: pytest.M
         assert stays.result(PATIENCE) == "b1 was told"
 
 
+def test_what_a_client_has_sent_before_it_left_ends_as_well_and_what_it_sends_when_it_is_back_does_not() -> None:
+    with desk(1) as one:
+        one.running.leave("a")
+        with pytest.raises(Cancelled):
+            one.ask("a1").result(PATIENCE)
+        one.there.add("a")
+        answer = one.ask("a2")
+        one.tell("a2")
+        assert answer.result(PATIENCE) == "a2 was told"
+
+
 def test_a_cancel_ends_what_runs_and_what_waits_under_its_name() -> None:
     with desk(1) as one:
         for answer, name in [(one.ask("a1"), "a1"), (one.ask("a2"), "a2")]:
@@ -165,7 +177,7 @@ def test_a_cancel_that_overtakes_its_request_ends_it_and_no_other() -> None:
 
 
 def test_a_cancel_ends_one_request_and_is_forgotten_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = Running(1)
+    work = Running(1, lambda _: False)
     work.cancel("again")
     with pytest.raises(Cancelled):
         work.run(lambda _: "done", ANYONE, PATIENCE, "again")
@@ -176,7 +188,7 @@ def test_a_cancel_ends_one_request_and_is_forgotten_after_a_while(monkeypatch: p
 
 
 def test_so_many_cancels_are_remembered_and_no_more() -> None:
-    work = Running(1)
+    work = Running(1, lambda _: False)
     for number in range(WITHDRAWN + 1):
         work.cancel(f"r{number}")
     assert work.run(lambda _: "done", ANYONE, PATIENCE, "r0") == "done"

@@ -106,21 +106,21 @@ class Bus:
         *,
         workers: int = 2,
         backlog: int = 16,
-        share: int | None = None,
+        shared: bool = False,
         readable: bool = False,
     ) -> None:
         """Answer queries on `key` with `handler(request)`, run by up to `workers` threads of this key's own.
 
         A ZarmError raised by the handler is the answer; any other exception is logged with its trace and answered as
-        `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`, and so is one of a client that
-        has `share` of them (left out: all); `asker` tells the handler who that is. An answer that cannot be sent is logged
-        with its trace, and its outcome is `unsent`.
+        `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`. Where they are `shared`, no
+        client has more of them in hand than there is room left for others. `asker` tells the handler for whom it works.
+        An answer that cannot be sent is logged with its trace, and its outcome is `unsent`.
 
         A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
         robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
         """
         self._require("answers", key)
-        room = Room(key, workers + backlog, share or workers + backlog)
+        room = Room(key, workers + backlog, shared=shared)
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
 
         def answer(query: zenoh.Query, work: Callable[[], Message]) -> None:
@@ -322,6 +322,11 @@ class Bus:
                 gone(str(sample.key_expr).rpartition("/")[2])
 
         self._entities.append(self._session.liveliness().declare_subscriber(ALL_CLIENTS, changed))
+
+    def is_there(self, client: str, *, timeout: float = 1.0) -> bool:
+        """Whether an answer can reach the `Asker.client` now, as far as the router knows; waits `timeout` s for it."""
+        tokens = self._session.liveliness().get(client_token(client), timeout=timeout)
+        return any(reply.ok is not None for reply in tokens)
 
     # -- access --
 

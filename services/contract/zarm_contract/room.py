@@ -9,24 +9,29 @@ from zarm_contract.errors import Busy
 
 
 class Room:
-    """Room for `total` requests on `key`, of which one client may have `share`."""
+    """Room for `total` requests on `key`. Where it is `shared`, one client has no more in hand than are left for others.
 
-    def __init__(self, key: str, total: int, share: int) -> None:
+    So one client alone gets half of it, the next half of the rest, and whoever comes late finds some; where two are greedy
+    for long, both have a third.
+    """
+
+    def __init__(self, key: str, total: int, *, shared: bool) -> None:
         self._key = key
         self._total = total
-        self._share = share
+        self._shared = shared
         self._held: Counter[str] = Counter()
         self._lock = threading.Lock()
 
     def enter(self, client: str) -> None:
         """Take a request in. Raises Busy where there is no room for it."""
         with self._lock:
-            if self._held.total() >= self._total:
+            left, held = self._total - self._held.total(), self._held[client]
+            if not left:
                 raise Busy(f"{self._key} has {self._total} requests in hand; try again later")
-            if self._held[client] >= self._share:
+            if self._shared and held >= left:
                 raise Busy(
-                    f"{self._key} has {self._share} requests of this client in hand, which is the share of one; wait for an "
-                    "answer, or cancel one, before you ask for more"
+                    f"{self._key} has {held} requests of this client in hand, and room for {left} more that is kept for "
+                    "others; wait for an answer, or cancel one, before you ask for more"
                 )
             self._held[client] += 1
 

@@ -65,15 +65,23 @@ _BATCH_TIMEOUT = 60.0
 class Planner:
     """The planner of one robot, for any number of threads, each working for its `asker`. `name` is the robot's on the bus.
 
-    `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`).
+    `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`). `is_there` tells whether
+    a client that has left has come back.
     """
 
-    def __init__(self, model: RobotModel, name: str, store: SceneStore, measured: Callable[[], Array]) -> None:
+    def __init__(
+        self,
+        model: RobotModel,
+        name: str,
+        store: SceneStore,
+        measured: Callable[[], Array],
+        is_there: Callable[[str], bool] = lambda _: False,
+    ) -> None:
         self._model = model
         self._name = name
         self._store = store
         self._measured = measured
-        self._running = Running(os.cpu_count() or 1)
+        self._running = Running(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
         self._snapshots: dict[float, Snapshot] = {}  # by margin, the one used last at the end

@@ -20,7 +20,7 @@ LONG = 1.0
 WITHDRAWN_S = 10.0
 """Seconds for which a cancel that came before its request is remembered: longer than a request is on its way."""
 WITHDRAWN = 1000
-"""How many of them are remembered."""
+"""How many of them are remembered, and how many clients that have left."""
 
 _POLL = 0.02
 """Seconds between looks of what waits for its turn: at its stop, and at what it waits for."""
@@ -43,13 +43,17 @@ class Running:
 
     The next turn is that of the client with the least work that runs, and among those of the one that has waited longest for
     a turn; no client runs more than `slots` at a time. What waits for its turn has its deadline and can be cancelled.
+
+    `is_there` tells whether a client that has left has come back.
     """
 
-    def __init__(self, slots: int) -> None:
+    def __init__(self, slots: int, is_there: Callable[[str], bool]) -> None:
         self._slots = slots
+        self._is_there = is_there
         self._changed = threading.Condition()
         self._jobs: list[_Job] = []
         self._withdrawn: deque[tuple[str, float]] = deque(maxlen=WITHDRAWN)
+        self._left: dict[str, None] = {}
         self._closed = False
 
     def run(self, work: Callable[[Stop], T], asker: Asker, timeout: float, request_id: str | None = None) -> T:
@@ -63,9 +67,14 @@ class Running:
                 raise _ending()
             if self._was_withdrawn(request_id):
                 job.stop.cancel()
+            has_left = job.client in self._left
             self._jobs.append(job)
             self._start_next()
         try:
+            if has_left and self._is_there(job.client):
+                self._left.pop(job.client, None)
+            elif has_left:  # word of its end came before the last of its requests
+                job.stop.cancel()
             while not job.turn.wait(_POLL):
                 job.stop.check()
                 self._press(job)
@@ -92,8 +101,11 @@ class Running:
             return bool(jobs)
 
     def leave(self, client: str) -> None:
-        """End all work for a client."""
+        """End all work for a client, and what comes from it before it is there again."""
         with self._changed:
+            self._left[client] = None
+            if len(self._left) > WITHDRAWN:
+                del self._left[next(iter(self._left))]
             for job in self._jobs:
                 if job.client == client:
                     job.stop.cancel()

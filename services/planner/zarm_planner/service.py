@@ -41,11 +41,9 @@ log = logging.getLogger(__name__)
 
 Request = TypeVar("Request", bound=Message)
 
-SHARE = (os.cpu_count() or 1) + 16
-"""Requests on one key that a client may have in hand: one for each core, and 16 that wait for their turn. Each is in a thread
-of its own, where it can be cancelled while it waits."""
-SHARES = 4
-"""How many clients may have all of their share in hand at once."""
+ROOM = 2 * ((os.cpu_count() or 1) + 16)
+"""Requests that may be in hand on each key, half of them of one client: one for each core, and 16 that wait for their turn.
+Each is in a thread of its own, where it can be cancelled while it waits."""
 
 
 @contextmanager
@@ -61,7 +59,8 @@ def start(service: Service) -> Iterator[None]:
 def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    planner = Planner(model, keys.robot, store, MeasuredJoints(model, bus.latest(keys.joint_states, JointState)))
+    measured = MeasuredJoints(model, bus.latest(keys.joint_states, JointState))
+    planner = Planner(model, keys.robot, store, measured, bus.is_there)
     warm = False
 
     def when_warm(handler: Callable[[Request], Message]) -> Callable[[Request], Message]:
@@ -73,7 +72,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         return guarded
 
     def compute(key: str, model: type[Request], handler: Callable[[Request], Message]) -> None:
-        bus.serve(key, model, when_warm(handler), workers=SHARES * SHARE, backlog=0, share=SHARE)
+        bus.serve(key, model, when_warm(handler), workers=ROOM, backlog=0, shared=True)
 
     plans = bus.latched(keys.plans, Plan)
 
