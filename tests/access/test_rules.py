@@ -11,6 +11,7 @@ import zenoh
 from harness import eventually, free_endpoint
 
 from zarm_contract.access import ROLES, Rights, Role, reading, rights
+from zarm_contract.keys import client_token
 from zarm_contract.session import open_client, open_router
 
 MEMBERS = tuple(role for role in ROLES if role != "router")
@@ -131,6 +132,11 @@ def test_nobody_shows_itself_as_a_service_that_it_is_not(sessions: Sessions) -> 
     for key, granted in keys():
         for role in MEMBERS if granted.lives else ():
             assert sessions.alive(role, key) == (role in granted.lives), (role, key)
+
+
+def test_everyone_shows_that_it_is_there_to_be_answered(sessions: Sessions) -> None:
+    for role in MEMBERS:
+        assert sessions.alive(role, client_token(role)), role
 
 
 def test_what_no_table_names_nobody_may(sessions: Sessions) -> None:

@@ -234,6 +234,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2)),
     # every service
     m.Nothing(),
+    m.Asker(client="93ba8b5e23a74bca83fc0b3d1f94feb6", patience=6.5),
     m.Health(
         service="planner",
         robot="arm_2",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -17,6 +18,7 @@ from contract.wire import declared
 from harness import PATIENCE, eventually
 
 from zarm_contract import messages as m
+from zarm_contract.asking import ANYONE, asker
 from zarm_contract.bus import Bus
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.errors import (
@@ -244,3 +246,103 @@ def test_the_zenoh_command_line_client_can_call_a_service(bus: Bus, endpoint: st
         timeout=PATIENCE,
     )
     assert done.stdout.strip().encode() == encode(ANSWER)
+
+
+# -- who asks --
+
+
+def test_a_handler_is_told_who_asks_and_how_long_that_waits(bus: Bus, other: Bus, plain: zenoh.Session) -> None:
+    askers: list[m.Asker] = []
+
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        askers.append(asker())
+        return ANSWER
+
+    serve(bus, handler)
+    call(other, timeout=PATIENCE)
+    call(bus, timeout=PATIENCE / 2)
+    reply_to(plain, KEYS.fk, encode(REQUEST))
+    list(plain.get(KEYS.fk, payload=encode(REQUEST), attachment=b"another tool's", timeout=PATIENCE))
+    first, second, *others = askers
+    assert (first.patience, second.patience) == (PATIENCE, PATIENCE / 2)
+    assert len({first.client, second.client, ANYONE.client}) == 3
+    assert others == [ANYONE, ANYONE]
+    assert asker() == ANYONE
+
+
+def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus: Bus, other: Bus) -> None:
+    entered, release = threading.Semaphore(0), threading.Event()
+
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        entered.release()
+        if asker().patience == PATIENCE:
+            release.wait(PATIENCE)
+        return ANSWER
+
+    bus.serve(KEYS.fk, m.FkRequest, handler, workers=4, backlog=0, shared=True)
+    declared(bus)
+    with ThreadPoolExecutor(2) as callers:
+        taken = [callers.submit(call, other) for _ in range(2)]
+        assert entered.acquire(timeout=PATIENCE)
+        assert entered.acquire(timeout=PATIENCE)
+        with pytest.raises(Busy, match=r"2 requests of this client.*room for 2 more.*wait for an answer"):
+            call(other)
+        assert call(bus, timeout=PATIENCE / 2) == ANSWER
+        release.set()
+        assert [future.result(PATIENCE) for future in taken] == [ANSWER, ANSWER]
+    assert eventually(lambda: _answered(other), "there is room again") == ANSWER
+
+
+@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGKILL])
+def test_a_client_that_leaves_or_dies_is_told_of(bus: Bus, endpoint: str, signum: signal.Signals) -> None:
+    asked: list[str] = []
+    gone: list[str] = []
+    release = threading.Event()
+
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        asked.append(asker().client)
+        release.wait(PATIENCE)
+        return ANSWER
+
+    serve(bus, handler)
+    bus.watch_clients(gone.append)
+    script = f"""
+from zarm_contract.bus import Bus
+from zarm_contract.messages import FkPoses, FkRequest
+with Bus({endpoint!r}) as bus:
+    bus.call({KEYS.fk!r}, FkRequest(joints=((0.1, 0.2),)), FkPoses, timeout={PATIENCE})
+"""
+    client = subprocess.Popen([sys.executable, "-c", script])
+    try:
+        eventually(lambda: asked, "it asks")
+        assert gone == []
+        client.send_signal(signum)
+        eventually(lambda: gone, "it has left")
+        assert gone == asked
+    finally:
+        client.kill()
+        client.wait()
+        release.set()
+
+
+# -- answers that cannot be sent --
+
+
+def test_an_answer_that_cannot_be_sent_is_logged_with_its_trace_and_counted(
+    bus: Bus, other: Bus, plain: zenoh.Session, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes: list[str] = []
+
+    def fail(_: m.Message) -> bytes:
+        raise RuntimeError("a fault on the way out")
+
+    bus.watch_answers(lambda _, outcome: outcomes.append(outcome))
+    serve(bus, lambda _: ANSWER)
+    with monkeypatch.context() as patch:
+        patch.setattr("zarm_contract.bus.encoding_of", fail)
+        assert reply_to(plain, KEYS.fk, encode(REQUEST)) == []
+        (record,) = eventually(lambda: [one for one in caplog.records if KEYS.fk in one.getMessage()], "it is logged")
+    assert record.exc_info is not None
+    assert isinstance(record.exc_info[1], RuntimeError)
+    assert eventually(lambda: outcomes, "it is counted") == ["unsent"]
+    assert call(other) == ANSWER

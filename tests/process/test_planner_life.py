@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import psutil
 import pytest
 import zenoh
 from harness import PATIENCE, ServiceProcess, eventually
@@ -73,12 +76,22 @@ def cancel(bus: Bus, request_id: str) -> bool:
     return bus.call(KEYS.plan_cancel, CancelPlan(request_id=request_id), CancelledPlan, timeout=PATIENCE).was_running
 
 
+@contextmanager
+def computing(planner: Bus) -> Iterator[None]:
+    """Leave the block when the planner has computed for a while since it began."""
+    process = psutil.Process(planner.call(KEYS.health("planner"), Nothing(), Health, timeout=PATIENCE).pid)
+    before = process.cpu_times().user
+    yield
+    eventually(lambda: process.cpu_times().user > before + 0.3, "the planner computes")
+
+
 def test_a_cancel_ends_the_planning_that_it_names(planner: Bus) -> None:
     load(planner, WALL, LID)
     answers: list[ZarmError] = []
-    thread = endless(planner, "in-vain", answers)
+    with computing(planner):
+        thread = endless(planner, "in-vain", answers)
     assert not cancel(planner, "something-else")
-    eventually(lambda: cancel(planner, "in-vain"), "the planning has begun and is cancelled")
+    assert cancel(planner, "in-vain")
     thread.join(PATIENCE)
     assert [type(answer) for answer in answers] == [Cancelled]
     assert not cancel(planner, "in-vain")
@@ -102,10 +115,19 @@ def test_a_cancel_ends_the_search_for_faster_motions_too(planner: Bus) -> None:
         answers.append(caught.value)
 
     thread = threading.Thread(target=ask)
-    thread.start()
-    eventually(lambda: cancel(planner, "for-long"), "the planning has begun and is cancelled")
+    with computing(planner):
+        thread.start()
+    assert cancel(planner, "for-long")
     thread.join(PATIENCE)
     assert len(answers) == 1
+
+
+def test_a_cancel_that_comes_before_its_request_ends_it(planner: Bus) -> None:
+    load(planner, WALL, LID)
+    assert not cancel(planner, "on-its-way")
+    answers: list[ZarmError] = []
+    endless(planner, "on-its-way", answers).join(PATIENCE)
+    assert [type(answer) for answer in answers] == [Cancelled]
 
 
 def test_requests_that_wait_for_their_turn_can_be_cancelled_and_too_many_are_refused(planner: Bus) -> None:

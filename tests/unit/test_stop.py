@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from zarm_contract.errors import Cancelled, DeadlineExceeded
-from zarm_planner.stop import Stop
+from zarm_planner.stop import GUARANTEED, Stop
 
 
 def test_a_sooner_deadline_ends_no_later_and_with_a_cancel() -> None:
@@ -26,3 +26,15 @@ def test_a_sooner_deadline_that_passes_or_is_cancelled_leaves_the_other_alone() 
     with pytest.raises(DeadlineExceeded):
         passed.check()
     stop.check()
+
+
+def test_what_gives_way_keeps_what_is_guaranteed_and_the_deadline_itself_stays() -> None:
+    stop = Stop(60.0)
+    before = stop.deadline[0]
+    long, short, cancelled = stop.sooner(30.0), stop.sooner(GUARANTEED / 2), stop.sooner(30.0)
+    soon = short.deadline[0]
+    cancelled.cancel()
+    stop.give_way()
+    assert long.deadline[0] == pytest.approx(before - 60.0 + GUARANTEED, abs=1e-3)
+    assert (stop.deadline[0], short.deadline[0]) == (before, soon)
+    assert cancelled.cancelled

@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import zenoh
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.keys import ALL_ALIVE, Keys
+from zarm_contract.keys import ALL_ALIVE, ALL_CLIENTS, Keys
 
 Role = Literal["router", "planner", "executor", "bridge", "driver", "operator", "viewer"]
 """What a process is on the bus; the common name of its certificate."""
@@ -155,9 +155,14 @@ def access_control() -> dict[str, object]:
     """Zenoh's `access_control`: what is not allowed here is denied, and whoever has no role is denied everything."""
     table = rights()
     everyone = [
-        _rule("everyone hears what is for it", _ALL_MESSAGES, ("zarm/**", ALL_ALIVE), flow="egress"),
+        _rule("everyone hears what is for it", _ALL_MESSAGES, _EVERYTHING, flow="egress"),
         _rule("everyone subscribes", ("declare_subscriber",), ("zarm/**",)),
-        _rule("everyone sees who is alive", ("liveliness_query", "declare_liveliness_subscriber"), (ALL_ALIVE,)),
+        _rule("everyone shows that it is there", ("liveliness_token",), (ALL_CLIENTS,)),
+        _rule(
+            "everyone sees who is alive",
+            ("liveliness_query", "declare_liveliness_subscriber"),
+            (ALL_ALIVE, ALL_CLIENTS),
+        ),
         _rule("everyone reads", ("query",), (reading(key) for key, granted in table.items() if granted.latched)),
     ]
     own: dict[Role, list[dict[str, object]]] = {
@@ -187,9 +192,7 @@ def access_control() -> dict[str, object]:
         ]
         for role in _EVERYONE
     }
-    own["router"] = [
-        _rule("routers pass on", _ALL_MESSAGES, ("zarm/**", ALL_ALIVE), flow=flow) for flow in ("ingress", "egress")
-    ]
+    own["router"] = [_rule("routers pass on", _ALL_MESSAGES, _EVERYTHING, flow=flow) for flow in ("ingress", "egress")]
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -207,6 +210,7 @@ def access_control() -> dict[str, object]:
     }
 
 
+_EVERYTHING = ("zarm/**", ALL_ALIVE, ALL_CLIENTS)
 _ALL_MESSAGES = (
     "put",
     "delete",

@@ -8,18 +8,21 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, NoReturn, Self, TypeVar
 
 import zenoh
 from zenoh.handlers import Callback
 
 from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
+from zarm_contract.asking import asked_by, asker_of
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.following import Following
-from zarm_contract.keys import parse_alive
+from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
+from zarm_contract.messages import Asker
 from zarm_contract.publications import (
     Latched,
     Latest,
@@ -30,6 +33,7 @@ from zarm_contract.publications import (
     understood,
     unobserved,
 )
+from zarm_contract.room import Room
 from zarm_contract.security import client_role, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT, open_client
 
@@ -57,7 +61,8 @@ class Bus:
         self.role = (role or client_role()) if security_on() else None
         self._session = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
-        self._entities: list[Any] = []
+        self._client = str(self._session.info.zid())
+        self._entities: list[Any] = [self._session.liveliness().declare_token(client_token(self._client))]
         self._followed: list[Following] = []
         self._closing = threading.Event()
         self._arrivals = itertools.count(1)
@@ -104,17 +109,21 @@ class Bus:
         *,
         workers: int = 2,
         backlog: int = 16,
+        shared: bool = False,
         readable: bool = False,
     ) -> None:
         """Answer queries on `key` with `handler(request)`, run by up to `workers` threads of this key's own.
 
         A ZarmError raised by the handler is the answer; any other exception is logged with its trace and answered as
-        `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`.
+        `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`. Where they are `shared`, no
+        client has more of them in hand than there is room left for others. `asker` tells the handler for whom it works.
+        An answer that cannot be sent is logged with its trace, and its outcome is `unsent`.
 
         A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
         robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
         """
-        self._serve(key, request, lambda asked, _: handler(asked), workers, backlog, readable=readable, in_order=False)
+        room = Room(key, workers + backlog, shared=shared)
+        self._serve(key, request, lambda asked, _: handler(asked), workers, room, readable=readable, in_order=False)
 
     def serve_in_order(
         self,
@@ -132,7 +141,8 @@ class Bus:
         by the thread that reads the network, before a query waits or is decoded: what one session sends first has the smaller
         one, whichever is handled first.
         """
-        self._serve(key, request, handler, workers, backlog, readable=readable, in_order=True)
+        room = Room(key, workers + backlog, shared=False)
+        self._serve(key, request, handler, workers, room, readable=readable, in_order=True)
 
     def _serve(
         self,
@@ -140,44 +150,51 @@ class Bus:
         request: type[Request],
         handler: Callable[[Request, int], Message],
         workers: int,
-        backlog: int,
+        room: Room,
         *,
         readable: bool,
         in_order: bool,
     ) -> None:
         self._require("answers", key)
-        room = threading.BoundedSemaphore(workers + backlog)
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
         refusing = ThreadPoolExecutor(1, thread_name_prefix=f"{key} refuses")
 
-        def answer(query: zenoh.Query, arrival: int) -> None:
+        def answer(query: zenoh.Query, work: Callable[[], Message]) -> None:
             try:
                 with query:
-                    self._answered(key, _reply(query, key, lambda: handler(_request(query, key, request), arrival)))
-            finally:
-                room.release()
+                    self._answered(key, _reply(query, key, work))
+            except Exception:
+                log.exception("answer not sent key=%s", key)
+                self._answered(key, "unsent")
 
-        def refuse(query: zenoh.Query) -> None:
-            with query:
-                self._answered(key, "busy")
-                _reply_problem(query, Busy(f"{key} has {workers + backlog} requests in hand; try again later"))
+        def handle(query: zenoh.Query, who: Asker, arrival: int) -> None:
+            try:
+                with asked_by(who):
+                    answer(query, lambda: handler(_request(query, key, request), arrival))
+            finally:
+                room.leave(who.client)
+
+        def hand_over(to: ThreadPoolExecutor, work: Callable[..., None], query: zenoh.Query, *rest: object) -> bool:
+            try:
+                to.submit(work, query, *rest)
+            except RuntimeError:  # the pools are shut down: this service is closing
+                answer(query, partial(_refuse, Unavailable(f"{key} is shutting down")))
+                return False
+            return True
 
         def admit(query: zenoh.Query) -> None:
             arrival = next(self._arrivals)
             if str(query.key_expr) != key and not (readable and query.payload is None):
                 with query:
                     return
-            admitted = room.acquire(blocking=False)
+            who = asker_of(query)
             try:
-                if admitted:
-                    pool.submit(answer, query, arrival)
-                else:
-                    refusing.submit(refuse, query)
-            except RuntimeError:  # the pool is shut down: this service is closing
-                if admitted:
-                    room.release()
-                with query:
-                    _reply_problem(query, Unavailable(f"{key} is shutting down"))
+                room.enter(who.client)
+            except Busy as busy:
+                hand_over(refusing, answer, query, partial(_refuse, busy))
+                return
+            if not hand_over(pool, handle, query, who, arrival):
+                room.leave(who.client)
 
         self._pools += [pool, refusing]
         self._entities.append(self._session.declare_queryable(key, _direct(admit, in_order), complete=True))
@@ -195,7 +212,10 @@ class Bus:
                 f"the request of {len(payload)} bytes is over the limit of {MAX_BYTES}; send less at once",
                 field="payload",
             )
-        return self._ask(key, reply, timeout, payload=payload, encoding=encoding_of(type(request)))
+        asker = Asker(client=self._client, patience=max(0.0, timeout))
+        return self._ask(
+            key, reply, timeout, payload=payload, encoding=encoding_of(type(request)), attachment=encode(asker)
+        )
 
     def read(self, key: str, model: type[Reply], *, timeout: float) -> Reply:
         """The present value of a latched or readable key. Raises Unavailable and InternalError as `call` does."""
@@ -377,6 +397,20 @@ class Bus:
         tokens = self._session.liveliness().get(key, timeout=timeout)
         return sorted({parse_alive(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
 
+    def watch_clients(self, gone: Callable[[str], object]) -> None:
+        """Call `gone(client)` with the `Asker.client` that can no longer be answered: it has left, or the link to it is lost."""
+
+        def changed(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                gone(str(sample.key_expr).rpartition("/")[2])
+
+        self._entities.append(self._session.liveliness().declare_subscriber(ALL_CLIENTS, changed))
+
+    def is_there(self, client: str, *, timeout: float = 1.0) -> bool:
+        """Whether an answer can reach the `Asker.client` now, as far as the router knows; waits `timeout` s for it."""
+        tokens = self._session.liveliness().get(client_token(client), timeout=timeout)
+        return any(reply.ok is not None for reply in tokens)
+
     # -- access --
 
     def _require(self, verb: Verb, key: str) -> None:
@@ -397,6 +431,10 @@ def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:
             "(`zarm status` shows who runs which)"
         )
     return decode(model, query.payload.to_bytes() if query.payload is not None else b"")
+
+
+def _refuse(error: ZarmError) -> NoReturn:
+    raise error
 
 
 def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:

@@ -194,6 +194,15 @@ ALL_ALIVE = "zarm/*/*/@alive/*"
 """Every liveliness token on the bus; `parse_alive` reads one."""
 
 
+ALL_CLIENTS = "zarm/@clients/*"
+"""The liveliness tokens of those who ask; `client_token` makes one."""
+
+
+def client_token(client: str) -> str:
+    """The liveliness token of the session with this id."""
+    return ALL_CLIENTS.replace("*", client)
+
+
 def parse_alive(key: str) -> tuple[str, str, str]:
     """`(robot, service, instance)` of a liveliness token's key; ValueError for any other key."""
     chunks = key.split("/")

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from zarm_contract.asking import asker
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     AttachObject,
@@ -62,17 +63,25 @@ _BATCH_TIMEOUT = 60.0
 
 
 class Planner:
-    """The planner of one robot, for any number of threads. `name` is the robot's on the bus.
+    """The planner of one robot, for any number of threads, each working for its `asker`. `name` is the robot's on the bus.
 
-    `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`).
+    `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`). `is_there` tells whether
+    a client that has left has come back.
     """
 
-    def __init__(self, model: RobotModel, name: str, store: SceneStore, measured: Callable[[], Array]) -> None:
+    def __init__(
+        self,
+        model: RobotModel,
+        name: str,
+        store: SceneStore,
+        measured: Callable[[], Array],
+        is_there: Callable[[str], bool] = lambda _: False,
+    ) -> None:
         self._model = model
         self._name = name
         self._store = store
         self._measured = measured
-        self._running = Running(os.cpu_count() or 1)
+        self._running = Running(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
         self._snapshots: dict[float, Snapshot] = {}  # by margin, the one used last at the end
@@ -118,7 +127,9 @@ class Planner:
             snapshot = self._look(request.margin)
             return snapshot, plan(snapshot, start, request.goal, options, stop)
 
-        snapshot, (verified, timings) = self._running.run(work, request.timeout or settings.timeout, request.request_id)
+        snapshot, (verified, timings) = self._running.run(
+            work, asker(), request.timeout or settings.timeout, request.request_id
+        )
         return Plan(
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
@@ -134,8 +145,12 @@ class Planner:
         )
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:
-        """End the planning of a request."""
+        """End the planning of a request, or of one that is still on its way here."""
         return CancelledPlan(was_running=self._running.cancel(request.request_id))
+
+    def leave(self, client: str) -> None:
+        """End all that is in hand for a client that can no longer be answered."""
+        self._running.leave(client)
 
     def ik(self, request: IkRequest) -> IkSolutions:
         """Joints for poses. Raises InvalidRequest."""
@@ -157,7 +172,7 @@ class Planner:
             )
             return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
 
-        return self._running.run(work, _BATCH_TIMEOUT)
+        return self._running.run(work, asker(), _BATCH_TIMEOUT)
 
     def fk(self, request: FkRequest) -> FkPoses:
         """Poses for joints. Raises InvalidRequest."""
@@ -190,7 +205,7 @@ class Planner:
                 )
             return CheckResults(results=tuple(results))
 
-        return self._running.run(work, _BATCH_TIMEOUT)
+        return self._running.run(work, asker(), _BATCH_TIMEOUT)
 
     def occupancy(self, request: OccupancyRequest) -> Occupancy:
         """Which cells of a grid the scene's objects reach into. Raises InvalidRequest where they are too many."""
@@ -204,7 +219,7 @@ class Planner:
                 cells=tuple(map(tuple, cells.tolist())),
             )
 
-        return self._running.run(work, _BATCH_TIMEOUT)
+        return self._running.run(work, asker(), _BATCH_TIMEOUT)
 
     def edit(self, request: SceneEdit) -> Scene:
         """Apply an edit of the scene and return the result.

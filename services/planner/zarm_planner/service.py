@@ -42,8 +42,9 @@ log = logging.getLogger(__name__)
 
 Request = TypeVar("Request", bound=Message)
 
-PLANS_WAITING = 16
-"""Plan requests that may wait for their turn; each waits in a thread of its own, where it can be cancelled."""
+ROOM = 2 * ((os.cpu_count() or 1) + 16)
+"""Requests that may be in hand on each key, half of them of one client: one for each core, and 16 that wait for their turn.
+Each is in a thread of its own, where it can be cancelled while it waits."""
 
 
 @contextmanager
@@ -59,7 +60,8 @@ def start(service: Service) -> Iterator[None]:
 def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    planner = Planner(model, keys.robot, store, MeasuredJoints(model, bus.latest(keys.joint_states, JointState)))
+    measured = MeasuredJoints(model, bus.latest(keys.joint_states, JointState))
+    planner = Planner(model, keys.robot, store, measured, bus.is_there)
     warm = False
 
     def when_warm(handler: Callable[[Request], Message]) -> Callable[[Request], Message]:
@@ -69,6 +71,9 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             return handler(request)
 
         return guarded
+
+    def compute(key: str, model: type[Request], handler: Callable[[Request], Message]) -> None:
+        bus.serve(key, model, when_warm(handler), workers=ROOM, backlog=0, shared=True)
 
     plans = bus.latched(keys.plans, Plan)
 
@@ -109,11 +114,12 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         _serve_scene(service, store.scene, planner.edit)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
         bus.serve(keys.plan_cancel, CancelPlan, planner.cancel)
-        bus.serve(keys.plan, PlanRequest, when_warm(plan), workers=(os.cpu_count() or 1) + PLANS_WAITING, backlog=0)
-        bus.serve(keys.ik, IkRequest, when_warm(planner.ik))
         bus.serve(keys.fk, FkRequest, when_warm(planner.fk))
-        bus.serve(keys.check, CheckRequest, when_warm(planner.check))
-        bus.serve(keys.occupancy, OccupancyRequest, when_warm(planner.occupancy), workers=1)
+        compute(keys.plan, PlanRequest, plan)
+        compute(keys.ik, IkRequest, planner.ik)
+        compute(keys.check, CheckRequest, planner.check)
+        compute(keys.occupancy, OccupancyRequest, planner.occupancy)
+        bus.watch_clients(planner.leave)
         planner.warm_up(service.starting)
         gc.freeze()  # what is loaded stays; looking for garbage in it again and again would delay a plan by 0.1 s at times
         warm = True

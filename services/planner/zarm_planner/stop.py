@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 
 import numpy as np
 
 from zarm_contract.errors import Cancelled, DeadlineExceeded
+
+GUARANTEED = 0.02
+"""Seconds under a sooner deadline that `give_way` leaves; as long as `optimize_s` is unless a request states it."""
 
 
 class Stop:
@@ -16,7 +20,9 @@ class Stop:
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
         self._sooner: list[Stop] = []
-        self.deadline = np.array([time.monotonic() + timeout])
+        self._began = time.monotonic()
+        self._lock = threading.Lock()
+        self.deadline = np.array([self._began + timeout])
 
     def sooner(self, timeout: float) -> Stop:
         """A deadline `timeout` s from now and no later than this one's; a cancel of this one is one of that, too."""
@@ -28,9 +34,18 @@ class Stop:
 
     def cancel(self) -> None:
         """End whatever runs under this deadline now."""
-        self.deadline[0] = -math.inf
+        self._bring_forward(-math.inf)
         for stop in self._sooner:
             stop.cancel()
+
+    def give_way(self) -> None:
+        """End what runs under sooner deadlines when it has had GUARANTEED s; this one stays."""
+        for stop in self._sooner:
+            stop._bring_forward(stop._began + GUARANTEED)
+
+    def _bring_forward(self, deadline: float) -> None:
+        with self._lock:
+            self.deadline[0] = min(self.deadline[0], deadline)
 
     @property
     def cancelled(self) -> bool:

@@ -23,7 +23,6 @@ _ASK_AFTER = 1.0  # s without a publication after which the executor is asked; i
 _ASK_SECONDS = 1.0
 _WAKE = 0.1  # s
 _AGAIN = 1.0  # s after which a cancel that has had no effect is sent again
-_PLAN_ON_ITS_WAY = 1.0  # s from being asked for to being planned, at most
 _NOTED = 5.0  # s from being told of a cancel to rclpy's note of it, at most: two questions are asked in between
 _REMEMBERED = 64
 
@@ -181,9 +180,7 @@ class Run:
             log.warning("not cancelled goal_id=%s reason=%s", self._goal_id, error)
 
     def _end_planning(self) -> None:
-        """Until it has ended, because the request to plan may still be on its way to the planner."""
-        request, deadline = CancelPlan(request_id=self._request_id), time.monotonic() + _PLAN_ON_ITS_WAY
-        while self._planning and time.monotonic() < deadline:
-            if self._engine.ask(self._engine.keys.plan_cancel, CancelledPlan, request, timeout=1.0).was_running:
-                return
-            time.sleep(0.02)
+        """Also where the request to plan is still on its way: the planner remembers that it was cancelled."""
+        if self._planning:
+            request = CancelPlan(request_id=self._request_id)
+            self._engine.ask(self._engine.keys.plan_cancel, CancelledPlan, request, timeout=_ASK_SECONDS)

@@ -88,7 +88,7 @@ from zarm_contract.messages.scene import (
     Sphere,
     Voxels,
 )
-from zarm_contract.messages.service import Health, Nothing
+from zarm_contract.messages.service import Asker, Health, Nothing
 
 __all__ = [
     "MAX_ATTACHED",
@@ -98,6 +98,7 @@ __all__ = [
     "MAX_POINTS",
     "Accepted",
     "AddObjects",
+    "Asker",
     "AttachObject",
     "Attached",
     "CancelPlan",

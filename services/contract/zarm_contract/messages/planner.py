@@ -80,7 +80,7 @@ class PlanRequest(Message):
 
     `request_id` names the request for `planner/cancel`; `timeout` in s is the deadline of the whole planning, and
     `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is
-    found the planner looks for faster ones. The same request with the same `seed`, scene and `optimize_s` 0 gives the same
+    found the planner looks for faster ones, as long as no request waits for its turn. The same request with the same `seed`, scene and `optimize_s` 0 gives the same
     motion.
     """
 
@@ -132,7 +132,7 @@ class Plan(Message):
 
 
 class CancelPlan(ShortMessage):
-    """End the planning of one request; unknown and finished ids are no error."""
+    """End the planning of one request, also where it comes up to 10 s after this; unknown and finished ids are no error."""
 
     request_id: Name
 

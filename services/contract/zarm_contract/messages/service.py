@@ -16,6 +16,16 @@ class Nothing(ShortMessage):
     any_contract = True
 
 
+class Asker(ShortMessage):
+    """Who sends a request, and how long, in s, it waits for the answer; it is the attachment of the query.
+
+    `client` is the id of its Zenoh session, whose liveliness token shows that an answer can still reach it.
+    """
+
+    client: Name
+    patience: NonNegative
+
+
 class Health(Message):
     """How a service is. `activity` says what it is busy with while not `ready`; `uptime` in s.
 

@@ -1,0 +1,43 @@
+"""How many requests are in hand, in all and of each client."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+
+from zarm_contract.errors import Busy
+
+
+class Room:
+    """Room for `total` requests on `key`. Where it is `shared`, one client has no more in hand than are left for others.
+
+    So one client alone gets half of it, the next half of the rest, and whoever comes late finds some; where two are greedy
+    for long, both have a third.
+    """
+
+    def __init__(self, key: str, total: int, *, shared: bool) -> None:
+        self._key = key
+        self._total = total
+        self._shared = shared
+        self._held: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def enter(self, client: str) -> None:
+        """Take a request in. Raises Busy where there is no room for it."""
+        with self._lock:
+            left, held = self._total - self._held.total(), self._held[client]
+            if not left:
+                raise Busy(f"{self._key} has {self._total} requests in hand; try again later")
+            if self._shared and held >= left:
+                raise Busy(
+                    f"{self._key} has {held} requests of this client in hand, and room for {left} more that is kept for "
+                    "others; wait for an answer, or cancel one, before you ask for more"
+                )
+            self._held[client] += 1
+
+    def leave(self, client: str) -> None:
+        """Its request is answered."""
+        with self._lock:
+            self._held[client] -= 1
+            if not self._held[client]:
+                del self._held[client]

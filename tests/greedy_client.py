@@ -1,0 +1,46 @@
+"""A client that asks for much at once: `greedy_client.py ENDPOINT KEY COUNT`, the request on stdin.
+
+It sends the request so often at the same time, under the ids `greedy-0`, `greedy-1`, … where it is one to plan, and prints a
+line of JSON for each answer.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+
+from motions import KEYS
+
+from zarm_contract.bus import Bus
+from zarm_contract.codec import decode
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import IkRequest, IkSolutions, Plan, PlanRequest
+
+
+def main() -> None:
+    endpoint, key, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    asked, answered = (PlanRequest, Plan) if key == KEYS.plan else (IkRequest, IkSolutions)
+    request = decode(asked, sys.stdin.buffer.read())
+    with Bus(endpoint) as bus:
+
+        def ask(number: int) -> None:
+            named = request.model_copy(update={"request_id": f"greedy-{number}"}) if asked is PlanRequest else request
+            try:
+                answer = bus.call(key, named, answered, timeout=120)
+            except ZarmError as error:
+                line: dict[str, object] = {"code": error.code, "message": str(error)}
+            else:
+                line = {"code": "ok", "optimize": answer.timings.optimize if isinstance(answer, Plan) else 0.0}
+            os.write(1, f"{json.dumps(line)}\n".encode())  # whole, though others write as well
+
+        threads = [threading.Thread(target=ask, args=(number,)) for number in range(count)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+
+if __name__ == "__main__":
+    main()
