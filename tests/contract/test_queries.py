@@ -200,7 +200,7 @@ def test_an_answer_says_what_it_is(bus: Bus, plain: zenoh.Session) -> None:
     serve(bus, lambda _: ANSWER)
     (reply,) = plain.get(KEYS.fk, payload=encode(REQUEST), timeout=PATIENCE)
     assert reply.ok is not None
-    assert str(reply.ok.encoding) == "application/json;zarm.FkPoses.v1"
+    assert str(reply.ok.encoding) == "application/json;zarm.FkPoses.v2"
 
 
 def test_looking_around_sets_off_no_command(bus: Bus, plain: zenoh.Session) -> None:

@@ -41,7 +41,7 @@ OWN_BRAKE = LATE + LAG + max(CSPACE.velocity) / CEILING
 REST_OF_MOTION = LATE + LAG + rest_to_rest(FAR, HOME).duration + EXECUTION.settle_time
 
 STALE = EXECUTION.joint_state_timeout + BRAKE, "joint_state_timeout, then v/a of the executor"
-RUN_OUT = PARAMS.chunk_period + PARAMS.look_ahead + OWN_BRAKE, "the last chunk, then v/a of the driver"
+RUN_OUT = PARAMS.chunk_period + PARAMS.look_ahead + BRAKE, "the last chunk, which brakes with v/a of the executor"
 AT_ONCE = OWN_BRAKE, "v/a of the driver"
 LEFT_PATH = BRAKE, "v/a of the executor, from path_tolerance on"
 LAGS = 0.5 + BRAKE, "half a second until it shows, then v/a of the executor"

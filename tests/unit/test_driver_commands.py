@@ -41,16 +41,16 @@ def test_what_is_sent_is_what_is_published_and_agrees_from_one_chunk_to_the_next
         np.testing.assert_allclose(after.acceleration[1:], inside / 0.02, atol=1e-9)
 
 
-def test_after_a_chunk_that_came_too_late_the_next_begins_at_the_velocity_that_the_robot_has(tmp_path: Folder) -> None:
+def test_after_a_pause_without_chunks_the_next_begins_at_the_velocity_that_the_driver_plays(tmp_path: Folder) -> None:
     bench = DriverBench(Case("joint_speed"), tmp_path)
     bench.execute()
     bench.run(1.2)
     bench.freeze(0.25)
-    sent, velocity = len(bench.commands), bench.arm.velocity
-    assert velocity[0] > 0.1
+    sent, played = len(bench.commands), bench.arm.feed
+    assert played[0] > 0.1
     bench.tick()
     (_, command) = bench.commands[sent]
-    assert np.max(np.abs(np.subtract(command.velocity[0], velocity))) <= LIMIT * 0.031
+    assert np.max(np.abs(np.subtract(command.velocity[0], played))) <= LIMIT * 0.041  # a point later or two
     bench.until("idle")
     assert bench.last().status == "succeeded"
     assert bench.rests()

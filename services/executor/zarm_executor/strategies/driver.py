@@ -17,6 +17,14 @@ class DriverStrategy(Strategy):
         self.link = link
         self._held_at = 0.0
         self._emptied = False
+        self._seen: Measured | None = None
+
+    def look(self) -> None:
+        """At the begin of each tick: see where the robot is.
+
+        Joints that come during a tick are for the next one: what is commanded and what is measured must be of one moment.
+        """
+        self._seen = self.link.measured()
 
     def hold(self, now: float) -> None:
         """After braking, at each tick: empty the driver, and again while the robot moves.
@@ -43,6 +51,7 @@ class DriverStrategy(Strategy):
         reason = self.obstacle()
         if reason is not None:
             raise Unavailable(reason)
+        self.look()
         self.link.stop()
 
     def close(self) -> None:
@@ -53,5 +62,5 @@ class DriverStrategy(Strategy):
         """Whether the joints are fresh is checked before every motion, whatever the strategy."""
 
     def joint_state(self) -> Measured | None:
-        """What the driver told last."""
-        return self.link.measured()
+        """What the driver had told at the last tick."""
+        return self._seen

@@ -82,6 +82,7 @@ class JointTrajectory(DriverStrategy):
 
     def tick(self, now: float, dt: float) -> None:
         """See how far the driver is, and send what is to be played next."""
+        self.look()
         command = self._command
         if command is None:
             return

@@ -23,6 +23,8 @@ from zarm_executor.stretch import Stretch
 
 _BEHIND = 1.0
 """How far (s of the path) behind the commanded motion a robot that stands is looked for."""
+_ON_CHUNK = 0.05
+"""A robot this close (rad) to where its driver should have brought it plays the chunk that was sent last."""
 _SLOPE = 1e-6
 """Squared speed of a path, (rad/s)^2, below which it tells nothing about the path speed of a robot on it."""
 _OFF_GRID = 0.3
@@ -52,6 +54,7 @@ class Streaming(DriverStrategy, Steerable):
         self._over = True
         self._away: tuple[float, float] | None = None
         self._lost_at: float | None = None
+        self._chunk: Stretch | None = None
         self._played_at = -np.inf
 
     # -- what a streaming strategy decides --
@@ -77,7 +80,7 @@ class Streaming(DriverStrategy, Steerable):
         self._follower = Follower(path, self.link.acceleration_limit, speed=speed, target=speed)
         self._reference = Reference(self._memory)
         self._expected = Commanded(0.0, 0.0, 0.0, path.start)
-        self._sent_at, self._over, self._away, self._lost_at = None, False, None, None
+        self._sent_at, self._over, self._away, self._lost_at, self._chunk = None, False, None, None, None
         self._wanted = speed
 
     def stop(self) -> None:
@@ -105,6 +108,7 @@ class Streaming(DriverStrategy, Steerable):
 
     def tick(self, now: float, dt: float) -> None:
         """Move on, and send a chunk where one is due."""
+        self.look()
         follower = self._follower
         if follower is None:
             return
@@ -126,7 +130,6 @@ class Streaming(DriverStrategy, Steerable):
             if self._away is not None or self._lost_at is not None:
                 pause = self._away[1] if self._away is not None else now - (self._lost_at or now)
                 self._away = self._lost_at = None
-                self._forget_sent()
                 follower = self._picked_up(follower, now, pause)
             else:
                 follower.advance(dt)
@@ -138,7 +141,7 @@ class Streaming(DriverStrategy, Steerable):
         if begin is not None:
             played = 0 if self._sent_at is None else round((begin - self._sent_at) / self._dt)
             ahead = self._ahead(follower, begin - now)
-            self._played_at = begin + len(ahead.time) * self._dt
+            self._chunk, self._played_at = ahead, begin + len(ahead.time) * self._dt
             follower.target = self._wanted
             rests = self._send(ahead, now, played)
             self._sent_at, self._urgent = begin, False
@@ -182,25 +185,38 @@ class Streaming(DriverStrategy, Steerable):
             self._expected = Commanded(now, follower.time, 0.0, follower.position)
 
     def _picked_up(self, follower: Follower, now: float, dt: float) -> Follower:
-        """After a pause in which nothing was sent: the motion goes on from where, and as fast as, the robot moves by now.
+        """After a pause in which nothing was sent: the motion goes on from where the driver is in the chunk that it has.
 
-        It went on with the points that it had and then braked, so that it is neither where it was commanded last nor where
-        it would be without the pause.
+        A robot that is elsewhere has not had it: then from where, and as fast as, the robot moves by now.
         """
+        path, limit = follower.path, self.link.acceleration_limit
+        self._reference = Reference(self._memory)
+        if self._chunk is not None and self._sent_at is not None:
+            index = (now - self._sent_at) / self._dt
+            before, speed_before, expected = self._chunk.at(index - self._delay / self._dt)
+            measured = self.link.measured()
+            if measured is not None and np.all(np.abs(measured.position - expected) <= _ON_CHUNK):
+                self._reference.note(now - self._delay, Follower(path, limit, time=before, speed=speed_before))
+                time, speed, _ = self._chunk.at(index)
+                self._follower = Follower(path, limit, time=time, speed=speed, target=self._wanted)
+                return self._follower
+        self._forget_sent()
+        self._follower = self._found(follower, now, dt)
+        return self._follower
+
+    def _found(self, follower: Follower, now: float, dt: float) -> Follower:
+        """The motion at what the robot will be commanded to when it has come from where it is now."""
         measured, path = self.link.measured(), follower.path
         if measured is None:
-            follower.advance(dt)
             return follower
         time = path.nearest(measured.position, follower.time - _BEHIND, follower.time + dt)
         slope = path.at(time)[1]
         length = float(slope @ slope)
         speed = min(max(float(slope @ self.link.velocity()) / length, 0.0), 1.0) if length > _SLOPE else 0.0
         follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=self._wanted)
-        self._reference = Reference(self._memory)
         self._reference.note(now - self._delay, follower)
         for _ in range(round(self._delay / TICK)):
             follower.advance(TICK)
-        self._follower = follower
         return follower
 
     def _halted(self, follower: Follower, ahead: float = 0.0) -> Follower:

@@ -1,0 +1,47 @@
+"""An executor that stands still for less than a second in motion goes on, whatever moves the robot."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+from contextlib import ExitStack
+from pathlib import Path as Folder
+
+import pytest
+from arena import STEP, Arena
+from harness import eventually
+from ordeal import WINDOW
+
+from zarm_executor.machine import STALL_LIMIT
+from zarm_leeloo_sim.player import CEILING, Kind
+
+RUNS = int(os.environ.get("FREEZE_RUNS", "3"))
+
+
+@pytest.mark.timeout(120 + 20 * RUNS)
+@pytest.mark.parametrize(
+    ("strategy", "plays"), [("joint_speed", "velocity"), ("joint_pose", "position"), ("joint_trajectory", "velocity")]
+)
+def test_after_a_moment_in_which_the_executor_stood_still_the_goal_is_reached_and_nobody_is_blamed(
+    tmp_path: Folder, strategy: str, plays: Kind
+) -> None:
+    chance = random.Random(strategy)
+    with ExitStack() as stack:
+        place = Arena(stack, tmp_path, strategy, wired=False, plays=plays)
+        for _ in range(RUNS):
+            begin = place.samples()
+            goal_id = place.go()
+            moment, seconds = chance.uniform(0.05, 1.5), chance.uniform(0.15, 0.85 * STALL_LIMIT)
+            eventually(lambda n=begin, t=moment: (place.samples() - n) * STEP >= t, "the moment has come")  # type: ignore[misc]
+            os.kill(place.executor.process.pid, signal.SIGSTOP)
+            frozen = place.samples()
+            eventually(lambda n=frozen, t=seconds: (place.samples() - n) * STEP >= t, "it has stood still")  # type: ignore[misc]
+            os.kill(place.executor.process.pid, signal.SIGCONT)
+            end = place.client.ended(goal_id)
+            assert end.status == "succeeded", f"{end.problem} after {seconds} s at {moment} s"
+            velocity = place.trace()[begin:, 6:]
+            change = abs(velocity[WINDOW:] - velocity[:-WINDOW]).max() / (WINDOW * STEP)
+            if plays == "velocity":  # a drive that plays positions makes up for a point that it was behind
+                assert change <= CEILING * 1.2
+            place.wait_to_stand()
