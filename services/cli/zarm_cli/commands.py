@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import typer
 
 from zarm_cli import (
@@ -59,6 +61,7 @@ def run() -> int:
     """Run the command line; the exit code: 0 done, 1 refused, 2 usage, 3 unavailable, 130 interrupted."""
     try:
         code: int | None = app(standalone_mode=False)
+        sys.stdout.flush()
     except ZarmError as error:
         err.print(error_line(error), soft_wrap=True)
         return UNAVAILABLE if isinstance(error, Unavailable) else REFUSED
@@ -66,4 +69,10 @@ def run() -> int:
         if text := error.format_message():  # empty where the help was shown instead
             err.print(f"zarm: usage: {text} (`--help` shows how)", soft_wrap=True)
         return USAGE
+    except (BrokenPipeError, SystemExit):  # whoever reads the output has left, and has what they wanted
+        return REFUSED
+    except OSError as error:
+        what = error.filename or "what is printed cannot be written"  # only a file that is opened is named
+        err.print(f"zarm: failed: {what}: {error.strerror}", soft_wrap=True)
+        return REFUSED
     return code or 0

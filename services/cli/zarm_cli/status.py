@@ -13,7 +13,7 @@ from rich.table import Table
 from zarm_cli.agreement import mismatches
 from zarm_cli.client import AsJson, Client, Connect, Name, connected
 from zarm_cli.interrupts import pause
-from zarm_cli.output import counted, degrees, err, facts, out, pose_text, print_json
+from zarm_cli.output import counted, degrees, err, facts, out, pose_text, print_json, records
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
@@ -65,11 +65,15 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
         for fault in faults:
             out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
-        raise Unavailable(f"{' and '.join(missing)} not ready")
+        raise Unavailable(" and ".join(_not_ready(one, services[one]) for one in missing))
     if serious := [fault.message for fault in faults if not fault.harmless]:
         err.print(f"zarm: mismatch: {'. '.join(serious)}", soft_wrap=True)
         return 1
     return 0
+
+
+def _not_ready(service: str, health: Health | None) -> str:
+    return f"{service} not ready" + ("" if health is None else f" ({health.activity})")
 
 
 def _ask(client: Client, key: str, reply: type[M]) -> M | None:
@@ -82,20 +86,22 @@ def _ask(client: Client, key: str, reply: type[M]) -> M | None:
 def _print_status(
     client: Client, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
 ) -> None:
-    table = Table("service", "", "uptime (s)", "pid", "instance", "version", "contract", "robot", box=None)
-    for service, health in services.items():
-        if health is None:
-            table.add_row(service, "does not answer")
-        else:
-            activity = "ready" if health.ready else health.activity
-            whence = (str(health.pid), health.instance, health.version, health.contract, health.robot_hash)
-            table.add_row(service, activity, f"{health.uptime:.0f}", *whence)
+    columns = ("service", "state", "uptime (s)", "pid", "instance", "version", "contract", "robot")
     rows = [("robot", f"{client.keys.robot} at {client.endpoint}")]
     if state is not None:
         rows += _state_rows(state)
     if scene is not None:
         rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
+    table = records(columns, [_service_row(service, health) for service, health in services.items()])
     out.print(facts(*rows), "", table, sep="\n")
+
+
+def _service_row(service: str, health: Health | None) -> tuple[str, ...]:
+    if health is None:
+        return service, "does not answer"
+    activity = "ready" if health.ready else health.activity
+    whence = (str(health.pid), health.instance, health.version, health.contract, health.robot_hash)
+    return service, activity, f"{health.uptime:.0f}", *whence
 
 
 def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
