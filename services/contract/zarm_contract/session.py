@@ -192,8 +192,8 @@ def _why_not(place: str) -> str:
     listener = what_listens(*_address(place)) if place.startswith(("tcp/", "tls/")) else "nobody"
     if listener == "silent":
         return (
-            f"what listens at {place} takes connections and does not answer: it hangs, or is no Zenoh router; see which process "
-            "has that port, and start it anew"
+            f"what listens at {place} takes connections and does not answer: it hangs, is kept busy, or is no Zenoh router; see "
+            "which process has that port"
         )
     if listener == "tls" and not security_on():
         return f"what listens at {place} speaks TLS; set ZARM_SECURITY=on and ZARM_CERTS here too"
