@@ -13,7 +13,22 @@ from pathlib import Path
 
 import pytest
 from harness import PATIENCE, eventually
-from launched import HOME, KEYS, ROBOT, ZARM, Command, Up, data, done, environment, refused, the_one_line, vector, zarm
+from launched import (
+    HOME,
+    KEYS,
+    ROBOT,
+    ZARM,
+    Command,
+    Up,
+    data,
+    done,
+    environment,
+    health,
+    refused,
+    the_one_line,
+    vector,
+    zarm,
+)
 
 from zarm_contract.bus import Bus
 from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing
@@ -94,6 +109,16 @@ def test_a_published_plan_can_be_executed_by_its_id(up: Up, observer: Bus, empty
     done(up, "execute", "--plan-id", first["plan_id"])
     assert measured(observer)[0] == pytest.approx(0.1, abs=0.01)
     assert "nosuchplan" in refused(up, "execute", "--plan-id", "nosuchplan")
+
+
+def test_the_table_of_services_is_whole_in_a_narrow_terminal(up: Up, observer: Bus) -> None:
+    shown = zarm("status", ZARM_CONNECT=up.endpoint, COLUMNS="40")
+    assert shown.returncode == 0, shown.stderr
+    assert max(len(line) for line in shown.stdout.splitlines()) <= 40
+    for service in ("planner", "executor"):
+        found = health(observer, service)
+        assert found is not None
+        assert {service, str(found.pid), found.instance, found.robot_hash} <= set(shown.stdout.split())
 
 
 def test_a_plan_older_than_its_scene_does_not_move_the_robot(up: Up, empty_scene: None) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from zarm_cli.client import AsJson, Client, Connect, Name, connected, message
 from zarm_cli.interrupts import Inbox, insist, wait_for
@@ -99,6 +98,8 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
         with _until_left(client, "to withdraw the goal"):
             _cancel(client, goal_id)
         raise
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # a stop does without
+
     goal = _Goal(client, goal_id)
     columns = (
         TextColumn("{task.description}"),
@@ -197,13 +198,10 @@ def _order(key: Callable[[Client], str], doc: str) -> Callable[[bool, str, str |
     return order
 
 
-ORDERS = {
-    "stop": _order(lambda client: client.keys.stop, "Stop the robot now; it decelerates to rest."),
-    "pause": _order(lambda client: client.keys.pause, "Hold the motion; `zarm resume` goes on with it."),
-    "resume": _order(lambda client: client.keys.resume, "Go on with a motion that was paused."),
-    "reset": _order(lambda client: client.keys.reset, "Leave the fault state, once its reason is mended."),
-}
-"""The commands that send nothing but themselves, by name."""
+stop = _order(lambda client: client.keys.stop, "Stop the robot now; it decelerates to rest.")
+pause = _order(lambda client: client.keys.pause, "Hold the motion; `zarm resume` goes on with it.")
+resume = _order(lambda client: client.keys.resume, "Go on with a motion that was paused.")
+reset = _order(lambda client: client.keys.reset, "Leave the fault state, once its reason is mended.")
 
 
 def cancel(

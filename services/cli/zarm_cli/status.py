@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
-from rich.live import Live
-from rich.table import Table
 
 from zarm_cli.agreement import mismatches
 from zarm_cli.client import AsJson, Client, Connect, Name, connected
@@ -27,8 +25,11 @@ from zarm_contract.messages import (
     Pose,
     Scene,
 )
-from zarm_contract.service import version
 from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_contract.version import version
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 _NEEDED = ("planner", "executor")
 _PERIOD = 0.1  # s between two looks of `watch`
@@ -138,6 +139,8 @@ def watch(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Na
             for look in looks:
                 print_json(vars(look))
             return
+        from rich.live import Live  # no other command needs it
+
         with Live(console=out, auto_refresh=False) as live:
             for look in looks:
                 live.update(_picture(client, look), refresh=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import logging
 import os
 import secrets
@@ -27,6 +26,7 @@ from zarm_contract.metrics import Metrics, serve_metrics
 from zarm_contract.robot import Robot, load_robot
 from zarm_contract.security import RENEWAL_DAYS, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_contract.version import version as version
 
 log = logging.getLogger(__name__)
 
@@ -37,11 +37,6 @@ _WATCH_PERIOD = 1.0
 """Seconds between two looks for an older owner of the same robot."""
 _GLANCE = 0.3
 """Seconds that such a look takes at most, as when no router is there."""
-
-
-def version() -> str:
-    """The installed version of zarm."""
-    return importlib.metadata.version("zarm")
 
 
 @dataclass
