@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -37,9 +38,10 @@ def test_whoever_wakes_before_the_wait_ends_it_too() -> None:
     signals.wait()
 
 
-def test_another_thread_ends_a_wait() -> None:
+@pytest.mark.parametrize("seconds", [1e9, math.inf])
+def test_another_thread_ends_a_wait_however_long(seconds: float) -> None:
     threading.Timer(0.05, signals.wake).start()
-    signals.wait()
+    signals.wait(seconds)
 
 
 def test_waking_more_often_than_there_is_room_for_is_waking_once() -> None:

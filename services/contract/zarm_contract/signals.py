@@ -19,6 +19,9 @@ ENDING = (signal.SIGTERM, signal.SIGINT)
 heard: list[int] = []
 """Those that have come since `expect`, by number."""
 
+_LONGEST = 3600.0
+"""s, of one look at the pipe; the system's clock of milliseconds overflows after 24 days."""
+
 _reader, _writer = os.pipe()
 for _end in (_reader, _writer):
     os.set_blocking(_end, False)
@@ -44,6 +47,6 @@ def wait(seconds: float = math.inf) -> None:
 
     It may end sooner: look whether what is waited for is there, wait, and look again.
     """
-    _poll.poll(None if math.isinf(seconds) else max(0.0, seconds) * 1000)
+    _poll.poll(1000 * min(max(seconds, 0.0), _LONGEST))
     with suppress(BlockingIOError):
         os.read(_reader, 4096)
