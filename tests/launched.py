@@ -182,10 +182,12 @@ class Router(Command):
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
-            self.interrupt(signal.SIGTERM)
-            assert self.end() == 0, self.errors()
-        super().__exit__()
+        try:
+            if self.process.poll() is None:
+                self.interrupt(signal.SIGTERM)
+                assert self.end() == 0, self.errors()
+        finally:
+            super().__exit__()
 
 
 def health(bus: Bus, service: str, keys: Keys = KEYS) -> Health | None:

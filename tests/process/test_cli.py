@@ -13,7 +13,22 @@ from pathlib import Path
 
 import pytest
 from harness import PATIENCE, eventually
-from launched import HOME, KEYS, ROBOT, ZARM, Command, Up, data, done, environment, refused, the_one_line, vector, zarm
+from launched import (
+    HOME,
+    KEYS,
+    ROBOT,
+    ZARM,
+    Command,
+    Up,
+    data,
+    done,
+    environment,
+    health,
+    refused,
+    the_one_line,
+    vector,
+    zarm,
+)
 
 from zarm_contract.bus import Bus
 from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing
@@ -96,6 +111,16 @@ def test_a_published_plan_can_be_executed_by_its_id(up: Up, observer: Bus, empty
     assert "nosuchplan" in refused(up, "execute", "--plan-id", "nosuchplan")
 
 
+def test_the_table_of_services_is_whole_in_a_narrow_terminal(up: Up, observer: Bus) -> None:
+    shown = zarm("status", ZARM_CONNECT=up.endpoint, COLUMNS="40")
+    assert shown.returncode == 0, shown.stderr
+    assert max(len(line) for line in shown.stdout.splitlines()) <= 40
+    for service in ("planner", "executor"):
+        found = health(observer, service)
+        assert found is not None
+        assert {service, str(found.pid), found.instance, found.robot_hash} <= set(shown.stdout.split())
+
+
 def test_a_plan_of_another_scene_does_not_move_the_robot(up: Up, empty_scene: None, tmp_path: Path) -> None:
     file = str(tmp_path / "plan.json")
     done(up, "plan", "--joints", near_home(0.4), "--save", file)
@@ -121,9 +146,9 @@ def test_ctrl_c_during_execute_cancels_and_waits_until_the_robot_stands(
     with Command(*arguments, folder=tmp_path) as execute:
         eventually(lambda: goals and goals[-1].progress > 0.1, "the robot is on its way")
         execute.interrupt()
-        execute.interrupt()  # a second one changes nothing
+        execute.interrupt()  # a second one changes nothing but that it is said what is waited for
         assert execute.end() == 130
-        assert "the robot stands still" in the_one_line(execute.errors())
+        assert "the robot stands still" in execute.errors().splitlines()[-1]
     assert mode(observer) == "idle"
     assert 0.0 < measured(observer)[0] < 1.15
     eventually(lambda: goals[-1].status == "cancelled", "the goal is reported as cancelled")

@@ -3,12 +3,36 @@
 from __future__ import annotations
 
 import json
-import socket
+import signal
+import socketserver
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
 import pytest
 from harness import free_endpoint
-from launched import ROBOT, the_one_line, zarm
+from launched import ROBOT, ZARM, Router, the_one_line, zarm
+
+INTERRUPTED = """
+import importlib.abc, os, signal, sys
+
+class Interrupt(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == module:
+            os.kill(os.getpid(), signal.SIGINT)
+
+module, sys.argv[1:] = sys.argv[1], ["robot", "list"]
+sys.meta_path.insert(0, Interrupt())
+from zarm_cli.app import main
+main()
+"""
+"""`zarm robot list`, with Ctrl-C as soon as a module is looked for."""
+
+
+class Refuser(socketserver.BaseRequestHandler):
+    """Closes every connection without a word."""
+
 
 # -- robots --
 
@@ -77,10 +101,44 @@ def test_an_endpoint_that_is_none_is_refused() -> None:
     assert "tcp/" in the_one_line(result.stderr)
 
 
-def test_a_port_where_no_router_speaks_is_unavailable() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as mute:
-        result = zarm("status", "--connect", f"tcp/127.0.0.1:{mute.getsockname()[1]}")
+def test_a_router_that_hangs_is_not_taken_for_one_with_certificates(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with Router(tmp_path, "--listen", endpoint) as router:
+        router.interrupt(signal.SIGSTOP)
+        result = zarm("status", "--connect", endpoint)
+        router.interrupt(signal.SIGCONT)
     assert result.returncode == 3
+    assert f"{endpoint} takes connections and does not answer" in (line := the_one_line(result.stderr))
+    assert "ZARM_SECURITY" not in line
+
+
+def test_a_port_where_something_else_listens_is_unavailable() -> None:
+    with socketserver.TCPServer(("127.0.0.1", 0), Refuser) as other:
+        threading.Thread(target=other.serve_forever).start()
+        result = zarm("status", "--connect", f"tcp/127.0.0.1:{other.server_address[1]}")
+        other.shutdown()
+    assert result.returncode == 3
+    assert "is no Zenoh router" in the_one_line(result.stderr)
+
+
+@pytest.mark.parametrize("module", ["zarm_cli.commands", "concurrent.futures", "pydantic", "zenoh", "rich.console"])
+def test_ctrl_c_while_a_command_is_loaded_ends_it_without_a_word(module: str) -> None:
+    ended = subprocess.run([sys.executable, "-c", INTERRUPTED, module], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "")
+
+
+def test_an_output_that_is_full_is_said_in_one_line() -> None:
+    for arguments in (("robot", "list"), ("robot", "check", ROBOT, "--json"), ("--help",)):
+        with Path("/dev/full").open("w") as full:
+            ended = subprocess.run([ZARM, *arguments], stdout=full, stderr=subprocess.PIPE, text=True)
+        assert ended.returncode == 1
+        assert "No space left" in the_one_line(ended.stderr)
+
+
+def test_a_folder_where_no_certificates_can_be_written_is_named() -> None:
+    result = zarm("certs", "/proc/certs")
+    assert result.returncode == 1
+    assert "/proc/certs" in the_one_line(result.stderr)
 
 
 def test_help_needs_no_bus() -> None:

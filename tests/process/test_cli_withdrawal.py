@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import threading
 from contextlib import suppress
 from pathlib import Path
+from queue import Queue
 
-from harness import PATIENCE
-from launched import KEYS, ROBOT, Command
+import psutil
+from executor_client import Client
+from harness import PATIENCE, ServiceProcess, eventually
+from launched import KEYS, ROBOT, Command, the_one_line
+from motions import moved, plan, rest_to_rest
 
 from zarm_contract.bus import Bus
+from zarm_contract.codec import encode
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState
 
@@ -44,3 +50,69 @@ def test_ctrl_c_meanwhile_does_not_keep_the_goal_from_being_withdrawn_by_its_nam
         assert interrupted.wait(PATIENCE)
         assert command.end() == 130
         assert [one.goal_id for one in withdrawn] == [asked[0].goal_id]
+
+
+def press(command: Command) -> None:
+    """Ctrl-C, and wait until the command has seen it and waits on: of two that it sees at once it counts one."""
+    seen = psutil.Process(command.process.pid).num_ctx_switches().voluntary
+    command.interrupt()
+    eventually(
+        lambda: (
+            command.process.poll() is not None
+            or psutil.Process(command.process.pid).num_ctx_switches().voluntary > seen
+        ),
+        "it has seen Ctrl-C",
+    )
+
+
+def test_whoever_is_tired_of_an_executor_that_hangs_hears_what_is_waited_for_then_leaves(
+    client: Client, executor: ServiceProcess, endpoint: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.json"
+    file.write_bytes(encode(plan("p-1", rest_to_rest(moved(1.0), slower=10.0))))
+    arguments = ("execute", "--plan", str(file), "--connect", endpoint, "--name", ROBOT)
+    with Command(*arguments, folder=tmp_path) as command:
+        (goal_id,) = eventually(lambda: {goal.goal_id for goal in client.goals}, "the goal is known")
+        client.under_way(goal_id, 0.1)
+        executor.process.send_signal(signal.SIGSTOP)
+        press(command)
+        assert command.errors() == ""
+        press(command)
+        eventually(command.errors, "it says what is waited for")
+        assert f"waiting for the executor of {ROBOT} to bring the robot to rest" in the_one_line(command.errors())
+        press(command)
+        assert command.end() == 130
+        assert "the state of the robot is unknown" in command.errors().splitlines()[-1]
+        executor.process.send_signal(signal.SIGCONT)
+        assert client.ended(goal_id).status in ("aborted", "cancelled")
+        assert client.stands()
+
+
+def test_whoever_leaves_before_the_goal_is_taken_has_withdrawn_it(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+    asked: Queue[str | None] = Queue()
+    withdrawn: Queue[str | None] = Queue()
+    may_answer = threading.Event()
+
+    def execute(request: ExecuteRequest) -> Accepted:
+        asked.put(request.goal_id)
+        may_answer.wait(PATIENCE)
+        raise Unavailable("nobody waits for this")
+
+    def cancel(request: CancelRequest) -> ExecutorState:
+        withdrawn.put(request.goal_id)
+        may_answer.wait(PATIENCE)
+        return IDLE
+
+    bus.serve(KEYS.execute, ExecuteRequest, execute)
+    bus.serve(KEYS.cancel, CancelRequest, cancel)
+    arguments = ("execute", "--plan-id", "p-1", "--connect", endpoint, "--name", ROBOT)
+    with Command(*arguments, folder=tmp_path) as command:
+        goal_id = asked.get(timeout=PATIENCE)
+        for _ in range(3):
+            press(command)
+        assert withdrawn.get(timeout=PATIENCE) == goal_id
+        assert command.end() == 130
+        first, last = command.errors().splitlines()
+        assert "to take the goal or refuse it" in first
+        assert "the state of the robot is unknown" in last
+    may_answer.set()

@@ -11,7 +11,7 @@ import typer
 from harness import free_endpoint
 from launched import Up, zarm
 
-from zarm_cli.commands import app
+from zarm_cli.commands import command_line
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "deploy" / "README.md").read_text()
@@ -30,7 +30,7 @@ def section(heading: str) -> str:
 
 def parse(words: list[str]) -> None:
     """Raises what a person would be told of a command line that cannot be read."""
-    command, context, rest = typer.main.get_command(app), None, words
+    command, context, rest = typer.main.get_command(command_line()), None, words
     while True:
         context = command.make_context(rest[0], rest[1:], parent=context)
         if not hasattr(command, "resolve_command"):

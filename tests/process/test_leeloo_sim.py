@@ -1,13 +1,19 @@
-"""The simulated driver says what keeps it from ROS."""
+"""The process of the simulated driver."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from harness import ServiceProcess
+from motions import KEYS
 
+from zarm_contract.bus import Bus
+
+ASK = "from zarm_contract.realtime import *; print(ask_for_realtime(PROCESS_PRIORITY))"
 WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None; from zarm_leeloo_sim.service import main; sys.exit(main())"
 
 
@@ -20,3 +26,15 @@ def test_it_refuses_ros_that_it_cannot_speak(robot: str, words: str, endpoint: s
     done = subprocess.run([*command, "--ros"], stderr=subprocess.PIPE, text=True, timeout=60)
     assert done.returncode == 1
     assert words in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="this system knows no real-time priority")
+@pytest.mark.parametrize("service", ["executor", "leeloo_sim"])
+def test_both_sides_of_a_driver_have_real_time_priority_where_it_is_allowed(
+    service: str, bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    asked = subprocess.run([sys.executable, "-c", ASK], capture_output=True, text=True, check=True)
+    wanted = os.SCHED_RR if asked.stdout == "True\n" else os.SCHED_OTHER
+    with ServiceProcess(service, endpoint, tmp_path) as process:
+        process.wait_ready(bus, KEYS)
+        assert os.sched_getscheduler(process.process.pid) == wanted

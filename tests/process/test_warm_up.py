@@ -6,12 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+from zarm_planner.warm_up import STAGES
+
 
 def test_warming_up_says_each_stage_in_a_line() -> None:
     done = subprocess.run([sys.executable, "-m", "zarm_planner.warm_up"], capture_output=True, text=True, check=True)
     stages = done.stdout.splitlines()
-    assert len(stages) == len(set(stages)) > 1
-    assert all(stage.startswith("loading ") for stage in stages)
+    assert len(stages) == len(set(stages)) == STAGES
+    for number, stage in enumerate(stages, start=1):
+        assert stage.startswith("loading ")
+        assert stage.endswith(f"({number} of {STAGES})")
     assert done.stderr == ""
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
-from queue import Empty, SimpleQueue
 
 import pytest
 
 from zarm_cli import interrupts
+from zarm_cli.interrupts import Inbox
+from zarm_contract import signals
 
 BOTH = (signal.SIGINT, signal.SIGTERM)
 
@@ -18,9 +19,13 @@ BOTH = (signal.SIGINT, signal.SIGTERM)
 def expected(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Signals are expected, as in a command that has just begun."""
     before = {number: signal.getsignal(number) for number in BOTH}
-    monkeypatch.setattr(interrupts, "_signals", type(interrupts._signals)())
-    interrupts.expect()
+    monkeypatch.setattr(interrupts, "_state", type(interrupts._state)())
+    before_fd = signal.set_wakeup_fd(-1)
+    signals.heard.clear()
+    signals.expect()
     yield
+    signals.heard.clear()
+    signal.set_wakeup_fd(before_fd)
     for number, handler in before.items():
         signal.signal(number, handler)
 
@@ -73,8 +78,7 @@ def test_only_the_first_signal_counts() -> None:
     for number in BOTH:
         signal.raise_signal(number)
     interrupts.check()
-    with pytest.raises(Empty):
-        interrupts.wait_for(SimpleQueue[int](), 0.0)
+    assert interrupts.wait_for(Inbox[int](), 0.0) is None
 
 
 def test_work_that_goes_on_is_left_to_itself() -> None:
@@ -104,7 +108,7 @@ def test_work_is_told_of_as_it_ends() -> None:
 
 
 def test_what_has_come_before_the_signal_is_not_lost() -> None:
-    told: SimpleQueue[int] = SimpleQueue()
+    told: Inbox[int] = Inbox()
     told.put(1)
     assert interrupts.wait_for(told) == 1
     threading.Timer(0.05, from_elsewhere, (signal.SIGINT,)).start()
@@ -112,3 +116,49 @@ def test_what_has_come_before_the_signal_is_not_lost() -> None:
         interrupts.wait_for(told)
     told.put(2)
     assert interrupts.wait_for(told) == 2
+
+
+class Told:
+    """Counts how often it is said what is waited for."""
+
+    times = 0
+
+    def __call__(self) -> None:
+        self.times += 1
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A third signal counts from the beginning."""
+    monkeypatch.setattr(interrupts, "_INSISTS", 0.0)
+
+
+def test_whoever_insists_ignores_the_first_tells_at_the_second_and_leaves_at_the_third(at_once: None) -> None:
+    told = Told()
+    with interrupts.insist(told):
+        for times in (0, 1):
+            signal.raise_signal(signal.SIGINT)
+            for _ in range(2):
+                interrupts.check()
+            assert told.times == times
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.wait_for(Inbox[int]())
+    assert told.times == 1
+
+
+def test_what_was_ignored_while_insisting_comes_up_afterwards(at_once: None) -> None:
+    with interrupts.insist(Told()):
+        signal.raise_signal(signal.SIGINT)
+        interrupts.check()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.check()
+
+
+def test_a_third_signal_counts_once_what_is_asked_for_has_had_its_time() -> None:
+    for _ in range(3):
+        signal.raise_signal(signal.SIGINT)
+    with interrupts.insist(Told()):
+        assert interrupts.attend(lambda: 7) == 7
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.pause()

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import sys
-
-from zarm_cli.interrupts import check, expect, pending
+from zarm_contract import signals
 
 INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    expect()
-    from zarm_cli.commands import run  # takes a third of a second, in which Ctrl-C ends in order already
+    signals.expect()  # before anything else is loaded, which takes a while
+    import os
+
+    from zarm_cli.commands import run
+    from zarm_cli.interrupts import check, pending
 
     try:
         check()
         code = run()
     except KeyboardInterrupt:
         code = INTERRUPTED
-    sys.exit(INTERRUPTED if pending() else code)
+    os._exit(INTERRUPTED if pending() else code)

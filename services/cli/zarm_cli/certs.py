@@ -42,8 +42,12 @@ def certs(
     folder = folder.absolute()
     kept_in = authority.absolute() if authority is not None else folder.with_name(f"{folder.name}-authority")
     now = today()
+    try:
+        done = _make(folder, kept_in, host or [], now)
+    except OSError as error:
+        raise InvalidRequest(f"{error.filename}: {error.strerror}; name a FOLDER that can be written to") from error
     table = Table("role", "", "valid until", box=None)
-    for role, did, until in _make(folder, kept_in, host or [], now):
+    for role, did, until in done:
         table.add_row(role, did, f"{until:%Y-%m-%d}")
     out.print(table)
     out.print(

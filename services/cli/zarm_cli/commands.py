@@ -2,63 +2,51 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from typing import Annotated
+
 import typer
 
-from zarm_cli import (
-    certs,
-    demo,
-    execution,
-    kinematics,
-    launcher,
-    planning,
-    record,
-    replay,
-    robot,
-    router,
-    scene,
-    status,
-)
-from zarm_cli.output import err, error_line
+from zarm_cli.output import err, error_line, out
 from zarm_contract.errors import Unavailable, ZarmError
 
 REFUSED, USAGE, UNAVAILABLE = 1, 2, 3
 
-app = typer.Typer(
-    name="zarm",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help="Motion for robot arms. Start with `zarm demo`, or `zarm up` and then `zarm status` in a second terminal.",
-)
-for command in (
-    launcher.up,
-    router.router,
-    certs.certs,
-    demo.demo,
-    status.status,
-    status.watch,
-    status.health,
-    planning.plan,
-    execution.execute,
-    execution.cancel,
-    execution.speed,
-    execution.strategy,
-    kinematics.fk,
-    kinematics.ik,
-    kinematics.check,
-    record.record,
-    replay.replay,
-):
-    app.command()(command)
-for name, order in execution.ORDERS.items():
-    app.command(name)(order)
-app.add_typer(scene.app, name="scene")
-app.add_typer(robot.app, name="robot")
+MODULES = {
+    "up": "launcher",
+    "router": "router",
+    "certs": "certs",
+    "demo": "demo",
+    "status": "status",
+    "watch": "status",
+    "health": "status",
+    "plan": "planning",
+    "execute": "execution",
+    "cancel": "execution",
+    "speed": "execution",
+    "strategy": "execution",
+    "fk": "kinematics",
+    "ik": "kinematics",
+    "check": "kinematics",
+    "record": "record",
+    "replay": "replay",
+    "stop": "execution",
+    "pause": "execution",
+    "resume": "execution",
+    "reset": "execution",
+    "scene": "scene",
+    "robot": "robot",
+}
+"""The module of each command. It holds a function of that name, or where the command has commands of its own, `app`."""
 
 
 def run() -> int:
     """Run the command line; the exit code: 0 done, 1 refused, 2 usage, 3 unavailable, 130 interrupted."""
     try:
-        code: int | None = app(standalone_mode=False)
+        code: int | None = command_line(_needed(sys.argv[1:2]))(standalone_mode=False)
+        sys.stdout.flush()
     except ZarmError as error:
         err.print(error_line(error), soft_wrap=True)
         return UNAVAILABLE if isinstance(error, Unavailable) else REFUSED
@@ -66,4 +54,52 @@ def run() -> int:
         if text := error.format_message():  # empty where the help was shown instead
             err.print(f"zarm: usage: {text} (`--help` shows how)", soft_wrap=True)
         return USAGE
+    except (BrokenPipeError, SystemExit):  # whoever reads the output has left, and has what they wanted
+        return REFUSED
+    except OSError as error:
+        what = error.filename or "what is printed cannot be written"  # only a file that is opened is named
+        err.print(f"zarm: failed: {what}: {error.strerror}", soft_wrap=True)
+        return REFUSED
     return code or 0
+
+
+def _needed(first: Sequence[str]) -> Iterable[str]:
+    """The commands to load for a command line that begins so: the one that is named, or for help and what is none, all."""
+    if first == ["--version"]:
+        return ()
+    return [name for name in MODULES if name in first] or MODULES
+
+
+def command_line(names: Iterable[str] = MODULES) -> typer.Typer:
+    """The command line with these commands; to load all of them takes longer than most of them run."""
+    app = typer.Typer(
+        name="zarm",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        help="Motion for robot arms. Start with `zarm demo`, or `zarm up` and then `zarm status` in a second terminal.",
+    )
+    app.callback()(_zarm)
+    for name in names:
+        module = import_module(f"zarm_cli.{MODULES[name]}")
+        if hasattr(module, "app"):
+            app.add_typer(module.app, name=name)
+        else:
+            app.command(name)(getattr(module, name))
+    return app
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from zarm_contract.codec import CONTRACT
+        from zarm_contract.version import version
+
+        out.print(f"zarm {version()}, contract {CONTRACT}")
+        raise typer.Exit
+
+
+def _zarm(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version, and end.")
+    ] = False,
+) -> None:
+    """What all commands have in common."""

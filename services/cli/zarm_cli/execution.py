@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import queue
 import secrets
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from zarm_cli.client import AsJson, Client, Connect, Name, connected, message
-from zarm_cli.interrupts import wait_for
+from zarm_cli.interrupts import Inbox, insist, wait_for
 from zarm_cli.output import SCENE_CHANGED, err, facts, out, print_json
 from zarm_cli.planning import JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
 from zarm_contract.errors import Unavailable, from_problem
@@ -36,7 +34,6 @@ from zarm_contract.session import DEFAULT_ENDPOINT
 _LOOK_SECONDS = 0.5
 _RESTART_SECONDS = 10.0  # within which an executor, started anew or heard again, tells what became of a goal
 _STOP_SECONDS = 30.0
-_WITHDRAW_SECONDS = 5.0
 
 
 def execute(
@@ -94,16 +91,17 @@ def demand_success(last: GoalState) -> None:
 def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
     goal_id = f"cli-{secrets.token_hex(8)}"
-    try:  # calls of the bus itself: Ctrl-C waits until it is known what there is to cancel, or that is withdrawn
-        named = request.model_copy(update={"goal_id": goal_id})
-        client.bus.call(client.keys.execute, named, Accepted, timeout=_STOP_SECONDS)
-    except Unavailable:  # the executor may have got the request, and start yet
-        with suppress(Unavailable):
-            client.bus.call(
-                client.keys.cancel, CancelRequest(goal_id=goal_id), ExecutorState, timeout=_WITHDRAW_SECONDS
-            )
+    named = request.model_copy(update={"goal_id": goal_id})
+    try:  # Ctrl-C waits until it is known what there is to cancel, or that is withdrawn
+        with insist(_telling(client, "to take the goal or refuse it")):
+            client.ask(client.keys.execute, Accepted, named, timeout=_STOP_SECONDS)
+    except (Unavailable, KeyboardInterrupt):  # the executor may have got the request, and start yet
+        with _until_left(client, "to withdraw the goal"):
+            _cancel(client, goal_id)
         raise
     _warn_of_edits(client, goal_id)
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # a stop does without
+
     goal = _Goal(client, goal_id)
     columns = (
         TextColumn("{task.description}"),
@@ -125,8 +123,9 @@ def run_goal(client: Client, request: ExecuteRequest) -> GoalState:
         try:
             return goal.follow(show)
         except KeyboardInterrupt:
-            client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
-            last = goal.follow(show, _STOP_SECONDS)
+            with _until_left(client, "to bring the robot to rest"):
+                _cancel(client, goal_id)
+                last = goal.follow(show, _STOP_SECONDS)
             err.print(f"zarm: {last.status}: the robot stands still at {last.progress:.0%} of the motion")
             raise
 
@@ -143,6 +142,33 @@ def _warn_of_edits(client: Client, goal_id: str) -> None:
     client.bus.watch(client.keys.executor_state, ExecutorState, look)
 
 
+def _cancel(client: Client, goal_id: str) -> None:
+    with suppress(Unavailable):
+        client.ask(client.keys.cancel, ExecutorState, CancelRequest(goal_id=goal_id))
+
+
+@contextmanager
+def _until_left(client: Client, awaited: str) -> Iterator[None]:
+    """`insist`, and where it is in vain say what that means."""
+    try:
+        with insist(_telling(client, awaited)):
+            yield
+    except KeyboardInterrupt:
+        err.print(
+            f"zarm: interrupted: the executor of {client.keys.robot} has not answered, and the state of the robot is unknown: "
+            "make sure that it stands still, then see `zarm status`",
+            soft_wrap=True,
+        )
+        raise
+
+
+def _telling(client: Client, awaited: str) -> Callable[[], None]:
+    return lambda: err.print(
+        f"zarm: waiting for the executor of {client.keys.robot} {awaited}; Ctrl-C again leaves the robot as it is",
+        soft_wrap=True,
+    )
+
+
 class _Goal:
     """The states of one goal: as they are told, and where none is told for a while, as the executor answers."""
 
@@ -150,7 +176,7 @@ class _Goal:
         self._client = client
         self._key = client.keys.goal(goal_id)
         self._id = goal_id
-        self._states: queue.SimpleQueue[GoalState] = queue.SimpleQueue()
+        self._states: Inbox[GoalState] = Inbox()
         client.bus.watch(self._key, GoalState, lambda _, state: self._states.put(state))
 
     def follow(self, show: Callable[[GoalState], None], timeout: float = math.inf) -> GoalState:
@@ -170,12 +196,11 @@ class _Goal:
                 )
 
     def _next(self) -> GoalState | None:
-        try:
-            return wait_for(self._states, _LOOK_SECONDS)
-        except queue.Empty:  # held, or told while the way here was cut
-            with suppress(Unavailable):
-                return self._client.ask(self._key, GoalState, timeout=_LOOK_SECONDS)
-            return None
+        if (state := wait_for(self._states, _LOOK_SECONDS)) is not None:
+            return state
+        with suppress(Unavailable):  # held, or told while the way here was cut
+            return self._client.ask(self._key, GoalState, timeout=_LOOK_SECONDS)
+        return None
 
 
 def _order(key: Callable[[Client], str], doc: str) -> Callable[[bool, str, str | None], None]:
@@ -187,13 +212,10 @@ def _order(key: Callable[[Client], str], doc: str) -> Callable[[bool, str, str |
     return order
 
 
-ORDERS = {
-    "stop": _order(lambda client: client.keys.stop, "Stop the robot now; it decelerates to rest."),
-    "pause": _order(lambda client: client.keys.pause, "Hold the motion; `zarm resume` goes on with it."),
-    "resume": _order(lambda client: client.keys.resume, "Go on with a motion that was paused."),
-    "reset": _order(lambda client: client.keys.reset, "Leave the fault state, once its reason is mended."),
-}
-"""The commands that send nothing but themselves, by name."""
+stop = _order(lambda client: client.keys.stop, "Stop the robot now; it decelerates to rest.")
+pause = _order(lambda client: client.keys.pause, "Hold the motion; `zarm resume` goes on with it.")
+resume = _order(lambda client: client.keys.resume, "Go on with a motion that was paused.")
+reset = _order(lambda client: client.keys.reset, "Leave the fault state, once its reason is mended.")
 
 
 def cancel(

@@ -8,79 +8,113 @@ it asks what something is an instance of), and the robot moves on.
 from __future__ import annotations
 
 import math
-import signal
 import time
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
-from queue import Empty, SimpleQueue
-from types import FrameType
-from typing import TypeVar
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Generic, TypeVar
+
+from zarm_contract import signals
 
 T = TypeVar("T")
 
-
-_LOOK_SECONDS = 0.05
-"""How long a signal that comes while a command waits may go unnoticed. Nothing that a handler may do wakes a thread for
-certain: the signal may come just before it falls asleep."""
+_INSISTS = 1.0
+"""Seconds that a command insists at least: what it asks for gets on its way, and a robot that answers is waited for."""
 
 
-class _Signals:
-    """`heard` as soon as there was one, `pending` until KeyboardInterrupt is raised for it."""
+class Inbox(Generic[T]):
+    """What other threads have for the main one, which takes it with `wait_for`."""
 
     def __init__(self) -> None:
-        self.heard = False
-        self.pending = False
+        self._things: deque[T] = deque()
 
-    def hear(self, number: int, frame: FrameType | None) -> None:
-        """The handler."""
-        if not self.heard:
-            self.heard = self.pending = True
+    def put(self, thing: T) -> None:
+        """Add something; for any thread."""
+        self._things.append(thing)
+        signals.wake()
+
+    def take(self) -> T | None:
+        """The oldest thing, or None."""
+        return self._things.popleft() if self._things else None
 
 
-_signals = _Signals()
+class _Insistence:
+    def __init__(self, tell: Callable[[], object]) -> None:
+        self._tell = tell
+        self._told = False
+        self._until = time.monotonic() + _INSISTS
+
+    def check(self) -> None:
+        if len(signals.heard) == 2 and not self._told:
+            self._told = True
+            self._tell()
+        if len(signals.heard) > 2 and time.monotonic() >= self._until:
+            raise KeyboardInterrupt
+
+    def seconds(self) -> float:
+        """How long a third signal still counts for nothing; without end where it counts."""
+        left = self._until - time.monotonic()
+        return left if left > 0 else math.inf
+
+
+class _State:
+    raised = False
+    """Whether the first signal has raised KeyboardInterrupt."""
+    insistence: _Insistence | None = None
+
+
+_state = _State()
 _work = ThreadPoolExecutor(2, thread_name_prefix="attended")
 
 
-def expect() -> None:
-    """From now on the signals are heard here."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _signals.hear)
-
-
 def pending() -> bool:
-    """Whether a signal came for which nothing has raised KeyboardInterrupt yet."""
-    return _signals.pending
+    """Whether a signal came and nothing has raised KeyboardInterrupt yet."""
+    return bool(signals.heard) and not _state.raised
 
 
 def check() -> None:
     """Raise KeyboardInterrupt if a signal is pending."""
-    if _signals.pending:
-        _signals.pending = False
+    if _state.insistence is not None:
+        _state.insistence.check()
+    elif pending():
+        _state.raised = True
         raise KeyboardInterrupt
 
 
-def wait_for(source: SimpleQueue[T], seconds: float = math.inf) -> T:
-    """The next thing in a queue. Raises queue.Empty when there is none for so many s, and KeyboardInterrupt."""
+@contextmanager
+def insist(tell: Callable[[], object]) -> Iterator[None]:
+    """In this block a first signal stays pending, a second one has `tell` say what is waited for, and a third one, though not
+    in the first second, raises KeyboardInterrupt.
+    """
+    _state.insistence = _Insistence(tell)
+    try:
+        yield
+    finally:
+        _state.insistence = None
+
+
+def wait_for(inbox: Inbox[T], seconds: float = math.inf) -> T | None:
+    """The next thing in an inbox, None when there is none for so many s. Raises KeyboardInterrupt."""
     deadline = time.monotonic() + seconds
     while True:
         check()
-        left = deadline - time.monotonic()
-        try:
-            return source.get(timeout=max(0.0, min(left, _LOOK_SECONDS)))
-        except Empty:
-            if left <= _LOOK_SECONDS:
-                raise
+        if (thing := inbox.take()) is not None:
+            return thing
+        if (left := deadline - time.monotonic()) <= 0:
+            return None
+        signals.wait(left if _state.insistence is None else min(left, _state.insistence.seconds()))
 
 
 def pause(seconds: float = math.inf) -> None:
     """Wait. Raises KeyboardInterrupt."""
-    with suppress(Empty):
-        wait_for(SimpleQueue[None](), seconds)
+    wait_for(Inbox[None](), seconds)
 
 
 def attend(work: Callable[[], T]) -> T:
     """What `work` returns or raises, done by another thread. Raises KeyboardInterrupt, and then nobody hears what became of it."""
-    done: SimpleQueue[Future[T]] = SimpleQueue()
-    _work.submit(work).add_done_callback(done.put)
-    return wait_for(done).result()
+    done: Inbox[bool] = Inbox()
+    future = _work.submit(work)
+    future.add_done_callback(lambda _: done.put(True))
+    wait_for(done)
+    return future.result()

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 from zarm_contract.codec import encode
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import Message, Pose
 
-# Nothing that is printed is markup: messages hold brackets. A pipe is no terminal of 80 columns.
-out = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 120)
+# Nothing that is printed is markup: messages hold brackets. A pipe is no terminal of 80 columns, unless COLUMNS says so.
+out = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() or os.environ.get("COLUMNS") else 120)
 err = Console(highlight=False, markup=False, stderr=True)
 
 SCENE_CHANGED = (
@@ -71,3 +73,14 @@ def facts(*rows: tuple[str, str]) -> Table:
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def records(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """A table with one line for each row; where the terminal has no room for it, one fact a line, row after row."""
+    table = Table(*columns, box=None)
+    for row in rows:
+        table.add_row(*row)
+    unbounded = out.options.update(max_width=10_000)
+    if Measurement.get(out, unbounded, table).maximum <= out.width:
+        return table
+    return facts(*(fact for row in rows for fact in (*zip(columns, row, strict=False), ("", ""))))

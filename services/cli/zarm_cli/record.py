@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zarm_cli.client import Connect, Name, connected
-from zarm_cli.interrupts import wait_for
+from zarm_cli.interrupts import Inbox, wait_for
 from zarm_cli.output import counted, err, out
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
@@ -47,8 +47,8 @@ def record(
                 listen(key, recorder.put)
             err.print(f"recording {client.keys.robot} to {path}; Ctrl-C ends it", soft_wrap=True)
             wait_for(recorder.failed, math.inf if seconds is None else seconds)
-        except (KeyboardInterrupt, queue.Empty):
-            pass  # the usual ends
+        except KeyboardInterrupt:
+            pass  # the usual end
         finally:
             recorder.close()
     lost = f", {recorder.lost} lost" if recorder.lost else ""
@@ -61,7 +61,7 @@ class _Recorder:
     def __init__(self, path: Path, keys: Keys) -> None:
         if path.exists():
             raise InvalidRequest(f"{path} is there already; name another file, or remove it", field="file")
-        self.failed: queue.SimpleQueue[OSError] = queue.SimpleQueue()
+        self.failed: Inbox[OSError] = Inbox()
         self.lost = 0
         self._error: OSError | None = None
         self._entries: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
-from rich.live import Live
-from rich.table import Table
 
 from zarm_cli.agreement import mismatches
 from zarm_cli.client import AsJson, Client, Connect, Name, connected
 from zarm_cli.interrupts import pause
-from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, out, pose_text, print_json
+from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, out, pose_text, print_json, records
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
@@ -27,8 +25,11 @@ from zarm_contract.messages import (
     Pose,
     Scene,
 )
-from zarm_contract.service import version
 from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_contract.version import version
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 _NEEDED = ("planner", "executor")
 _PERIOD = 0.1  # s between two looks of `watch`
@@ -65,11 +66,15 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
         for fault in faults:
             out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
-        raise Unavailable(f"{' and '.join(missing)} not ready")
+        raise Unavailable(" and ".join(_not_ready(one, services[one]) for one in missing))
     if serious := [fault.message for fault in faults if not fault.harmless]:
         err.print(f"zarm: mismatch: {'. '.join(serious)}", soft_wrap=True)
         return 1
     return 0
+
+
+def _not_ready(service: str, health: Health | None) -> str:
+    return f"{service} not ready" + ("" if health is None else f" ({health.activity})")
 
 
 def _ask(client: Client, key: str, reply: type[M]) -> M | None:
@@ -82,20 +87,22 @@ def _ask(client: Client, key: str, reply: type[M]) -> M | None:
 def _print_status(
     client: Client, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
 ) -> None:
-    table = Table("service", "", "uptime (s)", "pid", "instance", "version", "contract", "robot", box=None)
-    for service, health in services.items():
-        if health is None:
-            table.add_row(service, "does not answer")
-        else:
-            activity = "ready" if health.ready else health.activity
-            whence = (str(health.pid), health.instance, health.version, health.contract, health.robot_hash)
-            table.add_row(service, activity, f"{health.uptime:.0f}", *whence)
+    columns = ("service", "state", "uptime (s)", "pid", "instance", "version", "contract", "robot")
     rows = [("robot", f"{client.keys.robot} at {client.endpoint}")]
     if state is not None:
         rows += _state_rows(state)
     if scene is not None:
         rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
+    table = records(columns, [_service_row(service, health) for service, health in services.items()])
     out.print(facts(*rows), "", table, sep="\n")
+
+
+def _service_row(service: str, health: Health | None) -> tuple[str, ...]:
+    if health is None:
+        return service, "does not answer"
+    activity = "ready" if health.ready else health.activity
+    whence = (str(health.pid), health.instance, health.version, health.contract, health.robot_hash)
+    return service, activity, f"{health.uptime:.0f}", *whence
 
 
 def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
@@ -134,6 +141,8 @@ def watch(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Na
             for look in looks:
                 print_json(vars(look))
             return
+        from rich.live import Live  # no other command needs it
+
         with Live(console=out, auto_refresh=False) as live:
             for look in looks:
                 live.update(_picture(client, look), refresh=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import logging
 import os
 import secrets
@@ -11,11 +10,11 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
+from zarm_contract import signals
 from zarm_contract.access import SERVICE_ROLES, Role
 from zarm_contract.bus import Bus
 from zarm_contract.codec import CONTRACT as CONTRACT
@@ -27,23 +26,17 @@ from zarm_contract.metrics import Metrics, serve_metrics
 from zarm_contract.robot import Robot, load_robot
 from zarm_contract.security import RENEWAL_DAYS, security_on
 from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_contract.version import version as version
 
 log = logging.getLogger(__name__)
 
 _WITHDRAWAL = 2.0
 """Seconds that a starting service gives another one that starts at the same moment to withdraw."""
 
-_SIGNALS = (signal.SIGTERM, signal.SIGINT)
-"""Those that end a service."""
 _WATCH_PERIOD = 1.0
 """Seconds between two looks for an older owner of the same robot."""
 _GLANCE = 0.3
 """Seconds that such a look takes at most, as when no router is there."""
-
-
-def version() -> str:
-    """The installed version of zarm."""
-    return importlib.metadata.version("zarm")
 
 
 @dataclass
@@ -192,19 +185,15 @@ def run_service(
     setup_logging(name)
     options = parser.parse_args()
     role = SERVICE_ROLES.get(name)
-    signals: list[int] = []
-    wake: SimpleQueue[None] = SimpleQueue()  # unlike an Event it may be used by a handler, whatever that interrupts
+    ending = False
 
     def end() -> None:
-        wake.put(None)
+        nonlocal ending
+        ending = True
+        signals.wake()
 
-    def receive(number: int, _: object) -> None:
-        signals.append(number)
-        end()
-
-    for number in _SIGNALS:
-        signal.signal(number, receive)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    signals.expect()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
     try:
         robots = _robots(options)
         name_robot(",".join(keys.robot for _, keys in robots))
@@ -222,7 +211,10 @@ def run_service(
                 service.claim()
                 stack.enter_context(start(service))
             refusal = None
-            while refusal is None and not _awake(wake):
+            while refusal is None:
+                signals.wait(_WATCH_PERIOD)
+                if ending or signals.heard:
+                    break
                 refusal = next(
                     (service.taken([older]) for service in services if (older := service.older_owner())), None
                 )
@@ -230,22 +222,16 @@ def run_service(
         if refusal is not None:
             raise refusal
         if any(service.outdated for service in services):
-            signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # one that comes from now on waits for the next program
-            if not signals:
+            signal.pthread_sigmask(
+                signal.SIG_BLOCK, signals.ENDING
+            )  # what comes from now on waits for the next program
+            if not signals.heard:
                 sys.stdout.flush()
                 os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - this very program
     except ZarmError as error:
         log.error("cannot run reason=%s", error)
         return 1
     return 0
-
-
-def _awake(wake: SimpleQueue[None]) -> bool:
-    """Whether somebody wakes this thread within `_WATCH_PERIOD`."""
-    with suppress(Empty):
-        wake.get(timeout=_WATCH_PERIOD)
-        return True
-    return False
 
 
 def _warn_of_end(role: Role) -> None:

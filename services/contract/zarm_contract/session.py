@@ -48,16 +48,8 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Ro
     try:
         return zenoh.open(_config(_client_settings(place, timeout) | (certificates.settings() if certificates else {})))
     except zenoh.ZError as error:
-        if certificates and (reason := certificates.why_not(*_address(place))):
-            raise Unavailable(f"no session with {place}: {reason}") from error
-        if certificates is None and _is_taken(place):
-            raise Unavailable(
-                f"what listens at {place} does not answer as a Zenoh router without certificates does; where it runs with "
-                "ZARM_SECURITY=on, set that and ZARM_CERTS here too"
-            ) from error
-        raise Unavailable(
-            f"no Zenoh router answers at {place}; start one with `zarm up`, or name another with --connect or ZARM_CONNECT"
-        ) from error
+        reason = certificates.why_not(*_address(place)) if certificates else None
+        raise Unavailable(f"no session with {place}: {reason}" if reason else _why_not(place)) from error
 
 
 def spoken(endpoint: str) -> str:
@@ -199,16 +191,23 @@ def _certificates(role: Role) -> Certificates:
     return Certificates(role)
 
 
-def _is_taken(endpoint: str) -> bool:
-    import socket  # needed here alone
+def _why_not(place: str) -> str:
+    """Why there is no session with a router at this endpoint."""
+    from zarm_contract.probe import what_listens  # needed here alone
 
-    if not endpoint.startswith("tcp/"):
-        return False
-    try:
-        socket.create_connection(_address(endpoint), 1.0).close()
-    except OSError:
-        return False
-    return True
+    listener = what_listens(*_address(place)) if place.startswith(("tcp/", "tls/")) else "nobody"
+    if listener == "silent":
+        return (
+            f"what listens at {place} takes connections and does not answer: it hangs, is kept busy, or is no Zenoh router; see "
+            "which process has that port"
+        )
+    if listener == "tls" and not security_on():
+        return f"what listens at {place} speaks TLS; set ZARM_SECURITY=on and ZARM_CERTS here too"
+    if listener != "nobody":
+        return f"what listens at {place} opened no session in time: it is busy, or is no Zenoh router"
+    return (
+        f"no Zenoh router answers at {place}; start one with `zarm up`, or name another with --connect or ZARM_CONNECT"
+    )
 
 
 def _read(file: Path) -> zenoh.Config:

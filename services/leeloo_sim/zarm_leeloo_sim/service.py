@@ -15,6 +15,7 @@ import numpy as np
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import DriverFault
+from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.bus_side import BusSide
@@ -93,6 +94,7 @@ def main() -> int:
     parser.add_argument("--no-progress", action="store_true", help="tell no progress, as some drivers do not")
     parser.add_argument("--ros", action="store_true", help="speak on the descriptor's ROS topics instead of the bus")
     parser.add_argument("--trace", type=Path, metavar="FILE", help="append where the arm truly is, whatever it tells")
+    ask_for_realtime(PROCESS_PRIORITY)  # as the executor's: beside busy processes it would play its points late
     return run_service("leeloo_sim", parser, start)
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Callable
 
@@ -24,35 +25,42 @@ from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
 
+STAGES = 8
+
 
 def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     """Run each kernel once; `report` is told what comes next. About 25 s after an installation, then 0.3 s.
 
     The compiled kernels serve every robot and every scene; nothing is compiled after this.
     """
+    number = itertools.count(1)
+
+    def begin(stage: str) -> None:
+        report(f"loading {stage} ({next(number)} of {STAGES})")
+
     world, stop = World((), 0.0), Stop(60.0)
     home = np.array(model.robot.descriptor.home)
-    report("loading forward kinematics")
+    begin("forward kinematics")
     pose = model.fk_tip(home)
-    report("loading collision checks")
+    begin("collision checks")
     is_free(model, world, home)
-    report("loading inverse kinematics")
+    begin("inverse kinematics")
     solve_ik(model, pose, home, world=world, max_solutions=1, seed=0, stop=stop)
-    report("loading the search")
+    begin("the search")
     search(model, world, home, home, seed=0, stop=stop)
-    report("loading the shortening of paths")
+    begin("the shortening of paths")
     shorten(model, world, np.array((home, home)), seed=0, stop=stop)
     quickest_of(model, world, home, home, seeds=(0,), stop=stop, most=1)
-    report("loading the smoothing of motions")
+    begin("the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
     limits = Limits.of(model)
     motion = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, stop=stop)
-    report("loading the verification of motions")
+    begin("the verification of motions")
     exact = ExactScene(model, world)
     motion.load(limits)
     motion.travel(exact.reach)
     exact.nearest(motion.at(motion.time)[0])
-    report("loading the search for motions that hold axes")
+    begin("the search for motions that hold axes")
     held = Held.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
     held.use(home)
     path = search_held(world, held, home, home[None], seed=0, stop=stop)

@@ -1,0 +1,10 @@
+"""Which zarm this is."""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+
+def version() -> str:
+    """The installed version of zarm."""
+    return importlib.metadata.version("zarm")

@@ -1,0 +1,49 @@
+"""Waits as a process does until it is told to end, and aims signals at the moments at which they could get lost.
+
+    python aimed_signals.py COUNT
+
+Each comes within a tenth of a millisecond of where a wait begins or where its time is over. Ends with 1 as soon as one
+does not end the wait.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import sys
+import threading
+
+from zarm_contract import signals
+
+WAIT = 0.0005  # s
+SPREAD = 0.0001  # s
+PATIENCE = 20.0  # s without any progress
+
+
+def main(count: int) -> None:
+    signals.expect()
+    signal.signal(signal.SIGALRM, lambda number, _: signals.heard.append(number))
+    progress = threading.Event()
+
+    def watch() -> None:
+        while progress.wait(PATIENCE):
+            progress.clear()
+        os.write(2, b"lost\n")
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    aim = random.Random(0)
+    for number in range(count):
+        signals.heard.clear()
+        moment = aim.choice((SPREAD, WAIT)) + aim.uniform(-SPREAD, SPREAD)
+        signal.setitimer(signal.ITIMER_REAL, max(moment, 1e-6))
+        signals.wait(WAIT)
+        while not signals.heard:
+            signals.wait()
+        if number % 100 == 0:
+            progress.set()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))
