@@ -50,8 +50,11 @@ class Client:
         plan_id: str | None = None,
         scene_revision: str | None = None,
         preempt: bool = False,
+        goal_id: str | None = None,
     ) -> str:
-        request = ExecuteRequest(trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision, preempt=preempt)
+        request = ExecuteRequest(
+            trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision, preempt=preempt, goal_id=goal_id
+        )
         return self.bus.call(self.keys.execute, request, Accepted, timeout=20).goal_id
 
     def cancel(self, goal_id: str | None = None) -> ExecutorState:

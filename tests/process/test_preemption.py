@@ -10,7 +10,7 @@ from executor_client import Client
 from harness import eventually
 from motions import HOME, KEYS, moved, rest_to_rest
 
-from zarm_contract.errors import Busy, Cancelled, ExecutionRefused
+from zarm_contract.errors import Busy, Cancelled, ExecutionRefused, InvalidRequest
 
 FAR = rest_to_rest(moved(1.5, -0.5))
 
@@ -26,6 +26,17 @@ def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(client
     assert end.status == "cancelled"
     assert second in end.problem.message
     np.testing.assert_allclose(client.position(), HOME, atol=1e-9)
+
+
+def test_a_goal_cannot_preempt_under_the_name_of_the_one_that_runs(client: Client) -> None:
+    running = client.execute(FAR, goal_id="mine")
+    client.under_way(running)
+    with pytest.raises(InvalidRequest) as refusal:
+        client.execute(FAR, preempt=True, goal_id="mine")
+    assert refusal.value.problem.field == "goal_id"
+    assert client.goal(running).status == "running"
+    assert client.ended(running).status == "succeeded"
+    assert client.statuses(running) == ["accepted", "running", "succeeded"]
 
 
 def test_a_motion_that_does_not_start_where_the_robot_comes_to_rest_is_refused_after_it_has_been_cleared(

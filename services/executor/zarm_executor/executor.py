@@ -81,7 +81,8 @@ class Executor:
         return Accepted(goal_id=goal_id)
 
     def _named(self, goal_id: str | None) -> str:
-        if goal_id is not None and self._reporter.knows(goal_id):
+        running = self._reporter.publish().goal_id  # a goal that has just ended is known from now on
+        if goal_id is not None and (goal_id == running or self._reporter.knows(goal_id)):
             raise InvalidRequest(
                 f"there has been a goal {goal_id} already; give each a name of its own", field="goal_id"
             )
