@@ -16,7 +16,7 @@ from ordeal import WINDOW
 from zarm_executor.machine import STALL_LIMIT
 from zarm_leeloo_sim.player import CEILING, Kind
 
-RUNS = int(os.environ.get("FREEZE_RUNS", "3"))
+RUNS = int(os.environ.get("FREEZE_RUNS", "2"))
 
 
 @pytest.mark.timeout(120 + 20 * RUNS)

@@ -18,7 +18,7 @@ from ordeal import STILL, WINDOW, nothing_moves
 from zarm_executor.path import Path
 from zarm_leeloo_sim.player import CEILING, Kind
 
-RUNS = int(os.environ.get("STALL_RUNS", "3"))
+RUNS = int(os.environ.get("STALL_RUNS", "2"))
 """How often the router stalls under each strategy."""
 LONGEST = float(os.environ.get("STALL_SECONDS", "2.5"))
 """The longest stall, s; the shortest is 0.2."""

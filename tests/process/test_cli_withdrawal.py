@@ -13,12 +13,12 @@ import psutil
 from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually
 from launched import KEYS, ROBOT, Command, the_one_line
-from motions import moved, plan, rest_to_rest
+from motions import SCENE, moved, plan, rest_to_rest
 
 from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState
+from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState, SceneEdited
 
 IDLE = ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)
 
@@ -70,6 +70,8 @@ def test_whoever_is_tired_of_an_executor_that_hangs_hears_what_is_waited_for_the
 ) -> None:
     file = tmp_path / "plan.json"
     file.write_bytes(encode(plan("p-1", rest_to_rest(moved(1.0), slower=10.0))))
+    scene = client.bus.latched(KEYS.scene_revision, SceneEdited)
+    scene.set(SceneEdited(revision=SCENE, count=0))
     arguments = ("execute", "--plan", str(file), "--connect", endpoint, "--name", ROBOT)
     with Command(*arguments, folder=tmp_path) as command:
         (goal_id,) = eventually(lambda: {goal.goal_id for goal in client.goals}, "the goal is known")

@@ -12,7 +12,7 @@ from executor_bench import Bench
 from motions import KEYS, ROBOT, SCENE, moved, rest_to_rest
 
 from zarm_contract.bus import Bus
-from zarm_contract.errors import Cancelled, ExecutionRefused, Unavailable
+from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
 from zarm_contract.metrics import Metrics
 from zarm_contract.state_file import StateFile
@@ -69,6 +69,5 @@ def test_a_pause_that_comes_while_a_resume_looks_at_the_scene_wins(bus: Bus, tmp
     bench.run(0.3)
     bench.machine.pause(arrival())
     bench.until("paused")
-    with pytest.raises(Cancelled, match="told to pause"):
-        executor.resume(Nothing(), arrival())
+    executor.resume(Nothing(), arrival())
     assert bench.machine.state().mode == "paused"

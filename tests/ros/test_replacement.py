@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from executor_client import Client
-from harness import PATIENCE, ServiceProcess
+from harness import PATIENCE, ServiceProcess, eventually
 from motions import moved, rest_to_rest
 from ros_stack import KEYS, stack
 from std_srvs.srv import Trigger
@@ -30,4 +30,4 @@ def test_a_bridge_is_replaced_while_the_robot_moves_and_clients_on_ros_go_on(tmp
         new.wait_ready(zarm.bus, KEYS)
         assert ask() == before
         assert client.ended(goal).status == "succeeded"
-        assert client.statuses(goal) == ["accepted", "running", "succeeded"]
+        eventually(lambda: client.statuses(goal) == ["accepted", "running", "succeeded"], "all of it is told")

@@ -263,26 +263,36 @@ def test_a_goal_that_waits_for_the_one_it_preempts_is_withdrawn_by_a_cancel_of_e
 # --- what arrived before a stop and is carried out after it ---
 
 
-@pytest.mark.parametrize("hold", ["stop", "pause"])
-def test_whatever_arrived_before_a_stop_or_a_pause_is_not_carried_out_after_it(bench: Bench, hold: str) -> None:
-    early, other = arrival(), Arm()
+@pytest.mark.parametrize("hold", ["stop", "cancel", "pause"])
+def test_a_motion_that_was_asked_for_before_a_stop_a_cancel_or_a_pause_does_not_begin_after_it(
+    bench: Bench, hold: str
+) -> None:
+    early = arrival()
     if hold == "stop":
+        bench.machine.stop("enough", arrival())
+    elif hold == "cancel":
         bench.machine.cancel(None, "enough", arrival())
     else:
         bench.machine.pause(arrival())
     for command in (
         lambda: bench.execute(asked=early),
         lambda: bench.machine.preempt("goal-2", early, PATIENCE),
-        lambda: bench.machine.resume(early),
-        lambda: bench.machine.reset(early),
-        lambda: bench.machine.switch(other, PATIENCE, early),
     ):
         with pytest.raises(Cancelled, match="after this was asked"):
             command()
-    assert other.calls == []
     bench.execute()
     bench.until("idle")
     assert bench.last().status == "succeeded"
+
+
+def test_a_stop_wins_over_a_switch_that_arrived_before_it_and_a_cancel_does_not(bench: Bench) -> None:
+    early, other = arrival(), Arm()
+    bench.machine.cancel(None, "enough", arrival())
+    bench.machine.switch(bench.arm, PATIENCE, early)
+    bench.machine.stop("enough", arrival())
+    with pytest.raises(Busy, match="told to stop"):
+        bench.machine.switch(other, PATIENCE, early)
+    assert other.calls == []
 
 
 def test_a_pause_wins_over_a_resume_that_arrived_before_it(bench: Bench) -> None:
@@ -291,9 +301,23 @@ def test_a_pause_wins_over_a_resume_that_arrived_before_it(bench: Bench) -> None
     bench.machine.pause(arrival())
     early = arrival()
     bench.machine.pause(arrival())
-    with pytest.raises(Cancelled, match="pause"):
-        bench.machine.resume(early)
+    bench.machine.resume(early)
     bench.until("paused")
+    bench.run(0.5)
+    assert bench.machine.state().mode == "paused"
+
+
+def test_a_stop_wins_over_a_reset_that_arrived_before_it(bench: Bench) -> None:
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = lambda _: None
+    bench.until("fault")
+    early = arrival()
+    bench.machine.stop("enough", arrival())
+    bench.machine.reset(early)
+    assert bench.machine.state().mode == "fault"
+    bench.machine.reset(arrival())
+    assert bench.machine.state().mode == "idle"
 
 
 # --- strategies, and the end ---

@@ -16,8 +16,18 @@ from zarm_contract.codec import encode
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import Message, Pose
 
-# Nothing that is printed is markup: messages hold brackets. A pipe is no terminal of 80 columns, unless COLUMNS says so.
-out = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() or os.environ.get("COLUMNS") else 120)
+
+def _width() -> int | None:
+    """Columns of standard output, None where it is a terminal, which knows. A pipe is as wide as is good to read; programs set
+    COLUMNS to 80 that know no better, but fewer are meant."""
+    columns = os.environ.get("COLUMNS", "")
+    if sys.stdout.isatty():
+        return None
+    return int(columns) if columns.isdecimal() and 0 < int(columns) < 80 else 120
+
+
+# Nothing that is printed is markup: messages hold brackets.
+out = Console(highlight=False, markup=False, width=_width())
 err = Console(highlight=False, markup=False, stderr=True)
 
 SCENE_CHANGED = (

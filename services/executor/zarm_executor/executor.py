@@ -101,7 +101,7 @@ class Executor:
 
     def stop(self, _: Nothing, arrival: int) -> ExecutorState:
         """Bring the robot to rest."""
-        self._machine.cancel(None, "the robot was stopped by a client", arrival)
+        self._machine.stop("the robot was stopped by a client", arrival)
         return self._reporter.publish()
 
     def pause(self, _: Nothing, arrival: int) -> ExecutorState:

@@ -62,7 +62,8 @@ class Machine:
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
-        self._stopped_by = self._held_by = 0.0  # arrivals of the newest stop and of the newest pause
+        # Arrivals of the newest stop, of the newest command that ends whatever moves (a stop too), and of the newest pause.
+        self._stopped_by = self._cleared_by = self._held_by = 0.0
         self.changes: deque[GoalState] = deque()
         self.scene: SceneRevision | None = None
 
@@ -96,7 +97,7 @@ class Machine:
         """
         with self._lock:
             self._successor = None
-            self._demand_present(arrival, goal.goal_id)
+            self._demand_not_overtaken(arrival, goal.goal_id)
             self.admit()
             motion = Motion(goal, self._strategy, self.changes)
             motion.start(self._speed_scale)
@@ -108,29 +109,37 @@ class Machine:
         Raises Unavailable where it does not within `patience` s, and Cancelled as `start` does.
         """
         with self._lock:
-            self._demand_present(arrival, goal_id)
+            self._demand_not_overtaken(arrival, goal_id)
             self._successor = goal_id
             self._end(None, _cancelled(f"{goal_id} was executed instead, which was to preempt this goal"))
         if not self.wait_for_rest(patience):
             raise Unavailable("the robot does not come to rest; see why (executor/state), then execute again")
-        self._demand_present(arrival, goal_id)
+        self._demand_not_overtaken(arrival, goal_id)
 
-    def _demand_present(self, arrival: float, goal_id: str | None = None) -> None:
-        """Raise Cancelled where what arrived so came before a stop or a pause, or this goal was cancelled before it came."""
+    def _demand_not_overtaken(self, arrival: float, goal_id: str) -> None:
+        """Raise Cancelled where a stop, a pause or a cancel of this goal arrived after the request to begin it."""
         if goal_id in self._withdrawn:
             raise Cancelled(f"{goal_id} was cancelled before it began; the robot has not moved")
-        if arrival < self._stopped_by:
-            raise Cancelled("the robot was told to stop after this was asked; it is not carried out")
-        if arrival < self._held_by:
-            raise Cancelled("the robot was told to pause after this was asked; it is not carried out")
+        if self._overtaken(arrival):
+            raise Cancelled("the robot was told to stop or to pause after this was asked; this motion has not begun")
+
+    def _overtaken(self, arrival: float) -> bool:
+        """Whether what would move the robot comes after a command to stop or to pause that arrived later."""
+        return arrival < max(self._cleared_by, self._held_by)
+
+    def stop(self, why: str, arrival: float) -> None:
+        """End whatever moves as cancelled. Nothing that arrived before is carried out any more."""
+        with self._lock:
+            self._stopped_by = max(self._stopped_by, arrival)
+            self.cancel(None, why, arrival)
 
     def cancel(self, goal_id: str | None, why: str, arrival: float) -> None:
-        """End this goal, or whichever there is, as cancelled. What has not come yet, or arrived before, will not start."""
+        """End this goal, or whichever there is, as cancelled. One that has not come yet, or arrived before, will not start."""
         with self._lock:
             if goal_id is not None and self._motion_of(goal_id) is None:
                 self._withdrawn.append(goal_id)
             if goal_id in (None, self._successor):
-                self._stopped_by = max(self._stopped_by, arrival)
+                self._cleared_by = max(self._cleared_by, arrival)
             self._end(goal_id, _cancelled(why))
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> None:
@@ -166,13 +175,12 @@ class Machine:
                 self._motion.pause()
 
     def resume(self, arrival: float, scene: SceneRevision | None = None) -> None:
-        """Go on with a goal that was paused, the scene now being `scene`.
+        """Go on with a goal that was paused, the scene now being `scene`; not where a stop or a pause arrived later.
 
-        Raises Cancelled where a stop or a pause arrived later, and what `Motion.resume` raises.
+        Raises what `Motion.resume` raises.
         """
         with self._lock:
-            self._demand_present(arrival)
-            if self._motion is not None:
+            if self._motion is not None and not self._overtaken(arrival):
                 self._motion.resume(self._speed_scale, scene)
 
     def set_speed(self, speed_scale: float) -> None:
@@ -183,13 +191,13 @@ class Machine:
                 self._motion.set_speed(speed_scale)
 
     def reset(self, arrival: float) -> None:
-        """Leave `fault`.
+        """Leave `fault`; not where a stop arrived later.
 
-        Raises Cancelled where a stop arrived later, and the ZarmError of opening the strategy again, where a switch left none
-        open; it is fault then.
+        Raises the ZarmError of opening the strategy again, where a switch left none open; it is fault then.
         """
         with self._lock:
-            self._demand_present(arrival)
+            if arrival < self._stopped_by:
+                return
             if not self._open:
                 self._strategy.open()
                 self._open = True
@@ -198,7 +206,7 @@ class Machine:
     def switch(self, strategy: Strategy, patience: float, arrival: float) -> None:
         """Bring the robot to rest within `patience` s, then let `strategy` move it; a fault stays.
 
-        Raises Cancelled where a stop arrived later, Busy while another switch is under way, and Unavailable at the end of the process, where the robot does not
+        Raises Busy where a stop arrived later and while another switch is under way, and Unavailable at the end of the process, where the robot does not
         rest, or where `strategy` cannot be opened; then the old one is active as before. Where that cannot be opened again
         either, nothing can move the robot: that is a fault.
         """
@@ -207,7 +215,7 @@ class Machine:
                 raise Unavailable("the executor is ending; switch when it has been started again")
             if self._switching:
                 raise Busy("the strategy is being switched already; try again in a moment")
-            self._demand_present(arrival)
+            self._demand_no_stop_since(arrival)
             self._switching = True
         try:
             old = self._strategy
@@ -215,7 +223,7 @@ class Machine:
             with self._lock:
                 if not self.wait_for_rest(patience):
                     raise Unavailable(f"the robot does not come to rest; {old.name} is still active")
-                self._demand_present(arrival)
+                self._demand_no_stop_since(arrival)
                 if self._open:
                     old.close()
                 self._open = False
@@ -226,6 +234,10 @@ class Machine:
                 self._strategy, self._open = strategy, True
         finally:
             self._switching = False
+
+    def _demand_no_stop_since(self, arrival: float) -> None:
+        if arrival < self._stopped_by:
+            raise Busy("the robot was told to stop after the switch was asked for; ask for it again")
 
     def _reopened(self, why: str) -> Unavailable:
         """Open the strategy again after a switch that failed; what to answer."""
@@ -245,7 +257,7 @@ class Machine:
         """Bring the robot to rest and admit no further motion; whether it rests within `patience` s."""
         with self._lock:
             self._ending = True
-        self.cancel(None, "the executor was told to end", math.inf)
+        self.stop("the executor was told to end", math.inf)
         return self.wait_for_rest(patience)
 
     def release(self) -> None:
