@@ -16,7 +16,7 @@ from motions import ROBOT
 from ordeal import STILL, WINDOW, nothing_moves
 
 from zarm_executor.path import Path
-from zarm_leeloo_sim.player import CEILING, Kind
+from zarm_leeloo_sim.player import CEILING, STIFFNESS, TICK, Kind
 
 RUNS = int(os.environ.get("STALL_RUNS", "2"))
 """How often the router stalls under each strategy."""
@@ -69,4 +69,8 @@ def test_what_a_stalled_router_held_up_never_moves_the_arm(
     off, acceleration = (max(column) for column in zip(*figures, strict=True))
     note(f"router stalls, {RUNS} times", f"`{strategy}`", "", "", f"{acceleration:.2f}", f"{off:.3f} rad off the path")
     assert off <= ROBOT.descriptor.execution.path_tolerance
-    assert acceleration <= CEILING * 1.1
+    # Executor and driver tick each for itself: a chunk may begin a point off, and a drive that plays positions makes up for that.
+    one_point = (
+        max(ROBOT.descriptor.cspace.velocity) * TICK * STIFFNESS / (WINDOW * STEP) if plays == "position" else 0.0
+    )
+    assert acceleration <= CEILING * 1.1 + one_point
