@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import threading
 import time
@@ -13,10 +12,11 @@ from types import TracebackType
 from typing import Any, NoReturn, Self, TypeVar
 
 import zenoh
-from zenoh.handlers import Callback
+from zenoh.handlers import FifoChannel
 
 from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
+from zarm_contract.arrivals import Arrivals
 from zarm_contract.asking import asked_by, asker_of
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
@@ -45,6 +45,8 @@ Request = TypeVar("Request", bound=Message)
 Reply = TypeVar("Reply", bound=Message)
 M = TypeVar("M", bound=Message)
 
+_WAITING = 1024
+"""So many messages may wait on each key that is taken in order, until the next look at it."""
 OWNERS_BACK, READ_AGAIN = 2.0, 0.1
 """s: when a link is back, a latched key that nobody answers for is read again and again for so long: where to ask is known a
 moment later, and after a restart of the router the owner of the value may be back half a second later."""
@@ -65,7 +67,7 @@ class Bus:
         self._entities: list[Any] = [self._session.liveliness().declare_token(client_token(self._client))]
         self._followed: list[Following] = []
         self._closing = threading.Event()
-        self._arrivals = itertools.count(1)
+        self._ordered: Arrivals | None = None
         self._observe: Observer = unobserved
         self._answered: Callable[[str, str], object] = unobserved
 
@@ -80,6 +82,8 @@ class Bus:
     def close(self) -> None:
         """Undeclare everything, finish running handlers, close the session. Idempotent."""
         self._closing.set()
+        if self._ordered is not None:
+            self._ordered.close()
         while self._entities:
             self._entities.pop().undeclare()
         while self._pools:
@@ -134,15 +138,16 @@ class Bus:
         workers: int = 2,
         backlog: int = 16,
         readable: bool = False,
+        overtaken: bool = True,
     ) -> None:
         """`serve`, and `handler` is told when each query arrived: `handler(request, arrival)`.
 
-        Arrivals are numbered from 1, across all keys that are served or listened to in order on this bus. The number is taken
-        by the thread that reads the network, before a query waits or is decoded: what one session sends first has the smaller
-        one, whichever is handled first.
+        Arrivals are numbered across all keys that are served or subscribed to in order on this bus, before a query waits
+        for a worker or is decoded. What may be `overtaken` never has a larger number than what may not and came after it; where
+        it came within some milliseconds after, it may have a smaller one.
         """
         room = Room(key, workers + backlog, shared=False)
-        self._serve(key, request, handler, workers, room, readable=readable, in_order=True)
+        self._serve(key, request, handler, workers, room, readable=readable, in_order=True, overtaken=overtaken)
 
     def _serve(
         self,
@@ -154,6 +159,7 @@ class Bus:
         *,
         readable: bool,
         in_order: bool,
+        overtaken: bool = True,
     ) -> None:
         self._require("answers", key)
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
@@ -182,8 +188,7 @@ class Bus:
                 return False
             return True
 
-        def admit(query: zenoh.Query) -> None:
-            arrival = next(self._arrivals)
+        def admit(query: zenoh.Query, arrival: int = 0) -> None:
             if str(query.key_expr) != key and not (readable and query.payload is None):
                 with query:
                     return
@@ -197,7 +202,12 @@ class Bus:
                 room.leave(who.client)
 
         self._pools += [pool, refusing]
-        self._entities.append(self._session.declare_queryable(key, _direct(admit, in_order), complete=True))
+        if in_order:
+            queryable: Any = self._session.declare_queryable(key, FifoChannel(_WAITING), complete=True)
+            self._arrivals().add(queryable, admit, overtaken=overtaken)
+        else:
+            queryable = self._session.declare_queryable(key, admit, complete=True)
+        self._entities.append(queryable)
 
     def call(self, key: str, request: Message, reply: type[Reply], *, timeout: float) -> Reply:
         """Send a request and return its answer.
@@ -255,6 +265,11 @@ class Bus:
         except InvalidRequest:  # Zenoh's own error reply, a timeout for one, is no Problem
             raise unavailable from None
         raise from_problem(problem)
+
+    def _arrivals(self) -> Arrivals:
+        if self._ordered is None:
+            self._ordered = Arrivals()
+        return self._ordered
 
     # -- publications --
 
@@ -337,14 +352,17 @@ class Bus:
     def _listen(self, key: str, callback: Callable[[str, bytes, int], None], *, in_order: bool) -> Callable[[], None]:
         observe = self._observe
 
-        def receive(sample: zenoh.Sample) -> None:
-            arrival = next(self._arrivals)
+        def receive(sample: zenoh.Sample, arrival: int = 0) -> None:
             if understood(sample):
                 name, payload = str(sample.key_expr), sample.payload.to_bytes()
                 observe(name, payload)
                 callback(name, payload, arrival)
 
-        subscriber = self._session.declare_subscriber(key, _direct(receive, in_order))
+        if in_order:
+            subscriber: Any = self._session.declare_subscriber(key, FifoChannel(_WAITING))
+            self._arrivals().add(subscriber, receive, overtaken=True)
+        else:
+            subscriber = self._session.declare_subscriber(key, receive)
         self._entities.append(subscriber)
 
         def end() -> None:
@@ -416,11 +434,6 @@ class Bus:
     def _require(self, verb: Verb, key: str) -> None:
         if self.role is not None:
             require(self.role, verb, key)
-
-
-def _direct(callback: Callable[[Any], None], in_order: bool) -> Any:
-    """What has Zenoh call this: in the thread that reads the network, where order counts, else in one for this key alone."""
-    return Callback(callback, indirect=False) if in_order else callback
 
 
 def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:

@@ -226,14 +226,14 @@ def _serve(bus: Bus, service: Service, executor: Executor) -> None:
     bus.serve(keys.speed, SpeedRequest, executor.speed, readable=True)
     executor.publish_strategies()
     executor.publish_speed()
-    bus.serve_in_order(keys.cancel, CancelRequest, executor.cancel, backlog=COMMAND_BACKLOG)
-    for key, command in (
-        (keys.stop, executor.stop),
-        (keys.pause, executor.pause),
-        (keys.resume, executor.resume),
-        (keys.reset, executor.reset),
+    bus.serve_in_order(keys.cancel, CancelRequest, executor.cancel, backlog=COMMAND_BACKLOG, overtaken=False)
+    for key, command, overtaken in (
+        (keys.stop, executor.stop, False),
+        (keys.pause, executor.pause, False),
+        (keys.resume, executor.resume, True),
+        (keys.reset, executor.reset, True),
     ):
-        bus.serve_in_order(key, Nothing, command, backlog=COMMAND_BACKLOG)
+        bus.serve_in_order(key, Nothing, command, backlog=COMMAND_BACKLOG, overtaken=overtaken)
 
 
 def main() -> int:
