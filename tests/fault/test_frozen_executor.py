@@ -11,10 +11,9 @@ from pathlib import Path as Folder
 import pytest
 from arena import STEP, Arena
 from harness import eventually
-from ordeal import WINDOW
 
 from zarm_executor.machine import STALL_LIMIT
-from zarm_leeloo_sim.player import CEILING, Kind
+from zarm_leeloo_sim.player import Kind
 
 RUNS = int(os.environ.get("FREEZE_RUNS", "2"))
 
@@ -40,8 +39,4 @@ def test_after_a_moment_in_which_the_executor_stood_still_the_goal_is_reached_an
             os.kill(place.executor.process.pid, signal.SIGCONT)
             end = place.client.ended(goal_id)
             assert end.status == "succeeded", f"{end.problem} after {seconds} s at {moment} s"
-            velocity = place.trace()[begin:, 6:]
-            change = abs(velocity[WINDOW:] - velocity[:-WINDOW]).max() / (WINDOW * STEP)
-            if plays == "velocity":  # a drive that plays positions makes up for a point that it was behind
-                assert change <= CEILING * 1.2
             place.wait_to_stand()
