@@ -150,7 +150,7 @@ def test_a_record_is_published_again_under_another_name_and_commands_to_drivers_
 def test_a_record_is_not_published_as_a_robot_that_is_there(client: Client, endpoint: str, file: Path) -> None:
     done = zarm("replay", str(file), "--publish", KEYS.robot, ZARM_CONNECT=endpoint)
     assert done.returncode == 3
-    assert "give --publish another name" in the_one_line(done.stderr)
+    assert "give it another name" in the_one_line(done.stderr)
     assert client.state().mode == "idle"  # that executor has not given way
 
 

@@ -1,22 +1,22 @@
-"""A client of one robot on the bus: which robot, and requests made from what a person typed."""
+"""The client that a command is: which robot it talks to, and requests made from what a person typed."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Annotated, TypeVar
 
 import typer
 
-from zarm_cli.interrupts import attend
-from zarm_contract.bus import Bus
+from zarm import connection
+from zarm.robot import Robot
+from zarm_cli import interrupts
+from zarm_cli.output import err
 from zarm_contract.codec import decode
-from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.keys import ALL_ALIVE, Keys
-from zarm_contract.messages import FkPoses, FkRequest, Joints, JointState, Message, Nothing, Pose
-from zarm_contract.session import spoken
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.keys import Keys
+from zarm_contract.messages import Message
 
 Connect = Annotated[str, typer.Option(envvar="ZARM_CONNECT", help="The router's endpoint.")]
 Name = Annotated[
@@ -24,74 +24,57 @@ Name = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, as it goes over the bus.")]
 
-_CONNECT_SECONDS = 2.0
-_ANSWER_SECONDS = 5.0
-
 M = TypeVar("M", bound=Message)
-Reply = TypeVar("Reply", bound=Message)
+T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Client:
-    """A session and the keys of one robot."""
+class Signals:
+    """What interrupts a command: SIGINT and SIGTERM, as `zarm_cli.interrupts` has them."""
 
-    bus: Bus
-    keys: Keys
-    endpoint: str
+    def attend(self, work: Callable[[], T]) -> T:
+        """What `work` returns or raises; raises KeyboardInterrupt at the first signal."""
+        return interrupts.attend(work)
 
-    def ask(
-        self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = _ANSWER_SECONDS
-    ) -> Reply:
-        """A request that is answered within `timeout` s. Raises what the service answers, Unavailable, or KeyboardInterrupt."""
-        return attend(lambda: self.bus.call(key, request or Nothing(), reply, timeout=timeout))
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if a signal is pending."""
+        interrupts.check()
 
-    def read(self, key: str, model: type[Reply]) -> Reply:
-        """The present value of a key, which nothing is asked to change. Raises Unavailable, or KeyboardInterrupt."""
-        return attend(lambda: self.bus.read(key, model, timeout=_ANSWER_SECONDS))
+    def insist(self, awaited: str) -> AbstractContextManager[None]:
+        """A block that only the third signal leaves; the second says what is waited for."""
+        return interrupts.insist(
+            lambda: err.print(f"zarm: waiting for {awaited}; Ctrl-C again leaves the robot as it is", soft_wrap=True)
+        )
 
-    def measured(self) -> JointState:
-        """The robot's joints as measured now. Raises ExecutionRefused (no_joint_state)."""
-        newest = self.bus.latest(self.keys.joint_states, JointState)
-        state = attend(lambda: newest.wait(_CONNECT_SECONDS))
-        if state is None:
-            raise ExecutionRefused(
-                f"no joint state of {self.keys.robot} came within {_CONNECT_SECONDS:g} s; `zarm status` shows whether "
-                "its executor runs and with which strategy",
-                code="no_joint_state",
-            )
-        return state
 
-    def tip(self, joints: Joints) -> Pose:
-        """The tip's pose (in the base frame) at these joints (rad), computed by the planner."""
-        return self.ask(self.keys.fk, FkPoses, FkRequest(joints=(joints,))).poses[0]
+SIGNALS = Signals()
 
 
 @contextmanager
-def connected(connect: str, name: str | None) -> Iterator[Client]:
-    """A client of the robot `name`, or of the only robot on the bus.
+def connected(connect: str, name: str | None) -> Iterator[Robot]:
+    """The robot `name`, or the only robot on the bus.
 
     Raises Unavailable without a router or a robot, InvalidRequest where there are several or the name is none.
     """
-    with Bus(connect, timeout=_CONNECT_SECONDS) as bus:
-        place = spoken(connect)
-        yield Client(bus, keys_of(name if name is not None else _only_robot(bus, place)), place)
+    with ExitStack() as stack:
+        with _naming_the_option():
+            found = stack.enter_context(connection.connected(connect, name, interrupts=SIGNALS))
+        yield Robot(found)
 
 
 def keys_of(name: str) -> Keys:
     """The keys of a robot. Raises InvalidRequest for a name that cannot be one."""
+    with _naming_the_option():
+        return connection.keys_of(name)
+
+
+@contextmanager
+def _naming_the_option() -> Iterator[None]:
     try:
-        return Keys(name)
-    except ValueError as error:
-        raise InvalidRequest(str(error), field="--name") from error
-
-
-def _only_robot(bus: Bus, endpoint: str) -> str:
-    robots = sorted({robot for robot, _, _ in bus.alive(ALL_ALIVE)})
-    if not robots:
-        raise Unavailable(f"no robot is alive on the bus at {endpoint}; start one with `zarm up`")
-    if len(robots) > 1:
-        raise InvalidRequest(f"several robots are alive at {endpoint}: {', '.join(robots)}; choose one", field="--name")
-    return robots[0]
+        yield
+    except InvalidRequest as error:
+        if error.problem.field != "name":
+            raise
+        raise InvalidRequest(error.problem.message, field="--name") from error
 
 
 def message(model: type[M], **fields: object) -> M:

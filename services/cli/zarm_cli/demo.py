@@ -11,32 +11,19 @@ from pathlib import Path
 from rich.panel import Panel
 from rich.table import Table
 
-from zarm_cli.client import Client
+import zarm
+from zarm.robot import Robot
 from zarm_cli.execution import demand_success, run_goal
 from zarm_cli.launcher import launch
 from zarm_cli.output import err, facts, out, pose_text
 from zarm_cli.planning import plan_table
-from zarm_contract.messages import (
-    AddObjects,
-    CheckRequest,
-    CheckResults,
-    Cuboid,
-    Cylinder,
-    ExecuteRequest,
-    GoalState,
-    Plan,
-    PlanRequest,
-    Pose,
-    PoseGoal,
-    SceneEdit,
-    SceneEdited,
-)
+from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Pose
 
 ROBOT = "doosan_m1013"
 # The tool starts at (0.56, 0.03, 0.65), swings by a quarter turn, and the post stands half-way.
-TABLE = Cuboid(kind="cuboid", name="table", position=(0.4, 0.45, 0.28), size=(0.6, 0.6, 0.04))
-POST = Cylinder(kind="cylinder", name="post", position=(0.38, 0.42, 0.6), radius=0.04, length=0.6)
-GOAL = PoseGoal(kind="pose", position=(0.0, 0.55, 0.6), orientation=(-0.6, 0.8, 0.0, 0.0))
+TABLE = zarm.Cuboid("table", position=(0.4, 0.45, 0.28), size=(0.6, 0.6, 0.04))
+POST = zarm.Cylinder("post", position=(0.38, 0.42, 0.6), radius=0.04, length=0.6)
+GOAL = zarm.Pose((0.0, 0.55, 0.6), (-0.6, 0.8, 0.0, 0.0))
 _SCALE = 0.4  # of the robot's limits: slow enough to watch
 
 
@@ -54,26 +41,23 @@ def demo() -> None:
     out.print("Next: `zarm up` in one terminal, `zarm status` and `zarm watch` in another.")
 
 
-def _go_around_the_post(client: Client) -> None:
-    client.ask(client.keys.scene_edit, SceneEdited, SceneEdit(edit=AddObjects(op="add", objects=(TABLE, POST))))
+def _go_around_the_post(robot: Robot) -> None:
+    robot.scene.add(TABLE, POST)
     out.print("A table and a post are in the scene; the goal lies behind the post.")
-    request = PlanRequest(goal=GOAL, velocity_scale=_SCALE, acceleration_scale=_SCALE)
-    plan = client.ask(client.keys.plan, Plan, request, timeout=30.0)
+    plan = robot.plan(GOAL, velocity_scale=_SCALE, acceleration_scale=_SCALE)
     table = plan_table(plan)
-    table.add_row("straight on", _straight_on(client, plan))
+    table.add_row("straight on", _straight_on(robot, plan))
     out.print(Panel(table, title="plan", expand=False))
-    last = run_goal(client, ExecuteRequest(plan_id=plan.plan_id))
+    last = run_goal(robot, ExecuteRequest(plan_id=plan.plan_id))
     demand_success(last)
-    reached = client.tip(client.measured().position)
-    out.print(Panel(_result(last, reached), title="reached", expand=False))
+    out.print(Panel(_result(last, robot.tip()), title="reached", expand=False))
 
 
-def _straight_on(client: Client, plan: Plan) -> str:
+def _straight_on(robot: Robot, plan: Plan) -> str:
     """What the straight line in joint space would do, between the same ends."""
     start, end = plan.trajectory.position[0], plan.trajectory.position[-1]
     line = tuple(tuple(a + (b - a) * step / 50 for a, b in zip(start, end, strict=True)) for step in range(51))
-    results = client.ask(client.keys.check, CheckResults, CheckRequest(joints=line)).results
-    worst = min(results, key=lambda result: result.clearance)
+    worst = min(robot.check(line), key=lambda result: result.clearance)
     if not worst.in_collision:
         return "the straight joint motion would be free"
     return f"{' and '.join(worst.pair or ())} would meet, {-worst.clearance * 1e3:.0f} mm deep"

@@ -6,11 +6,12 @@ from typing import Annotated
 
 import typer
 
+from zarm.connection import ANSWER_SECONDS
 from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_cli.planning import full_pose
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import CheckRequest, CheckResults, FkPoses, FkRequest, IkRequest, IkSolutions
+from zarm_contract.messages import CheckResults, FkPoses, IkRequest
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 At = Annotated[
@@ -22,9 +23,8 @@ At = Annotated[
 def fk(at: At = None, as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
     """Where the tip is at these joint positions."""
     where = joints(at, "--joints")
-    with connected(connect, name) as client:
-        request = message(FkRequest, joints=[where or client.measured().position])
-        poses = client.ask(client.keys.fk, FkPoses, request)
+    with connected(connect, name) as robot:
+        poses = FkPoses(poses=tuple(robot.fk([where or robot.joint_state().position])))
     if as_json:
         print_json(poses)
     else:
@@ -50,15 +50,15 @@ def ik(
 ) -> None:
     """Joint positions that bring the tip to a pose, one solution a line."""
     pose, at = floats(to, "--to", 3, 7), joints(near, "--near")
-    with connected(connect, name) as client:
+    with connected(connect, name) as robot:
         request = message(
             IkRequest,
-            poses=[full_pose(client, pose)],
+            poses=[full_pose(robot, pose)],
             near=at,
             max_solutions=max_solutions,
             collision_free=not colliding,
         )
-        found = client.ask(client.keys.ik, IkSolutions, request)
+        found = robot.request_ik(request, timeout=ANSWER_SECONDS)
     if as_json:
         print_json(found)
     if not found.solutions[0]:
@@ -80,13 +80,11 @@ def check(
 ) -> None:
     """How close the robot comes to the scene and to itself at these joint positions."""
     where = joints(at, "--joints")
-    with connected(connect, name) as client:
-        request = message(CheckRequest, joints=None if where is None else [where], spheres=spheres)
-        results = client.ask(client.keys.check, CheckResults, request)
+    with connected(connect, name) as robot:
+        (result,) = robot.check(None if where is None else [where], spheres=spheres)
     if as_json:
-        print_json(results)
+        print_json(CheckResults(results=(result,)))
         return
-    result = results.results[0]
     out.print(
         facts(
             ("collision", "yes" if result.in_collision else "no"),

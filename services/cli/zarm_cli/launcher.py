@@ -13,14 +13,16 @@ from typing import Annotated
 
 import typer
 
-from zarm_cli.client import Client, keys_of
+from zarm.connection import Connection
+from zarm.robot import Robot as Client
+from zarm_cli.client import SIGNALS, keys_of
 from zarm_cli.interrupts import pause
 from zarm_cli.output import facts, numbers, out
 from zarm_cli.supervision import Supervisor
 from zarm_contract.bus import Bus
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Health, Strategies
+from zarm_contract.messages import Health
 from zarm_contract.robot import Robot, find_robot, load_robot
 from zarm_contract.service import default_state
 from zarm_contract.session import DEFAULT_ENDPOINT, open_router, spoken
@@ -51,7 +53,7 @@ class Stack:
     def health(self, service: str) -> Health | None:
         """How a service is, None while it does not answer."""
         try:
-            return self.client.ask(self.client.keys.health(service), Health, timeout=1.0)
+            return self.client.health(service, timeout=1.0)
         except Unavailable:
             return None
 
@@ -124,7 +126,7 @@ def launch(
         bus = stack.enter_context(Bus(endpoint, timeout=2.0))
         _refuse_second(bus, keys, endpoint)
         supervisor = stack.enter_context(Supervisor(programs, environment))
-        yield Stack(loaded, Client(bus, keys, endpoint), supervisor, (*bridge, *SERVICES))
+        yield Stack(loaded, Client(Connection.of(bus, keys, endpoint, SIGNALS)), supervisor, (*bridge, *SERVICES))
 
 
 def _next_port(address: str, step: int) -> str:
@@ -230,12 +232,13 @@ def up(
 def _say_ready(stack: Stack) -> None:
     client = stack.client
     first, *rest = stack.robot.descriptor.home
-    where = "" if client.endpoint == spoken(DEFAULT_ENDPOINT) else f" --connect {client.endpoint}"
+    endpoint = client.connection.endpoint
+    where = "" if endpoint == spoken(DEFAULT_ENDPOINT) else f" --connect {endpoint}"
     out.print(
         facts(
-            ("robot", client.keys.robot),
-            ("endpoint", client.endpoint),
-            ("strategy", client.read(client.keys.strategy, Strategies).active),
+            ("robot", client.name),
+            ("endpoint", endpoint),
+            ("strategy", client.strategy().active),
         )
     )
     move = numbers([first + 0.5, *rest]).replace(" ", "")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,11 +9,13 @@ from typing import Annotated, Literal
 import typer
 from rich.table import Table
 
-from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, joints, message
+from zarm.robot import Robot
+from zarm.values import AXES
+from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import CancelledPlan, CancelPlan, Plan, PlanRequest
+from zarm_contract.messages import Plan, PlanRequest
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 To = Annotated[
@@ -32,10 +33,6 @@ VelocityScale = Annotated[
     float | None, typer.Option(help="Fraction of the joint velocity limits, above 0 and up to 1.")
 ]
 
-_AXES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
-_LONGEST_PLANNING = 60.0  # s, what the planner allows at most
-_ANSWER_MARGIN = 5.0
-
 
 def plan(
     to: To = None,
@@ -48,7 +45,7 @@ def plan(
         str | None,
         typer.Option(
             metavar="AXIS,...",
-            help=f"Keep the tip's {', '.join(_AXES)} (those that are named) as they are at the start.",
+            help=f"Keep the tip's {', '.join(AXES)} (those that are named) as they are at the start.",
         ),
     ] = None,
     hold_frame: Annotated[
@@ -65,9 +62,9 @@ def plan(
 ) -> None:
     """Plan a motion around the scene; nothing moves."""
     goal, at, held = typed_goal(to, joints_goal), joints(start, "--start"), _held(hold, hold_frame)
-    with connected(connect, name) as client:
+    with connected(connect, name) as robot:
         found = request_plan(
-            client,
+            robot,
             goal,
             start=at,
             held=held,
@@ -77,7 +74,7 @@ def plan(
             seed=seed,
         )
     if save is not None:
-        write_text(save, encode(found).decode() + "\n")
+        _write_text(save, encode(found).decode() + "\n")
     if as_json:
         print_json(found)
     else:
@@ -106,39 +103,30 @@ def _held(axes: str | None, frame: str | None) -> dict[str, object] | None:
             raise typer.BadParameter("belongs to --hold", param_hint="--hold-frame")
         return None
     names = axes.split(",")
-    if unknown := set(names) - set(_AXES):
-        raise typer.BadParameter(f"{', '.join(sorted(unknown))}: axes are {', '.join(_AXES)}", param_hint="--hold")
-    return {"axes": [axis in names for axis in _AXES], "frame": frame or "base"}
+    if unknown := set(names) - set(AXES):
+        raise typer.BadParameter(f"{', '.join(sorted(unknown))}: axes are {', '.join(AXES)}", param_hint="--hold")
+    return {"axes": [axis in names for axis in AXES], "frame": frame or "base"}
 
 
-def request_plan(client: Client, goal: TypedGoal, *, start: list[float] | None = None, **asked: object) -> Plan:
+def request_plan(robot: Robot, goal: TypedGoal, *, start: list[float] | None = None, **asked: object) -> Plan:
     """Ask for a plan; `asked` are further fields of PlanRequest, None being left out. Ctrl-C ends the planning as well.
 
     Raises what the planner answers.
     """
-    request = message(
-        PlanRequest, goal=_goal(client, goal, start), start=start, request_id=f"cli-{secrets.token_hex(4)}", **asked
-    )
-    try:
-        return client.ask(
-            client.keys.plan, Plan, request, timeout=(request.timeout or _LONGEST_PLANNING) + _ANSWER_MARGIN
-        )
-    except KeyboardInterrupt:
-        client.ask(client.keys.plan_cancel, CancelledPlan, CancelPlan(request_id=request.request_id or ""))
-        raise
+    return robot.request_plan(message(PlanRequest, goal=_goal(robot, goal, start), start=start, **asked))
 
 
-def _goal(client: Client, typed: TypedGoal, start: list[float] | None) -> dict[str, object]:
+def _goal(robot: Robot, typed: TypedGoal, start: list[float] | None) -> dict[str, object]:
     if typed.joints is not None:
         return {"kind": "joints", "position": typed.joints}
-    poses: list[dict[str, object]] = [{"kind": "pose", **full_pose(client, pose, start)} for pose in typed.poses]
+    poses: list[dict[str, object]] = [{"kind": "pose", **full_pose(robot, pose, start)} for pose in typed.poses]
     return poses[0] if len(poses) == 1 else {"kind": "waypoints", "through": poses}
 
 
-def full_pose(client: Client, typed: list[float], at: list[float] | None = None) -> dict[str, list[float]]:
+def full_pose(robot: Robot, typed: list[float], at: list[float] | None = None) -> dict[str, list[float]]:
     """Position and orientation of a typed pose; left out, the orientation is that at the joints `at`, or measured."""
     if len(typed) == 3:
-        typed = [*typed, *client.tip(tuple(at) if at is not None else client.measured().position).orientation]
+        typed = [*typed, *(robot.tip() if at is None else robot.fk([at])[0]).orientation]
     return {"position": typed[:3], "orientation": typed[3:]}
 
 
@@ -160,9 +148,10 @@ def plan_table(found: Plan) -> Table:
 
 def read_plan(path: Path) -> Plan:
     """A plan that `zarm plan --save` wrote. Raises InvalidRequest that names the file."""
-    content = read_bytes(path)
     try:
-        return decode(Plan, content)
+        return decode(Plan, path.read_bytes())
+    except OSError as error:
+        raise InvalidRequest(f"cannot read {path}: {error.strerror}") from error
     except InvalidRequest as error:
         raise InvalidRequest(
             f"{path} holds no plan: {error.problem.message}; plan again with this version of zarm, and save it anew",
@@ -170,15 +159,7 @@ def read_plan(path: Path) -> Plan:
         ) from error
 
 
-def read_bytes(path: Path) -> bytes:
-    """A file's content. Raises InvalidRequest where it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InvalidRequest(f"cannot read {path}: {error.strerror}") from error
-
-
-def write_text(path: Path, text: str) -> None:
+def _write_text(path: Path, text: str) -> None:
     """Write a file. Raises InvalidRequest where it cannot be written."""
     try:
         path.write_text(text, encoding="utf-8")

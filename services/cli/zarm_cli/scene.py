@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-import yaml
 from rich.table import Table
 
-from zarm_cli.client import AsJson, Client, Connect, Name, connected, floats, joints, message
+from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import counted, numbers, out, print_json
-from zarm_cli.planning import read_bytes, write_text
-from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Scene, SceneEdit, SceneEdited, Voxels
+from zarm_contract.messages import SceneEdit, SceneEdited, Voxels
 from zarm_contract.session import DEFAULT_ENDPOINT
 
 app = typer.Typer(no_args_is_help=True, help="Show and change the objects that motions are planned around.")
@@ -23,7 +19,8 @@ app = typer.Typer(no_args_is_help=True, help="Show and change the objects that m
 @app.command("list")
 def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
     """List the objects, what the robot carries, and the links that are not looked at."""
-    scene = _read(connect, name)
+    with connected(connect, name) as robot:
+        scene = robot.scene.read()
     if as_json:
         print_json(scene)
         return
@@ -162,52 +159,26 @@ def load(
     name: Name = None,
 ) -> None:
     """Replace the whole scene by that of a file."""
-    objects = _read_objects(file)
-    try:
-        edit = message(SceneEdit, edit={"op": "load", "objects": objects})
-    except InvalidRequest as error:
-        field = error.problem.field
-        raise InvalidRequest(f"{file}: {error.problem.message}", field=field and field.removeprefix("edit.")) from error
-    with connected(connect, name) as client:
-        _apply(client, edit, as_json)
+    with connected(connect, name) as robot:
+        _print_edited(robot.scene.load(file), as_json)
 
 
 @app.command()
 def save(file: Path, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
     """Write the objects of the scene to a YAML file that `scene load` reads; what the robot carries is not among them."""
-    scene = _read(connect, name)
-    objects = json.loads(scene.model_dump_json(include={"objects"}))
-    write_text(file, yaml.safe_dump(objects, sort_keys=False, default_flow_style=None))
-    out.print(f"{counted(len(scene.objects), 'object')} in {file}")
+    with connected(connect, name) as robot:
+        count = robot.scene.save(file)
+    out.print(f"{counted(count, 'object')} in {file}")
 
 
-def _read(connect: str, name: str | None) -> Scene:
-    with connected(connect, name) as client:
-        return client.ask(client.keys.scene, Scene)
-
-
-def _edit(connect: str, robot: str | None, as_json: bool, **edit: object) -> None:
+def _edit(connect: str, robot_name: str | None, as_json: bool, **edit: object) -> None:
     request = message(SceneEdit, edit=edit)
-    with connected(connect, robot) as client:
-        _apply(client, request, as_json)
+    with connected(connect, robot_name) as robot:
+        _print_edited(robot.scene.apply(request), as_json)
 
 
-def _apply(client: Client, edit: SceneEdit, as_json: bool) -> None:
-    edited = client.ask(client.keys.scene_edit, SceneEdited, edit)
+def _print_edited(edited: SceneEdited, as_json: bool) -> None:
     if as_json:
         print_json(edited)
     else:
         out.print(f"the scene holds {counted(edited.count, 'object')} (revision {edited.revision})")
-
-
-def _read_objects(file: Path) -> object:
-    try:
-        data = yaml.safe_load(read_bytes(file))
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{file}:{mark.line + 1}" if mark else str(file)
-        reason = " ".join(str(getattr(error, "problem", None) or error).split())
-        raise InvalidRequest(f"{place}: not valid YAML: {reason}") from error
-    if not isinstance(data, dict) or set(data) != {"objects"}:
-        raise InvalidRequest(f"{file}: a scene is a mapping with the one key `objects`, a list")
-    return data["objects"]

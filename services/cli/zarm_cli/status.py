@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from zarm.robot import Robot
 from zarm_cli.agreement import mismatches
-from zarm_cli.client import AsJson, Client, Connect, Name, connected
+from zarm_cli.client import AsJson, Connect, Name, connected
 from zarm_cli.interrupts import pause
 from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, out, pose_text, print_json, records
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
     ExecutorState,
-    FkPoses,
-    FkRequest,
     GoalState,
     Health,
     JointState,
@@ -44,16 +44,16 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
     Exit code 3 unless planner and executor are ready; 1 where services speak different contracts or have different files
     of the robot.
     """
-    with connected(connect, name) as client:
-        found = {service for _, service, _ in client.bus.alive(client.keys.alive("*", "*"))}
-        services = {one: _ask(client, client.keys.health(one), Health) for one in sorted(found | {*_NEEDED})}
-        state = _ask(client, client.keys.executor_state, ExecutorState)
-        scene = _ask(client, client.keys.scene, Scene)
+    with connected(connect, name) as robot:
+        bus, keys = robot.connection.bus, robot.connection.keys
+        found = {service for _, service, _ in bus.alive(keys.alive("*", "*"))}
+        services = {one: _told(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
+        state, scene = _told(robot.state), _told(robot.scene.read)
     faults = list(mismatches({one: health for one, health in services.items() if health is not None}))
     if as_json:
         print_json(
             {
-                "robot": client.keys.robot,
+                "robot": robot.name,
                 "client": {"version": version(), "contract": CONTRACT},
                 "services": services,
                 "mismatches": [vars(fault) for fault in faults],
@@ -62,7 +62,7 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
             }
         )
     else:
-        _print_status(client, services, state, scene)
+        _print_status(robot, services, state, scene)
         for fault in faults:
             out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
@@ -77,18 +77,18 @@ def _not_ready(service: str, health: Health | None) -> str:
     return f"{service} not ready" + ("" if health is None else f" ({health.activity})")
 
 
-def _ask(client: Client, key: str, reply: type[M]) -> M | None:
+def _told(ask: Callable[[], M]) -> M | None:
     try:
-        return client.ask(key, reply)
+        return ask()
     except (Unavailable, InternalError):  # nobody answers, or whoever does speaks another contract
         return None
 
 
 def _print_status(
-    client: Client, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
+    robot: Robot, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
 ) -> None:
     columns = ("service", "state", "uptime (s)", "pid", "instance", "version", "contract", "robot")
-    rows = [("robot", f"{client.keys.robot} at {client.endpoint}")]
+    rows = [("robot", f"{robot.name} at {robot.connection.endpoint}")]
     if state is not None:
         rows += _state_rows(state)
     if scene is not None:
@@ -123,20 +123,20 @@ def health(
     name: Name = None,
 ) -> None:
     """Exit with 0 when the service is ready, with 3 when it is not."""
-    with connected(connect, name) as client:
-        found = client.ask(client.keys.health(service), Health)
+    with connected(connect, name) as robot:
+        found = robot.health(service)
     if as_json:
         print_json(found)
     if not found.ready:
-        raise Unavailable(f"the {service} of {client.keys.robot} is not ready yet: {found.activity}")
+        raise Unavailable(f"the {service} of {robot.name} is not ready yet: {found.activity}")
     if not as_json:
-        out.print(f"the {service} of {client.keys.robot} is ready")
+        out.print(f"the {service} of {robot.name} is ready")
 
 
 def watch(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
     """Show live what the robot does, until Ctrl-C; with --json ten lines a second."""
-    with connected(connect, name) as client:
-        looks = _looks(client)
+    with connected(connect, name) as robot:
+        looks = _looks(robot)
         if as_json:
             for look in looks:
                 print_json(vars(look))
@@ -145,7 +145,7 @@ def watch(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Na
 
         with Live(console=out, auto_refresh=False) as live:
             for look in looks:
-                live.update(_picture(client, look), refresh=True)
+                live.update(_picture(robot, look), refresh=True)
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,8 @@ class _Look:
     tip: Pose | None
 
 
-def _looks(client: Client) -> Iterator[_Look]:
+def _looks(robot: Robot) -> Iterator[_Look]:
+    bus, keys = robot.connection.bus, robot.connection.keys
     states: dict[str, ExecutorState] = {}
     goals: dict[str, GoalState] = {}
 
@@ -165,32 +166,31 @@ def _looks(client: Client) -> Iterator[_Look]:
         if len(goals) > 100:
             del goals[next(iter(goals))]
 
-    client.bus.watch(client.keys.executor_state, ExecutorState, states.__setitem__)
-    client.bus.watch(client.keys.goal("*"), GoalState, keep_goal)
-    newest = client.bus.latest(client.keys.joint_states, JointState)
+    bus.watch(keys.executor_state, ExecutorState, states.__setitem__)
+    bus.watch(keys.goal("*"), GoalState, keep_goal)
+    newest = bus.latest(keys.joint_states, JointState)
     while True:
-        state = states.get(client.keys.executor_state)
+        state = states.get(keys.executor_state)
         joints = newest.get(max_age=_STALE)
         yield _Look(
             state,
             goals.get(state.goal_id) if state is not None and state.goal_id is not None else None,
             joints,
-            None if joints is None else _tip(client, joints),
+            None if joints is None else _tip(robot, joints),
         )
         pause(_PERIOD)
 
 
-def _tip(client: Client, joints: JointState) -> Pose | None:
-    request = FkRequest(joints=(joints.position,))
+def _tip(robot: Robot, joints: JointState) -> Pose | None:
     try:
-        return client.ask(client.keys.fk, FkPoses, request, timeout=_STALE).poses[0]
+        return robot.fk([joints.position], timeout=_STALE)[0]
     except Unavailable:
         return None
 
 
-def _picture(client: Client, look: _Look) -> Table:
+def _picture(robot: Robot, look: _Look) -> Table:
     state, goal, joints, tip = look.state, look.goal, look.joints, look.tip
-    rows = [("robot", client.keys.robot)]
+    rows = [("robot", robot.name)]
     rows += [("mode", "the executor does not answer")] if state is None else _state_rows(state)
     if goal is not None:
         filled = round(goal.progress * 30)

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from types import TracebackType
 from typing import Any, NoReturn, Self, TypeVar
@@ -66,6 +67,7 @@ class Bus:
         self._client = str(self._session.info.zid())
         self._entities: list[Any] = [self._session.liveliness().declare_token(client_token(self._client))]
         self._followed: list[Following] = []
+        self._sees_links = False
         self._closing = threading.Event()
         self._ordered: Arrivals | None = None
         self._observe: Observer = unobserved
@@ -298,12 +300,12 @@ class Bus:
         self._entities.append(latched)
         return latched
 
-    def subscribe(self, key: str, model: type[M], callback: Callable[[str, M], None]) -> None:
-        """Call `callback(key, message)` for each message on `key`, one at a time. It must return quickly.
+    def subscribe(self, key: str, model: type[M], callback: Callable[[str, M], None]) -> Callable[[], None]:
+        """Call `callback(key, message)` for each message on `key`, one at a time. It must return quickly. Returns what ends it.
 
         What cannot be read is logged and dropped; so is an exception of the callback.
         """
-        self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
+        return self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
 
     def subscribe_timed(self, key: str, model: type[M], callback: Callable[[M, float], None]) -> None:
         """`subscribe`, and the callback is told when the message arrived (s, monotonic), before it was decoded."""
@@ -366,27 +368,37 @@ class Bus:
         self._entities.append(subscriber)
 
         def end() -> None:
-            self._entities.remove(subscriber)
-            subscriber.undeclare()
+            with suppress(ValueError):  # the bus is closed, and it with it
+                self._entities.remove(subscriber)
+                subscriber.undeclare()
 
         return end
 
-    def watch(self, key: str, model: type[M], callback: Callable[[str, M], None], *, timeout: float = 1.0) -> None:
-        """Like `subscribe` on a latched key, and the present values first (waiting for them at most `timeout` s).
+    def watch(
+        self, key: str, model: type[M], callback: Callable[[str, M], None], *, timeout: float = 1.0
+    ) -> Callable[[], None]:
+        """Like `subscribe` on a latched key, and the present values first (waiting for them at most `timeout` s); what ends it.
 
         They come again whenever a link to a router that was lost is back, as what was published meanwhile was missed. The last
         call for a key is always with its newest value.
         """
-        self.follow(key, lambda name, payload: deliver(name, payload, model, callback), timeout=timeout)
+        return self.follow(key, lambda name, payload: deliver(name, payload, model, callback), timeout=timeout)
 
-    def follow(self, key: str, callback: Callable[[str, bytes], None], *, timeout: float = 1.0) -> None:
+    def follow(self, key: str, callback: Callable[[str, bytes], None], *, timeout: float = 1.0) -> Callable[[], None]:
         """`watch` without decoding: `listen` on a latched key, and the present values first."""
-        if not self._followed:
+        if not self._sees_links:
+            self._sees_links = True
             self._entities.append(self._session.info.declare_transport_events_listener(self._linked))
         following = Following(self._session, key, callback, self._observe, timeout)
         self._followed.append(following)
-        self.listen(key, following.receive)
+        unlisten = self.listen(key, following.receive)
         following.read()
+
+        def end() -> None:
+            self._followed.remove(following)
+            unlisten()
+
+        return end
 
     def _linked(self, event: zenoh.TransportEvent) -> None:
         """Called in a thread of its own when a link to a router is there, or gone."""

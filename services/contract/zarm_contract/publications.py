@@ -40,6 +40,10 @@ class Publisher(Generic[M]):
         self._entity.put(payload)
         self._observe(self._key, payload)
 
+    def heard(self) -> bool:
+        """Whether somebody subscribes to it now."""
+        return bool(self._entity.matching_status.matching)
+
 
 class Latched(Generic[M]):
     """See `Bus.latched`."""

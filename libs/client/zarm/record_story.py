@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from zarm_cli.output import counted
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Problem
 from zarm_contract.keys import Keys
@@ -161,10 +160,10 @@ def _line(message: Message) -> tuple[str, str] | None:
         case Speed():
             return "speed", f"{message.speed_scale:.0%}"
         case Plan():
-            samples = counted(len(message.trajectory.time), "sample")
+            samples = _counted(len(message.trajectory.time), "sample")
             return f"plan {message.plan_id}", f"{message.trajectory.duration:.2f} s, {samples}"
         case SceneEdited():
-            return "scene", f"revision {message.revision}, {counted(message.count, 'object')}"
+            return "scene", f"revision {message.revision}, {_counted(message.count, 'object')}"
         case StreamChunk(sequence=1):
             return f"stream {message.goal_id}", "begins"
         case DriverCommand(time=()):
@@ -177,3 +176,7 @@ def _line(message: Message) -> tuple[str, str] | None:
 
 def _reason(problem: Problem | None) -> str:
     return f": {problem.code}: {problem.message}" if problem else ""
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"

@@ -1,0 +1,147 @@
+"""zarm from Python: plan motions of a robot arm around its scene, and carry them out.
+
+```python
+import zarm
+
+with zarm.connect() as robot:
+    robot.scene.add(zarm.Cuboid("table", size=(1, 1, 0.1), position=(0.5, 0, -0.1)))
+    plan = robot.plan(zarm.Pose((0.5, 0.2, 0.4), (0, 1, 0, 0)))
+    robot.execute(plan, on_progress=print)
+```
+
+Lengths are m, angles rad, times s; quaternions are (x, y, z, w); poses are of the robot's tip in its base frame; joint vectors
+follow the order of the robot's descriptor. Wherever joints or points are asked for, a numpy array will do. What goes wrong
+is a `zarm.Error`. `zarm.aio` is the same for asyncio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from zarm.connection import CONNECT_SECONDS, connected, robots
+from zarm.record_story import Story
+from zarm.replaying import replay, story
+from zarm.robot import Robot
+from zarm.scene import Scene
+from zarm.streaming import Stream
+from zarm.values import (
+    Axis,
+    Capsule,
+    Cuboid,
+    Cylinder,
+    Goal,
+    Mesh,
+    PathConstraint,
+    PointCloud,
+    Pose,
+    Sphere,
+    Trajectory,
+    Voxels,
+    Waypoints,
+)
+from zarm_contract.access import Role
+from zarm_contract.errors import (
+    Busy,
+    Cancelled,
+    DeadlineExceeded,
+    ExecutionFailed,
+    ExecutionRefused,
+    InternalError,
+    InvalidRequest,
+    PlanningFailed,
+    Problem,
+    Unavailable,
+)
+from zarm_contract.errors import ZarmError as Error
+from zarm_contract.messages import (
+    CheckResult,
+    ExecutorState,
+    GoalState,
+    Health,
+    JointState,
+    Plan,
+    PlannerSettings,
+    SceneObject,
+    Strategies,
+)
+
+if TYPE_CHECKING:
+    from zarm import aio
+
+__all__ = [
+    "Axis",
+    "Busy",
+    "Cancelled",
+    "Capsule",
+    "CheckResult",
+    "Cuboid",
+    "Cylinder",
+    "DeadlineExceeded",
+    "Error",
+    "ExecutionFailed",
+    "ExecutionRefused",
+    "ExecutorState",
+    "Goal",
+    "GoalState",
+    "Health",
+    "InternalError",
+    "InvalidRequest",
+    "JointState",
+    "Mesh",
+    "PathConstraint",
+    "Plan",
+    "PlannerSettings",
+    "PlanningFailed",
+    "PointCloud",
+    "Pose",
+    "Problem",
+    "Robot",
+    "Role",
+    "Scene",
+    "SceneObject",
+    "Sphere",
+    "Story",
+    "Strategies",
+    "Stream",
+    "Trajectory",
+    "Unavailable",
+    "Voxels",
+    "Waypoints",
+    "aio",
+    "connect",
+    "replay",
+    "robots",
+    "story",
+]
+
+
+@contextmanager
+def connect(
+    endpoint: str | None = None,
+    name: str | None = None,
+    *,
+    role: Role | None = None,
+    timeout: float = CONNECT_SECONDS,
+) -> Iterator[Robot]:
+    """A robot on the bus, as long as the block lasts.
+
+    `endpoint` is the router's; left out, it is $ZARM_CONNECT, else the one of `zarm up` on this machine. `name` is the robot's;
+    left out, it is $ZARM_NAME, else the only robot there is. The router is waited for `timeout` s. With ZARM_SECURITY=on the
+    client has the rights of `role`, left out those of $ZARM_ROLE or else an operator's, with the certificate in $ZARM_CERTS.
+
+    Raises Unavailable without a router or a robot, InvalidRequest where there are several or the name cannot be one.
+    """
+    with connected(endpoint, name, role=role, timeout=timeout) as connection:
+        yield Robot(connection)
+
+
+def __getattr__(name: str) -> ModuleType:
+    """`zarm.aio`, loaded when it is needed: asyncio takes longer to load than all the rest of the client."""
+    if name == "aio":
+        from importlib import import_module
+
+        return import_module("zarm.aio")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

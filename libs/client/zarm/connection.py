@@ -1,0 +1,136 @@
+"""A session with the services of one robot, or with a bus on which there are several."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from zarm.goals import Goals
+from zarm.interrupts import CtrlC, Interrupts
+from zarm.live import Newest, live
+from zarm_contract.access import Role
+from zarm_contract.bus import Bus, Publisher
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.keys import ALL_ALIVE, Keys
+from zarm_contract.messages import Message, Nothing
+from zarm_contract.session import DEFAULT_ENDPOINT, spoken
+
+CONNECT_SECONDS = 2.0
+ANSWER_SECONDS = 5.0
+"""Longest wait for what is answered at once."""
+
+M = TypeVar("M", bound=Message)
+Reply = TypeVar("Reply", bound=Message)
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A session, the keys of one robot, what is told of its goals, and what interrupts the calls. Safe from any thread."""
+
+    bus: Bus
+    keys: Keys
+    endpoint: str
+    goals: Goals
+    interrupts: Interrupts
+    _publishers: dict[str, Publisher[Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, bus: Bus, keys: Keys, endpoint: str, interrupts: Interrupts | None = None) -> Connection:
+        """With a robot on a bus that is open."""
+        return cls(bus, keys, endpoint, Goals(bus, keys), interrupts or CtrlC())
+
+    def ask(
+        self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = ANSWER_SECONDS
+    ) -> Reply:
+        """The answer to a request within `timeout` s. Raises what the service answers, and Unavailable."""
+        return self.interrupts.attend(lambda: self.bus.call(key, request or Nothing(), reply, timeout=timeout))
+
+    def read(self, key: str, model: type[Reply], *, timeout: float = ANSWER_SECONDS) -> Reply:
+        """The present value of a key, which nothing is asked to change. Raises Unavailable."""
+        return self.interrupts.attend(lambda: self.bus.read(key, model, timeout=timeout))
+
+    def latched(self, key: str, model: type[M]) -> Generator[M]:
+        """The present value of a key and then each new one."""
+
+        def subscribe(tell: Callable[[M], None]) -> Callable[[], None]:
+            return self.interrupts.attend(lambda: self.bus.watch(key, model, lambda _, value: tell(value)))
+
+        return live(subscribe, self.interrupts)
+
+    def published(self, key: str, model: type[M]) -> Generator[M]:
+        """Each value that is published on a key from now on."""
+        return live(lambda tell: self.bus.subscribe(key, model, lambda _, value: tell(value)), self.interrupts)
+
+    def next(self, key: str, model: type[M], seconds: float) -> M | None:
+        """The next value that is published on a key, None where none comes within so many s."""
+        newest: Newest[M] = Newest()
+        end = self.bus.subscribe(key, model, lambda _, value: newest.put(value))
+        try:
+            return self.interrupts.attend(lambda: newest.take(seconds))
+        finally:
+            end()
+
+    def publisher(self, key: str, model: type[M]) -> Publisher[M]:
+        """What publishes on a key, at once and before all else; the same for everyone who asks."""
+        if key not in self._publishers:
+            self._publishers[key] = self.bus.publisher(key, model, realtime=True)
+        return self._publishers[key]
+
+
+@contextmanager
+def connected(
+    endpoint: str | None = None,
+    name: str | None = None,
+    *,
+    role: Role | None = None,
+    timeout: float = CONNECT_SECONDS,
+    interrupts: Interrupts | None = None,
+) -> Iterator[Connection]:
+    """A connection with the robot `name`, or with the only one on the bus; see `zarm.connect`."""
+    name = name if name is not None else os.environ.get("ZARM_NAME")
+    where = place(endpoint)
+    with opened(where, role, timeout) as bus:
+        yield Connection.of(bus, keys_of(name if name is not None else _only(bus, where)), where, interrupts)
+
+
+def robots(endpoint: str | None = None, *, role: Role | None = None, timeout: float = CONNECT_SECONDS) -> list[str]:
+    """The names of the robots of which a service is alive, sorted.
+
+    `endpoint`, `role` and `timeout` (s) are those of `zarm.connect`. Raises Unavailable where no router answers.
+    """
+    with opened(endpoint, role, timeout) as bus:
+        return _alive(bus)
+
+
+def opened(endpoint: str | None, role: Role | None = None, timeout: float = CONNECT_SECONDS) -> Bus:
+    """A session with the router at `endpoint`. Raises Unavailable, and InvalidRequest for what is no endpoint."""
+    return Bus(place(endpoint), timeout=timeout, role=role)
+
+
+def place(endpoint: str | None) -> str:
+    """The endpoint that is meant: as given, else $ZARM_CONNECT, else this machine's."""
+    return spoken(endpoint or os.environ.get("ZARM_CONNECT") or DEFAULT_ENDPOINT)
+
+
+def keys_of(name: str) -> Keys:
+    """The keys of a robot. Raises InvalidRequest for a name that cannot be one."""
+    try:
+        return Keys(name)
+    except ValueError as error:
+        raise InvalidRequest(str(error), field="name") from error
+
+
+def _alive(bus: Bus) -> list[str]:
+    return sorted({robot for robot, _, _ in bus.alive(ALL_ALIVE)})
+
+
+def _only(bus: Bus, endpoint: str) -> str:
+    robots = _alive(bus)
+    if not robots:
+        raise Unavailable(f"no robot is alive on the bus at {endpoint}; start one with `zarm up`")
+    if len(robots) > 1:
+        raise InvalidRequest(f"several robots are alive at {endpoint}: {', '.join(robots)}; choose one", field="name")
+    return robots[0]

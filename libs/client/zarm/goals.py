@@ -1,0 +1,100 @@
+"""The goals of an executor, as it tells of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Iterator
+
+from zarm.interrupts import SLICE, Interrupts
+from zarm_contract.bus import Bus
+from zarm_contract.errors import Unavailable, ZarmError
+from zarm_contract.keys import Keys
+from zarm_contract.messages import GoalState
+
+SILENCE = 10.0
+"""s without a word about a goal after which its executor is taken for gone; one that starts anew tells within that what became
+of its goal."""
+_ASK_AFTER = 0.5  # s without a publication after which the executor is asked; in motion it publishes at 10 Hz
+_ASK_SECONDS = 1.0
+_REMEMBERED = 64
+
+
+class Goals:
+    """What the executor says about its goals. Safe from any thread."""
+
+    def __init__(self, bus: Bus, keys: Keys) -> None:
+        self._bus = bus
+        self._keys = keys
+        self._states: OrderedDict[str, GoalState] = OrderedDict()
+        self._changed = threading.Condition()
+        self._listening = threading.Lock()
+        self._heard = False
+
+    def listen(self) -> None:
+        """From now on nothing that is told is missed; states of goals that have not ended are read first."""
+        with self._listening:
+            if not self._heard:
+                self._bus.watch(self._keys.goal("*"), GoalState, lambda _, state: self._note(state))
+                self._heard = True
+
+    def known(self, goal_id: str) -> GoalState | None:
+        """The last that was told of a goal."""
+        with self._changed:
+            return self._states.get(goal_id)
+
+    def states(
+        self, goal_id: str, interrupts: Interrupts, *, silence: float = SILENCE, timeout: float | None = None
+    ) -> Iterator[GoalState]:
+        """The goal's states up to its last one; where there is no new one, the same again ten times a second.
+
+        Raises Unavailable where the executor has not been heard of for `silence` s, or the goal not ended after `timeout` s.
+        """
+        interrupts.attend(self.listen)
+        seen: GoalState | None = None
+        began = heard = asked = time.monotonic()
+        while seen is None or not seen.done:
+            interrupts.check()
+            state = self._next(goal_id, seen)
+            now = time.monotonic()
+            if state is not seen:
+                seen, heard = state, now
+            elif now - heard > silence:
+                raise self._unknown(f"has told nothing of the goal {goal_id} for {silence:g} s")
+            elif now - max(heard, asked) > _ASK_AFTER:
+                interrupts.attend(lambda: self._ask(goal_id))
+                asked = time.monotonic()
+            if timeout is not None and now - began > timeout and not (seen is not None and seen.done):
+                raise self._unknown(f"has not ended the goal {goal_id} within {timeout:g} s")
+            if seen is not None:
+                yield seen
+
+    def _unknown(self, why: str) -> Unavailable:
+        return Unavailable(
+            f"the executor of {self._keys.robot} {why}; whether the robot still moves is not known: make sure that it stands "
+            "still, then see `zarm status`"
+        )
+
+    def _next(self, goal_id: str, seen: GoalState | None) -> GoalState | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._states.get(goal_id, seen) is not seen, SLICE)
+            return self._states.get(goal_id, seen)
+
+    def _ask(self, goal_id: str) -> None:
+        try:
+            state = self._bus.read(self._keys.goal(goal_id), GoalState, timeout=_ASK_SECONDS)
+        except ZarmError:
+            return  # it may be starting again; after the silence it is given up
+        self._note(state)
+
+    def _note(self, state: GoalState) -> None:
+        with self._changed:
+            known = self._states.get(state.goal_id)
+            if known is not None and known.done:  # this is an answer that the last publication overtook
+                return
+            self._states[state.goal_id] = state
+            self._states.move_to_end(state.goal_id)
+            if len(self._states) > _REMEMBERED:
+                self._states.popitem(last=False)
+            self._changed.notify_all()

@@ -1,0 +1,46 @@
+"""What is published, one value after the other, for a loop that takes the newest."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator
+from typing import Generic, TypeVar
+
+from zarm.interrupts import SLICE, Interrupts
+from zarm_contract.messages import Message
+
+M = TypeVar("M", bound=Message)
+
+
+class Newest(Generic[M]):
+    """The newest value that one thread puts and another takes; what nobody took in time is passed over."""
+
+    def __init__(self) -> None:
+        self._value: M | None = None
+        self._changed = threading.Condition()
+
+    def put(self, value: M) -> None:
+        """Replace the value."""
+        with self._changed:
+            self._value = value
+            self._changed.notify_all()
+
+    def take(self, seconds: float) -> M | None:
+        """The value, if there is one that was not taken yet within so many s."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._value is not None, seconds)
+            value, self._value = self._value, None
+            return value
+
+
+def live(subscribe: Callable[[Callable[[M], None]], Callable[[], None]], interrupts: Interrupts) -> Generator[M]:
+    """Each value that is told to what is subscribed here; the newest, where the loop is slower. Its end ends the subscription."""
+    newest: Newest[M] = Newest()
+    end = subscribe(newest.put)
+    try:
+        while True:
+            interrupts.check()
+            if (value := newest.take(SLICE)) is not None:
+                yield value
+    finally:
+        end()

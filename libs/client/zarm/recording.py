@@ -1,0 +1,117 @@
+"""What passes on the bus, written to a file as it comes."""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from zarm.connection import Connection
+from zarm.interrupts import SLICE
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.recorded import Recorded
+
+if TYPE_CHECKING:
+    from zarm_contract.record import Entry, RecordFile
+
+_BACKLOG = 100_000
+"""Messages that may wait for a disk that is slow; more are lost, and counted. Minutes of a robot, some 50 MB."""
+
+_FLUSH_SECONDS = 1.0
+"""How much is lost at most when the program is killed, and how late a full disk is noticed."""
+
+
+class Recorder:
+    """Writes what happens to a robot to an MCAP file, `path`, from its making to `close`; `Robot.record` makes it.
+
+    Until the end the file is `<path>.part`. Use it in `with`. Safe from any thread.
+    """
+
+    def __init__(self, connection: Connection, path: Path) -> None:
+        if path.exists():
+            raise InvalidRequest(f"{path} is there already; name another file, or remove it", field="file")
+        self.path = path
+        self.lost = 0
+        """Messages that the disk was too slow for."""
+        self._interrupts = connection.interrupts
+        self._error: OSError | None = None
+        self._entries: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
+        self._file = self._open(connection)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._write, name="record")
+        self._thread.start()
+        self._listening: list[Callable[[], None]] = []
+        try:
+            recorded = Recorded(connection.keys)
+            for key in recorded.models:
+                listen = connection.bus.follow if key in recorded.present else connection.bus.listen
+                self._listening.append(listen(key, self._put))
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def count(self) -> int:
+        """Messages that are written."""
+        return self._file.count
+
+    def wait(self, seconds: float = math.inf) -> None:
+        """Wait so long; shorter where the disk fails, as `close` says."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0 and not self._ended.wait(min(left, SLICE)):
+            self._interrupts.check()
+
+    def close(self) -> None:
+        """Write what is left and finish the file. Raises Unavailable where that failed. Idempotent."""
+        while self._listening:
+            self._listening.pop()()
+        self._entries.put(None)
+        self._thread.join()
+        if self._error is not None:
+            raise _unwritable(self.path, self._error, f"; what came before is in {self._file.draft}")
+
+    def _put(self, key: str, payload: bytes) -> None:
+        if self._entries.qsize() < _BACKLOG:
+            self._entries.put((time.time_ns(), key, payload))
+        else:
+            self.lost += 1
+
+    def _write(self) -> None:
+        try:
+            flushed = time.monotonic()
+            while (entry := self._entries.get()) is not None:
+                self._file.write(entry)
+                if time.monotonic() - flushed > _FLUSH_SECONDS:
+                    self._file.flush()
+                    flushed = time.monotonic()
+            self._file.close()
+        except OSError as error:
+            self._error = error
+            self._file.abandon()
+        finally:
+            self._ended.set()
+
+    def _open(self, connection: Connection) -> RecordFile:
+        from zarm_contract.record import RecordFile  # nothing else needs the libraries behind it
+
+        try:
+            return RecordFile(self.path, connection.keys)
+        except OSError as error:
+            raise _unwritable(self.path, error) from error
+
+
+def _unwritable(path: Path, error: OSError, rest: str = "") -> Unavailable:
+    return Unavailable(f"cannot write {path}: {error.strerror or error}{rest}; make room, or name another file")

@@ -1,0 +1,121 @@
+"""A record once more: what it tells, and its messages on a bus."""
+
+from __future__ import annotations
+
+import itertools
+import secrets
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zarm.connection import keys_of, opened
+from zarm.interrupts import SLICE, CtrlC, Interrupts
+from zarm.record_story import Story, robot_of, tell
+from zarm_contract.access import Role
+from zarm_contract.bus import Bus, Publisher
+from zarm_contract.codec import decode
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.keys import Keys
+from zarm_contract.recorded import Recorded
+
+if TYPE_CHECKING:
+    from zarm_contract.record import Entry
+
+_LOOK_SECONDS = 1.0
+
+
+def story(file: str | Path, *, interrupts: Interrupts | None = None) -> Story:
+    """What happened in a record: events, how many messages, and which joint was furthest from where it was commanded.
+
+    Raises InvalidRequest for a file that is no record.
+    """
+    return tell(_entries(Path(file), interrupts or CtrlC()))
+
+
+def replay(
+    file: str | Path,
+    name: str,
+    *,
+    speed: float = 1.0,
+    endpoint: str | None = None,
+    role: Role | None = None,
+    interrupts: Interrupts | None = None,
+) -> int:
+    """Publish a record as that of the robot `name`, at the pace at which it came or `speed` times as fast; how many messages.
+
+    Nothing moves by it: commands to a driver and chunks of a stream are left out. Raises Unavailable as soon as an executor
+    of that robot is alive. Meanwhile none can start: the replay holds its place.
+    """
+    if not speed > 0:
+        raise InvalidRequest(f"{speed} is no speed; it is above 0", field="speed")
+    waits = interrupts or CtrlC()
+    with opened(endpoint, role) as bus:
+        return _publish(bus, keys_of(name), _entries(Path(file), waits), speed, waits)
+
+
+def _entries(file: Path, interrupts: Interrupts) -> Iterator[Entry]:
+    from zarm_contract.record import read_record  # nothing else needs the libraries behind it
+
+    for entry in read_record(file):
+        interrupts.check()
+        yield entry
+
+
+def _publish(bus: Bus, keys: Keys, entries: Iterator[Entry], speed: float, interrupts: Interrupts) -> int:
+    if (first := next(entries, None)) is None:
+        return 0
+    began, source = first[0], Keys(robot_of(first[1]))
+    recorded, moving = Recorded(source), (source.driver_command, source.stream)
+    place = _Place(bus, keys, interrupts)
+    start = time.monotonic()
+    publishers: dict[str, Publisher[Any]] = {}
+    count = 0
+    for stamp, key, payload in itertools.chain((first,), entries):
+        place.hold_until(start + (stamp - began) / 1e9 / speed)
+        model = recorded.model(key)
+        if model is None or key in moving:
+            continue
+        try:
+            message = decode(model, payload)
+        except InvalidRequest:  # noise that the record holds as it was
+            continue
+        name = "/".join(("zarm", keys.robot, *key.split("/")[2:]))
+        if name not in publishers:
+            publishers[name] = bus.publisher(name, model)
+        publishers[name].put(message)
+        count += 1
+    return count
+
+
+class _Place:
+    """Holds the place of a robot's executor on the bus. Raises Unavailable where there is one."""
+
+    def __init__(self, bus: Bus, keys: Keys, interrupts: Interrupts) -> None:
+        self._bus = bus
+        self._keys = keys
+        self._interrupts = interrupts
+        # Sorts behind every executor's, whatever the clocks say: of two owners the younger ends, and that is to be this one.
+        self._me = f"replay{secrets.token_hex(4)}"
+        self._next_look = 0.0
+        bus.declare_alive(keys.alive("executor", self._me))
+
+    def hold_until(self, due: float) -> None:
+        """Wait until `due` (s on the monotonic clock). Raises Unavailable when an executor has come, a second later at most."""
+        while True:
+            now = time.monotonic()
+            if now >= self._next_look:
+                self._look()
+                self._next_look = now + _LOOK_SECONDS
+            if now >= due:
+                return
+            self._interrupts.check()
+            time.sleep(min(due - now, SLICE))
+
+    def _look(self) -> None:
+        alive = self._bus.alive(self._keys.alive("executor", "*"))
+        if others := [instance for _, _, instance in alive if instance != self._me]:
+            raise Unavailable(
+                f"an executor of the robot {self._keys.robot} is alive (instance {others[0]}), and its robot is not where "
+                "the record says; give it another name"
+            )

@@ -1,0 +1,142 @@
+"""The scene of a robot: what its planner keeps clear of, and what the robot carries."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from zarm.connection import Connection
+from zarm.values import invalid, numbers, object_of
+from zarm_contract.codec import decode
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import (
+    Attached,
+    Occupancy,
+    OccupancyRequest,
+    PointCloud,
+    SceneEdit,
+    SceneEdited,
+    SceneObject,
+)
+from zarm_contract.messages import Scene as SceneMessage
+
+if TYPE_CHECKING:
+    from zarm.values import Numbers
+
+EDIT_SECONDS = 30.0
+"""Longest wait for an edit: a large mesh takes seconds to read."""
+_BATCH_SECONDS = 65.0  # the planner gives itself 60 s
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The scene of one robot, `robot.scene`. Poses are in the robot's base frame, lengths in m.
+
+    Each change is applied whole or not at all, and returns the revision that it led to and how many objects there are. Every
+    method raises InvalidRequest for what cannot be, and Unavailable where no planner answers.
+    """
+
+    connection: Connection
+
+    def add(self, *objects: SceneObject | PointCloud, replace: bool = False) -> SceneEdited:
+        """Add objects. One whose name is taken is refused unless `replace`, that of a carried object always."""
+        return self._edit(op="add", objects=objects, replace=replace)
+
+    def remove(self, *names: str) -> SceneEdited:
+        """Remove objects by name; a carried one must be detached first."""
+        return self._edit(op="remove", names=names)
+
+    def clear(self) -> SceneEdited:
+        """Remove every object; what the robot carries, and which links are ignored, stays."""
+        return self._edit(op="clear")
+
+    def attach(self, name: str, *, touch_links: Iterable[str] = (), joints: Numbers | None = None) -> SceneEdited:
+        """From now on the robot carries an object of the scene; it keeps its place seen from the tip at `joints`.
+
+        `joints` (rad) left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers. Meshes and
+        voxels cannot be carried.
+        """
+        return self._edit(op="attach", name=name, touch_links=tuple(touch_links), joints=_joints(joints))
+
+    def detach(self, name: str, *, joints: Numbers | None = None) -> SceneEdited:
+        """Put a carried object down where it is with the robot at `joints` (rad; left out: the measured ones)."""
+        return self._edit(op="detach", name=name, joints=_joints(joints))
+
+    def set_link_collision(self, *links: str, enabled: bool) -> SceneEdited:
+        """Look at the collisions of these links of the robot, or no longer; one link at least stays."""
+        return self._edit(op="links", names=links, enabled=enabled)
+
+    def load(self, file: str | Path) -> SceneEdited:
+        """Replace every object by those of a YAML file as `save` writes it: a list `objects` with the fields of each."""
+        from yaml import YAMLError, safe_load
+
+        try:
+            data = safe_load(Path(file).read_bytes())
+        except OSError as error:
+            raise InvalidRequest(f"cannot read {file}: {error.strerror}") from error
+        except YAMLError as error:
+            mark = getattr(error, "problem_mark", None)
+            place = f"{file}:{mark.line + 1}" if mark else str(file)
+            reason = " ".join(str(getattr(error, "problem", None) or error).split())
+            raise InvalidRequest(f"{place}: not valid YAML: {reason}") from error
+        if not isinstance(data, dict) or set(data) != {"objects"}:
+            raise InvalidRequest(f"{file}: a scene is a mapping with the one key `objects`, a list")
+        try:
+            edit = decode(SceneEdit, json.dumps({"edit": {"op": "load", **data}}, default=str).encode())
+        except InvalidRequest as error:
+            field = error.problem.field
+            raise InvalidRequest(
+                f"{file}: {error.problem.message}", field=field and field.removeprefix("edit.")
+            ) from error
+        return self.apply(edit)
+
+    def save(self, file: str | Path) -> int:
+        """Write the objects to a YAML file that `load` reads; how many. What the robot carries is not among them."""
+        from yaml import safe_dump
+
+        objects = json.loads(self.read().model_dump_json(include={"objects"}))
+        try:
+            Path(file).write_text(safe_dump(objects, sort_keys=False, default_flow_style=None), encoding="utf-8")
+        except OSError as error:
+            raise InvalidRequest(f"cannot write {file}: {error.strerror}") from error
+        return len(objects["objects"])
+
+    def objects(self) -> Mapping[str, SceneObject]:
+        """The objects by name, those that are carried not among them."""
+        return {item.name: object_of(item) for item in self.read().objects}
+
+    def attached(self) -> Mapping[str, Attached]:
+        """What the robot carries by name; the poses of these objects are in the frame of the tip."""
+        return {carried.object.name: carried for carried in self.read().attached}
+
+    def read(self) -> SceneMessage:
+        """The whole scene as one message."""
+        return self.connection.read(self.connection.keys.scene, SceneMessage)
+
+    def occupancy(self, resolution: float = 0.05) -> Occupancy:
+        """The cubes with edges of `resolution` m that objects reach into."""
+        try:
+            request = OccupancyRequest(resolution=resolution)
+        except ValidationError as error:
+            raise invalid("occupancy", error) from None
+        return self.connection.ask(self.connection.keys.occupancy, Occupancy, request, timeout=_BATCH_SECONDS)
+
+    def apply(self, edit: SceneEdit, *, timeout: float = EDIT_SECONDS) -> SceneEdited:
+        """Apply an edit that is a message already."""
+        return self.connection.ask(self.connection.keys.scene_edit, SceneEdited, edit, timeout=timeout)
+
+    def _edit(self, **edit: object) -> SceneEdited:
+        try:
+            request = SceneEdit.model_validate({"edit": edit})
+        except ValidationError as error:
+            raise invalid("the edit", error) from None
+        return self.apply(request)
+
+
+def _joints(values: Numbers | None) -> tuple[float, ...] | None:
+    return None if values is None else numbers(values, "joints")

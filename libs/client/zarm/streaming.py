@@ -1,0 +1,89 @@
+"""Closed-loop control: short trajectories, each in place of what is left of the one before."""
+
+from __future__ import annotations
+
+import secrets
+import time
+
+from pydantic import ValidationError
+
+from zarm.connection import ANSWER_SECONDS, Connection
+from zarm.values import invalid
+from zarm_contract.errors import Unavailable, from_problem
+from zarm_contract.messages import GoalState, StreamChunk, Trajectory
+
+_LOOK_SECONDS = 0.005
+
+
+class Stream:
+    """One stream, which is one goal of the executor, `goal_id`; `Robot.stream` makes it.
+
+    Raises Unavailable where no executor is there to take it.
+    """
+
+    def __init__(self, connection: Connection, deadline: float) -> None:
+        self.goal_id = f"stream-{secrets.token_hex(8)}"
+        self._connection = connection
+        self._deadline = deadline
+        self._newest: StreamChunk | None = None
+        self._began = 0.0
+        self._publisher = connection.publisher(connection.keys.stream, StreamChunk)
+        connection.interrupts.attend(connection.goals.listen)
+        connection.interrupts.attend(self._wait_heard)
+
+    @property
+    def time(self) -> float:
+        """s since the first trajectory was sent; 0 before."""
+        return time.monotonic() - self._began if self._newest is not None else 0.0
+
+    @property
+    def state(self) -> GoalState | None:
+        """The newest state of its goal; None before the executor has told one."""
+        return self._connection.goals.known(self.goal_id)
+
+    @property
+    def running(self) -> bool:
+        """Whether the stream has not ended yet."""
+        return (state := self.state) is None or not state.done
+
+    def send(self, trajectory: Trajectory, *, start: float | None = None, last: bool = False) -> None:
+        """What the robot is to do from `start` on (s in the time of the stream; left out: from now on).
+
+        The first begins at 0 and where the robot rests; each ends at rest, so that there is a way to stop on. To each the
+        executor leads over smoothly from where the robot is. After `last` no more is needed. Raises the problem that the
+        stream has ended with.
+        """
+        if (state := self.state) is not None and state.problem is not None:
+            raise from_problem(state.problem)
+        before = self._newest
+        try:
+            chunk = StreamChunk(
+                goal_id=self.goal_id,
+                sequence=1 if before is None else before.sequence + 1,
+                start=self.time if start is None else start,
+                trajectory=trajectory,
+                deadline=self._deadline,
+                last=last,
+            )
+        except ValidationError as error:
+            raise invalid("the chunk", error) from None
+        if before is None:
+            self._began = time.monotonic()
+        self._newest = chunk
+        self._publisher.put(chunk)
+
+    def finish(self) -> bool:
+        """Have what was sent last be the last; whether anything was sent."""
+        newest = self._newest
+        if newest is not None and not newest.last and self.running:
+            self.send(newest.trajectory, start=newest.start, last=True)
+        return newest is not None
+
+    def _wait_heard(self) -> None:
+        deadline = time.monotonic() + ANSWER_SECONDS
+        while not self._publisher.heard():
+            if time.monotonic() > deadline:
+                raise Unavailable(
+                    f"nobody takes streams of {self._connection.keys.robot}; `zarm status` shows whether its executor runs"
+                )
+            time.sleep(_LOOK_SECONDS)

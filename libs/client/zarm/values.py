@@ -1,0 +1,284 @@
+"""Poses, goals, objects of the scene and trajectories, made from what a program has: sequences of numbers or numpy arrays.
+
+Each class is the message of that name with the arguments that a person would give. Lengths are m, angles rad, times s;
+orientations are unit quaternions (x, y, z, w). A value that cannot be raises `zarm.InvalidRequest`, which names the field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from pydantic import ConfigDict, ValidationError
+
+from zarm_contract import messages
+from zarm_contract._faults import sentence
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Message
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Numbers: TypeAlias = Sequence[float] | npt.NDArray[np.floating[Any]]
+    """Numbers in a row: a tuple, a list, or a numpy array of one dimension."""
+    Rows: TypeAlias = Sequence[Numbers] | npt.NDArray[np.floating[Any]]
+    """Rows of numbers: sequences in a sequence, or a numpy array (rows, columns)."""
+
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+"""The orientation (x, y, z, w) of a frame that is not turned."""
+AXES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
+"""What a path constraint can hold, in the order of its flags."""
+
+Axis = Literal["theta_x", "theta_y", "theta_z", "x", "y", "z"]
+
+
+def numbers(values: Numbers, field: str) -> tuple[float, ...]:
+    """Numbers as a message takes them. Raises InvalidRequest for what is none."""
+    try:
+        return tuple(map(float, values))
+    except (TypeError, ValueError) as error:
+        raise InvalidRequest(f"numbers in a row are needed, not {values!r:.200}", field=field) from error
+
+
+def rows(values: Rows, field: str) -> tuple[tuple[float, ...], ...]:
+    """Rows of numbers as a message takes them. Raises InvalidRequest for what is none."""
+    whole = getattr(values, "tolist", None)  # numpy's own is many times faster than a row at a time
+    try:
+        return tuple(numbers(row, field) for row in (values if whole is None else whole()))
+    except TypeError as error:
+        raise InvalidRequest(f"rows of numbers are needed, not {values!r:.200}", field=field) from error
+
+
+def invalid(kind: str, error: ValidationError) -> InvalidRequest:
+    """The fault of a message that cannot be made, which names its field."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    return InvalidRequest(f"{kind}: {sentence(first['msg'])}", field=".".join(map(str, first["loc"])) or None)
+
+
+class _Checked(Message):
+    model_config = ConfigDict(defer_build=True)
+
+    def __init__(self, **fields: object) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise invalid(type(self).__name__, error) from None
+
+
+class Pose(_Checked, messages.Pose):
+    """A frame in the robot's base frame: `Pose((x, y, z), (qx, qy, qz, qw))`, position in m."""
+
+    def __init__(self, position: Numbers, orientation: Numbers = IDENTITY) -> None:
+        super().__init__(
+            position=numbers(position, "position"),
+            orientation=numbers(orientation, "orientation"),
+        )
+
+
+class Waypoints(_Checked, messages.WaypointsGoal):
+    """A motion through poses of the tip and joint positions (rad), in this order and without stopping: `Waypoints(a, b, c)`.
+
+    Each is passed within `position_tolerance` (m) and `angle_tolerance` (rad) of the tip's pose there. The robot rests at
+    the last.
+    """
+
+    def __init__(
+        self,
+        *through: messages.Pose | Numbers,
+        position_tolerance: float = 0.005,
+        angle_tolerance: float = 0.02,
+    ) -> None:
+        super().__init__(
+            kind="waypoints",
+            through=tuple(map(_stop, through)),
+            position_tolerance=position_tolerance,
+            angle_tolerance=angle_tolerance,
+        )
+
+
+class PathConstraint(_Checked, messages.HeldAxes):
+    """Components of the tip's pose that a motion keeps as they are at its start: `PathConstraint(("theta_x", "theta_y"))`.
+
+    In the `base` frame they are those of the position and of the rotation vector from the start's orientation; in the
+    `tool` frame those of the pose as seen from the tip at the start. They may be off by the tolerances (m, rad).
+    """
+
+    def __init__(
+        self,
+        axes: Iterable[Axis],
+        *,
+        frame: Literal["base", "tool"] = "base",
+        position_tolerance: float = 0.005,
+        angle_tolerance: float = 0.02,
+    ) -> None:
+        held = set(axes)
+        if unknown := held - set(AXES):
+            raise InvalidRequest(f"{', '.join(sorted(unknown))}: axes are {', '.join(AXES)}", field="axes")
+        super().__init__(
+            axes=tuple(axis in held for axis in AXES),
+            frame=frame,
+            position_tolerance=position_tolerance,
+            angle_tolerance=angle_tolerance,
+        )
+
+
+class Cuboid(_Checked, messages.Cuboid):
+    """A box; `size` are the full edge lengths (m) along its own x, y, z, `position` is its centre."""
+
+    def __init__(self, name: str, *, size: Numbers, position: Numbers, orientation: Numbers = IDENTITY) -> None:
+        super().__init__(**_placed("cuboid", name, position, orientation), size=numbers(size, "size"))
+
+
+class Sphere(_Checked, messages.Sphere):
+    """A ball of `radius` (m) around `position`."""
+
+    def __init__(self, name: str, *, radius: float, position: Numbers) -> None:
+        super().__init__(kind="sphere", name=name, position=numbers(position, "position"), radius=radius)
+
+
+class Capsule(_Checked, messages.Capsule):
+    """All points within `radius` (m) of a segment of `length` (m) along its own z, centred at `position`."""
+
+    def __init__(
+        self, name: str, *, radius: float, length: float, position: Numbers, orientation: Numbers = IDENTITY
+    ) -> None:
+        super().__init__(**_placed("capsule", name, position, orientation), radius=radius, length=length)
+
+
+class Cylinder(_Checked, messages.Cylinder):
+    """A cylinder with flat ends, `length` (m) along its own z, centred at `position`."""
+
+    def __init__(
+        self, name: str, *, radius: float, length: float, position: Numbers, orientation: Numbers = IDENTITY
+    ) -> None:
+        super().__init__(**_placed("cylinder", name, position, orientation), radius=radius, length=length)
+
+
+class Mesh(_Checked, messages.Mesh):
+    """Triangles of an STL or OBJ `file`, a path inside one of the planner's mesh folders; a closed mesh is solid.
+
+    `scale` multiplies the file's coordinates to make them m: one number, or one for each axis; 0.001 for mm.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        file: str | Path,
+        position: Numbers,
+        orientation: Numbers = IDENTITY,
+        scale: float | Numbers = 1.0,
+        sha256: str | None = None,
+    ) -> None:
+        factors = (float(scale),) * 3 if isinstance(scale, int | float) else numbers(scale, "scale")
+        super().__init__(**_placed("mesh", name, position, orientation), file=str(file), scale=factors, sha256=sha256)
+
+
+class Voxels(_Checked, messages.Voxels):
+    """Occupied cubes with edges of `resolution` m: cell (i, j, k) has its centre at (i, j, k) * `resolution`.
+
+    `cells` are whole numbers (n, 3); `position` and `orientation` place the grid.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        resolution: float,
+        cells: Sequence[Sequence[int]] | npt.NDArray[np.integer[Any]],
+        position: Numbers = (0.0, 0.0, 0.0),
+        orientation: Numbers = IDENTITY,
+    ) -> None:
+        whole = tuple(tuple(map(int, cell)) for cell in cells)
+        super().__init__(**_placed("voxels", name, position, orientation), resolution=resolution, cells=whole)
+
+
+class PointCloud(_Checked, messages.PointCloud):
+    """Points (n, 3) in m that are obstacles; the scene keeps the voxels of `resolution` m that they lie in.
+
+    `position` and `orientation` are those of the frame of the points.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        points: Rows,
+        *,
+        resolution: float = 0.02,
+        position: Numbers = (0.0, 0.0, 0.0),
+        orientation: Numbers = IDENTITY,
+    ) -> None:
+        super().__init__(
+            **_placed("cloud", name, position, orientation), resolution=resolution, points=rows(points, "points")
+        )
+
+
+class Trajectory(_Checked, messages.Trajectory):
+    """A timed motion of the joints: a row for each of the n moments `time` (s, from 0), a column for each joint.
+
+    `position` (rad), `velocity` (rad/s) and `acceleration` (rad/s^2) are (n, joints). Between the rows the motion is the
+    quintic polynomial that meets all three at both ends.
+    """
+
+    def __init__(
+        self, joint_names: Iterable[str], time: Numbers, position: Rows, velocity: Rows, acceleration: Rows
+    ) -> None:
+        super().__init__(
+            joint_names=tuple(joint_names),
+            time=numbers(time, "time"),
+            position=rows(position, "position"),
+            velocity=rows(velocity, "velocity"),
+            acceleration=rows(acceleration, "acceleration"),
+        )
+
+
+Goal: TypeAlias = "messages.Pose | Waypoints | Numbers"
+"""Where a motion leads: a pose of the tip, joint positions (rad), or waypoints."""
+
+
+def goal_of(goal: Goal) -> messages.Goal:
+    """A goal as the planner takes it."""
+    return goal if isinstance(goal, messages.WaypointsGoal) else _stop(goal)
+
+
+def pose_of(pose: messages.Pose) -> Pose:
+    """A pose that came as a message."""
+    return Pose(pose.position, pose.orientation)
+
+
+def object_of(item: messages.SceneObject) -> messages.SceneObject:
+    """An object that came as a message, of the class here that makes such an object."""
+    made: messages.SceneObject = _CLASSES[item.kind].model_construct(
+        **{name: getattr(item, name) for name in type(item).model_fields}
+    )
+    return made
+
+
+def _stop(goal: messages.Pose | Numbers) -> messages.PoseGoal | messages.JointGoal:
+    try:
+        if isinstance(goal, messages.Pose):
+            return messages.PoseGoal(kind="pose", position=goal.position, orientation=goal.orientation)
+        return messages.JointGoal(kind="joints", position=numbers(goal, "goal"))
+    except ValidationError as error:
+        raise invalid("goal", error) from None
+
+
+def _placed(kind: str, name: str, position: Numbers, orientation: Numbers) -> dict[str, object]:
+    return {
+        "kind": kind,
+        "name": name,
+        "position": numbers(position, "position"),
+        "orientation": numbers(orientation, "orientation"),
+    }
+
+
+_CLASSES: dict[str, type[Any]] = {
+    "cuboid": Cuboid,
+    "sphere": Sphere,
+    "capsule": Capsule,
+    "cylinder": Cylinder,
+    "mesh": Mesh,
+    "voxels": Voxels,
+}
