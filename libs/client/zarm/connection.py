@@ -16,7 +16,7 @@ from zarm_contract.bus import Bus, Publisher
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import ALL_ALIVE, Keys
 from zarm_contract.messages import Message, Nothing
-from zarm_contract.session import DEFAULT_ENDPOINT, spoken
+from zarm_contract.session import DEFAULT_ENDPOINT
 
 CONNECT_SECONDS = 2.0
 ANSWER_SECONDS = 5.0
@@ -32,15 +32,14 @@ class Connection:
 
     bus: Bus
     keys: Keys
-    endpoint: str
     goals: Goals
     interrupts: Interrupts
     _publishers: dict[str, Publisher[Any]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, bus: Bus, keys: Keys, endpoint: str, interrupts: Interrupts | None = None) -> Connection:
+    def of(cls, bus: Bus, keys: Keys, interrupts: Interrupts | None = None) -> Connection:
         """With a robot on a bus that is open."""
-        return cls(bus, keys, endpoint, Goals(bus, keys), interrupts or CtrlC())
+        return cls(bus, keys, Goals(bus, keys), interrupts or CtrlC())
 
     def ask(
         self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = ANSWER_SECONDS
@@ -91,9 +90,8 @@ def connected(
 ) -> Iterator[Connection]:
     """A connection with the robot `name`, or with the only one on the bus; see `zarm.connect`."""
     name = name if name is not None else os.environ.get("ZARM_NAME")
-    where = place(endpoint)
-    with opened(where, role, timeout) as bus:
-        yield Connection.of(bus, keys_of(name if name is not None else _only(bus, where)), where, interrupts)
+    with opened(endpoint, role, timeout) as bus:
+        yield Connection.of(bus, keys_of(name if name is not None else _only(bus)), interrupts)
 
 
 def robots(endpoint: str | None = None, *, role: Role | None = None, timeout: float = CONNECT_SECONDS) -> list[str]:
@@ -106,13 +104,8 @@ def robots(endpoint: str | None = None, *, role: Role | None = None, timeout: fl
 
 
 def opened(endpoint: str | None, role: Role | None = None, timeout: float = CONNECT_SECONDS) -> Bus:
-    """A session with the router at `endpoint`. Raises Unavailable, and InvalidRequest for what is no endpoint."""
-    return Bus(place(endpoint), timeout=timeout, role=role)
-
-
-def place(endpoint: str | None) -> str:
-    """The endpoint that is meant: as given, else $ZARM_CONNECT, else this machine's."""
-    return spoken(endpoint or os.environ.get("ZARM_CONNECT") or DEFAULT_ENDPOINT)
+    """A session with the router at `endpoint`, left out: $ZARM_CONNECT, else this machine's. Raises Unavailable, and InvalidRequest for what is no endpoint."""
+    return Bus(endpoint or os.environ.get("ZARM_CONNECT") or DEFAULT_ENDPOINT, timeout=timeout, role=role)
 
 
 def keys_of(name: str) -> Keys:
@@ -127,10 +120,12 @@ def _alive(bus: Bus) -> list[str]:
     return sorted({robot for robot, _, _ in bus.alive(ALL_ALIVE)})
 
 
-def _only(bus: Bus, endpoint: str) -> str:
+def _only(bus: Bus) -> str:
     robots = _alive(bus)
     if not robots:
-        raise Unavailable(f"no robot is alive on the bus at {endpoint}; start one with `zarm up`")
+        raise Unavailable(f"no robot is alive on the bus at {bus.endpoint}; start one with `zarm up`")
     if len(robots) > 1:
-        raise InvalidRequest(f"several robots are alive at {endpoint}: {', '.join(robots)}; choose one", field="name")
+        raise InvalidRequest(
+            f"several robots are alive at {bus.endpoint}: {', '.join(robots)}; choose one", field="name"
+        )
     return robots[0]

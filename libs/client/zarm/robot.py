@@ -230,10 +230,19 @@ class Robot:
             raise from_problem(last.problem)
         return last
 
-    def start(self, what: Plan | Trajectory | ExecuteRequest | str | None = None, *, preempt: bool = False) -> str:
-        """`execute` that does not wait: the id of the goal, for `follow` and `cancel`. The motion goes on without this program."""
+    def start(
+        self,
+        what: Plan | Trajectory | ExecuteRequest | str | None = None,
+        *,
+        preempt: bool = False,
+        timeout: float = REST_SECONDS,
+    ) -> str:
+        """`execute` that does not wait: the id of the goal, for `follow` and `cancel`. The motion goes on without this program.
+
+        The executor takes or refuses it within `timeout` s, else it is withdrawn.
+        """
         with self._new_goal() as goal_id:
-            self._send(what, goal_id, preempt)
+            self._send(what, goal_id, preempt, timeout)
         return goal_id
 
     def follow(
@@ -386,14 +395,20 @@ class Robot:
                 raise
             raise KeyboardInterrupt(self._rest(goal_id)) from None
 
-    def _send(self, what: Plan | Trajectory | ExecuteRequest | str | None, goal_id: str, preempt: bool) -> None:
+    def _send(
+        self,
+        what: Plan | Trajectory | ExecuteRequest | str | None,
+        goal_id: str,
+        preempt: bool,
+        timeout: float = REST_SECONDS,
+    ) -> None:
         """Ask for a goal; one that was asked for without an answer is withdrawn."""
         request = _execution(what)
         request = request.model_copy(update={"goal_id": goal_id, "preempt": preempt or request.preempt})
         self.connection.interrupts.attend(self.connection.goals.listen)
         try:
             with self.connection.interrupts.insist(f"the executor of {self.name} to take the goal or refuse it"):
-                self._ask(self._keys.execute, Accepted, request, timeout=REST_SECONDS)
+                self._ask(self._keys.execute, Accepted, request, timeout=timeout)
         except Unavailable:  # the executor may have got the request, and start yet
             with self._until_left(), suppress(Unavailable):
                 self.cancel(goal_id)

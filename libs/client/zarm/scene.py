@@ -131,10 +131,11 @@ class Scene:
         return self.connection.ask(self.connection.keys.scene_edit, SceneEdited, edit, timeout=timeout)
 
     def _edit(self, **edit: object) -> SceneEdited:
+        data = {"edit": edit}
         try:
-            request = SceneEdit.model_validate({"edit": edit})
+            request = SceneEdit.model_validate(data)
         except ValidationError as error:
-            raise invalid("the edit", error) from None
+            raise invalid("the edit", error, data) from None
         return self.apply(request)
 
 

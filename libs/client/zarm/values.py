@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from pydantic import ConfigDict, ValidationError
 
 from zarm_contract import messages
-from zarm_contract._faults import sentence
+from zarm_contract._faults import field_path, sentence
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Message
 
@@ -51,10 +51,11 @@ def rows(values: Rows, field: str) -> tuple[tuple[float, ...], ...]:
         raise InvalidRequest(f"rows of numbers are needed, not {values!r:.200}", field=field) from error
 
 
-def invalid(kind: str, error: ValidationError) -> InvalidRequest:
-    """The fault of a message that cannot be made, which names its field."""
+def invalid(kind: str, error: ValidationError, data: object = None) -> InvalidRequest:
+    """The fault of a message that cannot be made of `data`, which names its field."""
     first = error.errors(include_url=False, include_input=False)[0]
-    return InvalidRequest(f"{kind}: {sentence(first['msg'])}", field=".".join(map(str, first["loc"])) or None)
+    path = field_path(first["loc"], data)
+    return InvalidRequest(f"{kind}: {sentence(first['msg'])}", field=".".join(map(str, path)) or None)
 
 
 class _Checked(Message):

@@ -126,7 +126,7 @@ def launch(
         bus = stack.enter_context(Bus(endpoint, timeout=2.0))
         _refuse_second(bus, keys, endpoint)
         supervisor = stack.enter_context(Supervisor(programs, environment))
-        yield Stack(loaded, Client(Connection.of(bus, keys, endpoint, SIGNALS)), supervisor, (*bridge, *SERVICES))
+        yield Stack(loaded, Client(Connection.of(bus, keys, SIGNALS)), supervisor, (*bridge, *SERVICES))
 
 
 def _next_port(address: str, step: int) -> str:
@@ -232,7 +232,7 @@ def up(
 def _say_ready(stack: Stack) -> None:
     client = stack.client
     first, *rest = stack.robot.descriptor.home
-    endpoint = client.connection.endpoint
+    endpoint = client.connection.bus.endpoint
     where = "" if endpoint == spoken(DEFAULT_ENDPOINT) else f" --connect {endpoint}"
     out.print(
         facts(

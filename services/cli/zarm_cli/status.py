@@ -88,7 +88,7 @@ def _print_status(
     robot: Robot, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
 ) -> None:
     columns = ("service", "state", "uptime (s)", "pid", "instance", "version", "contract", "robot")
-    rows = [("robot", f"{robot.name} at {robot.connection.endpoint}")]
+    rows = [("robot", f"{robot.name} at {robot.connection.bus.endpoint}")]
     if state is not None:
         rows += _state_rows(state)
     if scene is not None:

@@ -36,7 +36,7 @@ from zarm_contract.publications import (
 )
 from zarm_contract.room import Room
 from zarm_contract.security import client_role, security_on
-from zarm_contract.session import DEFAULT_ENDPOINT, open_client
+from zarm_contract.session import DEFAULT_ENDPOINT, open_client, spoken
 
 __all__ = ["Bus", "Latched", "Latest", "Publisher"]
 
@@ -62,6 +62,7 @@ class Bus:
 
     def __init__(self, endpoint: str = DEFAULT_ENDPOINT, *, timeout: float = 5.0, role: Role | None = None) -> None:
         self.role = (role or client_role()) if security_on() else None
+        self.endpoint = spoken(endpoint)
         self._session = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
         self._client = str(self._session.info.zid())

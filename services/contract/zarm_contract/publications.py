@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import zenoh
 
@@ -42,7 +42,8 @@ class Publisher(Generic[M]):
 
     def heard(self) -> bool:
         """Whether somebody subscribes to it now."""
-        return bool(self._entity.matching_status.matching)
+        status: Any = self._entity.matching_status  # Zenoh's stub says bool
+        return bool(status.matching)
 
 
 class Latched(Generic[M]):

@@ -1,19 +1,16 @@
-"""The zarm that a bridge stands for: requests to its planner and its executor, and what they publish."""
+"""The zarm that a bridge stands for: a client of its planner and its executor, and what they publish."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+import threading
 
+from zarm.connection import Connection
+from zarm.robot import Robot as Client
 from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.keys import Keys
-from zarm_contract.messages import ExecutorState, JointState, Message, Nothing, Strategies
+from zarm_contract.messages import JointState
 from zarm_contract.robot import Robot
-
-ANSWER_SECONDS = 5.0
-"""Longest wait for what is answered at once."""
-
-Reply = TypeVar("Reply", bound=Message)
 
 
 class Engine:
@@ -27,13 +24,10 @@ class Engine:
         self.keys = keys
         self.robot = robot
         self.joints = robot.descriptor.joints
+        self.client = Client(Connection.of(bus, keys))
+        self.ending = threading.Event()
+        """Set when the bridge ends: whoever waits for what the executor tells gives up."""
         self._measured = bus.latest(keys.joint_states, JointState)
-
-    def ask(
-        self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = ANSWER_SECONDS
-    ) -> Reply:
-        """The answer to a request."""
-        return self.bus.call(key, request or Nothing(), reply, timeout=timeout)
 
     def measured(self) -> JointState:
         """The robot's joints as measured within the last second. Raises ExecutionRefused (no_joint_state)."""
@@ -44,11 +38,3 @@ class Engine:
                 code="no_joint_state",
             )
         return state
-
-    def strategies(self) -> Strategies:
-        """The active control strategy, and all that this robot knows."""
-        return self.ask(self.keys.strategy, Strategies)
-
-    def executor_state(self) -> ExecutorState:
-        """What the robot's owner is doing."""
-        return self.ask(self.keys.executor_state, ExecutorState)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import secrets
 import threading
 import time
-from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
@@ -15,14 +13,15 @@ from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from curobo_msgs.action import MpcMove, SendTrajectory
-from zarm_contract.errors import Busy, InternalError, Unavailable, ZarmError, from_problem
-from zarm_contract.messages import Accepted, ExecuteRequest, GoalState, Plan, PlanRequest, PoseGoal
+from zarm.connection import ANSWER_SECONDS
+from zarm_contract.errors import Busy, InternalError, ZarmError, from_problem
+from zarm_contract.messages import ExecuteRequest, GoalState, Plan, PlanRequest, PoseGoal
 from zarm_ros_bridge.arrivals import OrderedActionServer
 from zarm_ros_bridge.convert.joints import ros_positions
 from zarm_ros_bridge.convert.poses import is_given, pose_of
 from zarm_ros_bridge.convert.times import ros_time
-from zarm_ros_bridge.engine import ANSWER_SECONDS, Engine
-from zarm_ros_bridge.goals import Goals, Run
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.goals import ASK_SECONDS, Run, states_of
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import REQUESTS, Ros
 
@@ -48,10 +47,10 @@ class Execution:
         self._ros = ros
         self._engine = engine
         self._parameters = parameters
-        self._goals = Goals(engine)
         self._turn = threading.Condition()
         self._running: Run | None = None
         self._newest: Run | None = None  # the one that came last
+        engine.client.connection.goals.listen()
         self._serve(SendTrajectory, "execute_trajectory", self._execute, self._admit)
         self._serve(SendTrajectory, "send_trajectory", self._execute, self._admit)
         self._serve(MpcMove, "mpc_move", self._refuse, lambda _: GoalResponse.ACCEPT)
@@ -63,7 +62,7 @@ class Execution:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._goals.end()
+        self._engine.ending.set()
         if (run := self._running) is not None:
             run.leave()
             run.ended.wait(_END_SECONDS)
@@ -108,7 +107,7 @@ class Execution:
         self._ros.node.get_logger().warning(f"mpc_goal moves nothing: {_NO_MPC}.", once=True)
 
     def _execute(self, handle: ServerGoalHandle) -> SendTrajectory.Result:
-        run = Run(handle, self._engine, self._goals)
+        run = Run(handle, self._engine)
         try:
             self._take_turn(run)
             self._move(run)
@@ -152,9 +151,10 @@ class Execution:
         if other is not None:
             other.preempt()
             self._wait_for_turn(run)
-        if preempt and (goal_id := self._engine.executor_state().goal_id) is not None:  # of a client elsewhere
-            self._goals.cancel(goal_id)
-            for _ in self._goals.states(goal_id):
+        client = self._engine.client
+        if preempt and (goal_id := client.state().goal_id) is not None:  # of a client elsewhere
+            client.cancel(goal_id, timeout=ASK_SECONDS)
+            for _ in states_of(self._engine, goal_id):
                 run.go_on()
 
     def _wait_for_turn(self, run: Run) -> None:
@@ -180,31 +180,21 @@ class Execution:
             feedback.planning()
             request = ExecuteRequest(plan_id=self._plan(run, pose_of(target, "target_pose")).plan_id)
         run.go_on()
-        for state in run.follow(self._start(request)):
+        for state in run.follow(self._engine.client.start(request, timeout=ANSWER_SECONDS)):
             feedback.show(state)
         if state.problem is not None:
             raise from_problem(state.problem)
 
     def _plan(self, run: Run, target: Any) -> Plan:
-        value, timeout = self._parameters.value, self._parameters.value("timeout")
+        value = self._parameters.value
         request = PlanRequest(
             goal=PoseGoal(kind="pose", position=target.position, orientation=target.orientation),
             planner="auto",
-            timeout=timeout,
+            timeout=value("timeout"),
             max_attempts=value("max_attempts"),
             margin=value("collision_activation_distance"),
         )
-        return run.plan(request, timeout + ANSWER_SECONDS)
-
-    def _start(self, request: ExecuteRequest) -> str:
-        goal_id = f"ros-{secrets.token_hex(8)}"
-        request = request.model_copy(update={"goal_id": goal_id})
-        try:
-            return self._engine.ask(self._engine.keys.execute, Accepted, request).goal_id
-        except Unavailable:  # it may have got the request, and start yet
-            with suppress(ZarmError):
-                self._goals.cancel(goal_id)
-            raise
+        return run.plan(request)
 
 
 class _Feedback:

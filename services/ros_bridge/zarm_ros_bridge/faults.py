@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from std_srvs.srv import Trigger
 
-from zarm_contract.messages import ExecutorState
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
@@ -22,6 +21,6 @@ class Faults:
         ros.serve(Trigger, "~/reset_fault", with_message(self._reset))
 
     def _reset(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        problem = self._engine.executor_state().problem
-        self._engine.ask(self._engine.keys.reset, ExecutorState)
+        problem = self._engine.client.state().problem
+        self._engine.client.reset()
         return f"reset; what was wrong: {problem.message}" if problem is not None else "nothing was wrong"

@@ -11,7 +11,7 @@ from std_msgs.msg import Bool
 
 from curobo_msgs.srv import Fk, Ik, IkBatch, WarmupFK, WarmupIK
 from zarm_contract.errors import InvalidRequest, PlanningFailed
-from zarm_contract.messages import FkPoses, FkRequest, IkRequest, IkSolutions, Pose
+from zarm_contract.messages import IkRequest, Pose
 from zarm_ros_bridge.answers import with_error_msg, with_message
 from zarm_ros_bridge.convert.joints import positions_of, ros_positions
 from zarm_ros_bridge.convert.poses import pose_of, ros_pose
@@ -53,7 +53,7 @@ class Kinematics:
     def _solved(self, poses: Sequence[Pose]) -> tuple[list[RosJointState], list[Bool]]:
         """For each pose joints near the present ones, and whether there are any; else an empty joint state."""
         joints, request = self._engine.joints, IkRequest(poses=tuple(poses))
-        found = self._engine.ask(self._engine.keys.ik, IkSolutions, request, timeout=_SECONDS).solutions
+        found = self._engine.client.request_ik(request).solutions
         states = [ros_positions(joints, rows[0]) if rows else RosJointState() for rows in found]
         return states, [Bool(data=bool(rows)) for rows in found]
 
@@ -78,9 +78,8 @@ class Kinematics:
             raise fault
         return ""
 
-    def _poses(self, joints: Sequence[tuple[float, ...]]) -> tuple[Pose, ...]:
-        request = FkRequest(joints=tuple(joints))
-        return self._engine.ask(self._engine.keys.fk, FkPoses, request, timeout=_SECONDS).poses
+    def _poses(self, joints: Sequence[tuple[float, ...]]) -> Sequence[Pose]:
+        return self._engine.client.fk(joints, timeout=_SECONDS)
 
     def _check_range(self, positions: tuple[float, ...], field: str) -> None:
         robot = self._engine.robot

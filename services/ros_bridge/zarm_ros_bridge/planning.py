@@ -13,7 +13,6 @@ from zarm_contract.messages import (
     Goal,
     HeldAxes,
     IkRequest,
-    IkSolutions,
     Plan,
     PlanRequest,
     Pose,
@@ -23,7 +22,7 @@ from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import Positions, is_empty, positions_of
 from zarm_ros_bridge.convert.plans import goal_of, held_of, pose_goal, poses_of, target_of
 from zarm_ros_bridge.convert.trajectories import ros_joint_states
-from zarm_ros_bridge.engine import ANSWER_SECONDS, Engine
+from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import PLANNERS, Parameters
 from zarm_ros_bridge.rereading import reread_robot
 from zarm_ros_bridge.ros import Ros
@@ -32,8 +31,6 @@ _WITHOUT_ENGINE = ("mpc",)
 """Planners that zarm does not have yet."""
 _WAYS = 16
 """Joint solutions of a pose that are looked at."""
-_BATCH_SECONDS = 65.0
-"""Longest wait for inverse kinematics of many poses: the planner gives them 60 s."""
 
 
 class Planning:
@@ -81,7 +78,7 @@ class Planning:
             margin=self._parameters.value("collision_activation_distance"),
         )
         try:
-            return self._engine.ask(self._engine.keys.plan, Plan, request, timeout=timeout + ANSWER_SECONDS)
+            return self._engine.client.request_plan(request)
         except ZarmError as error:
             raise in_terms_of(error, {"goal.through": target, "goal": target, "start": "start_pose"}) from error
 
@@ -103,7 +100,7 @@ class Planning:
     def _nearest_first(self, poses: tuple[Pose, ...], start: Positions) -> list[int]:
         """Places of the poses, by the time that the slowest joint needs to them; those without a free solution come last."""
         request = IkRequest(poses=poses, near=start, max_solutions=_WAYS)
-        found = self._engine.ask(self._engine.keys.ik, IkSolutions, request, timeout=_BATCH_SECONDS).solutions
+        found = self._engine.client.request_ik(request).solutions
         speed = self._engine.robot.descriptor.cspace.velocity
 
         def away(index: int) -> float:

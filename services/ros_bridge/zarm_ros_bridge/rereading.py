@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import Health, Strategies, StrategyRequest
+from zarm_contract.messages import Health
 from zarm_contract.robot import load_robot
 from zarm_ros_bridge.engine import Engine
 
 RESTART_SECONDS = 60.0
 """Longest wait for a service that starts anew; a planner takes some seconds, and half a minute where it has to compile."""
-SWITCH_SECONDS = 20.0
-"""Longest wait for a switch of the strategy."""
 
 _SERVICES = ("executor", "planner")  # the executor first: it is the one that may refuse, and then nothing has changed
 _FIXED = ("name", "base_link", "tip_link", "joints", "strategy_params")
@@ -31,14 +29,14 @@ def reread_robot(engine: Engine) -> str:
             f"{changed[0] if changed else 'urdf'} has changed in {robot.path}, which what is served on ROS is built on; restart "
             "zarm to take it"
         )
-    strategy = engine.strategies().active
+    strategy = engine.client.strategy().active
     renewed = []
     for service in _SERVICES:
-        if engine.ask(engine.keys.reread(service), Health).robot_hash != robot.hash:
+        if engine.client.connection.ask(engine.keys.reread(service), Health).robot_hash != robot.hash:
             renewed.append(service)
             _wait_for(engine, service, robot.hash)
-    if engine.strategies().active != strategy:
-        engine.ask(engine.keys.strategy, Strategies, StrategyRequest(strategy=strategy), timeout=SWITCH_SECONDS)
+    if engine.client.strategy().active != strategy:
+        engine.client.strategy(strategy)
     engine.robot = robot
     return f"{' and '.join(renewed)} have started anew with it" if renewed else ""
 
@@ -47,7 +45,7 @@ def _wait_for(engine: Engine, service: str, robot_hash: str) -> None:
     deadline = time.monotonic() + RESTART_SECONDS
     while time.monotonic() < deadline:
         try:
-            health = engine.ask(engine.keys.health(service), Health, timeout=1.0)
+            health = engine.client.health(service, timeout=1.0)
         except Unavailable:
             health = None
         if health is not None and health.ready and health.robot_hash == robot_hash:

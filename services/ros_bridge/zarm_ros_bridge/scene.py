@@ -12,22 +12,9 @@ from curobo_msgs.srv import (
     GetVoxelGrid,
     RemoveObject,
     SetCollisionCache,
-)
-from curobo_msgs.srv import SetLinkCollision as RosSetLinkCollision
-from zarm_contract.errors import InvalidRequest, ZarmError
-from zarm_contract.messages import (
-    AddObjects,
-    CheckRequest,
-    CheckResults,
-    ClearScene,
-    Occupancy,
-    OccupancyRequest,
-    RemoveObjects,
-    Scene,
-    SceneEdit,
-    SceneEdited,
     SetLinkCollision,
 )
+from zarm_contract.errors import InvalidRequest, ZarmError
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.convert.colours import Colour, colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
@@ -37,8 +24,6 @@ from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
 
-_EDIT_SECONDS = 30.0
-"""Longest wait for an edit: a large mesh takes seconds to read."""
 _SECONDS = 65.0
 """Longest wait for what the planner gives 60 s."""
 
@@ -50,6 +35,7 @@ class SceneServices:
 
     def __init__(self, ros: Ros, engine: Engine, parameters: Parameters, colours: MutableMapping[str, Colour]) -> None:
         self._engine = engine
+        self._scene = engine.client.scene
         self._parameters = parameters
         self._colours = colours
         ros.serve(AddObject, "~/add_object", with_message(self._add))
@@ -59,14 +45,7 @@ class SceneServices:
         ros.serve(GetVoxelGrid, "~/get_voxel_grid", with_message(self._voxels))
         ros.serve(GetCollisionDistance, "~/get_collision_distance", with_message(self._distance))
         ros.serve(SetCollisionCache, "~/set_collision_cache", with_message(self._cache))
-        ros.serve(RosSetLinkCollision, "~/set_link_collision", with_message(self._links))
-
-    def _edit(self, edit: AddObjects | RemoveObjects | ClearScene | SetLinkCollision) -> SceneEdited:
-        request = SceneEdit(edit=edit)
-        return self._engine.ask(self._engine.keys.scene_edit, SceneEdited, request, timeout=_EDIT_SECONDS)
-
-    def _scene(self) -> Scene:
-        return self._engine.ask(self._engine.keys.scene, Scene)
+        ros.serve(SetLinkCollision, "~/set_link_collision", with_message(self._links))
 
     def _add(self, request: AddObject.Request, _: AddObject.Response) -> str:
         item = object_of(request)
@@ -74,7 +53,7 @@ class SceneServices:
         if colour is not None:  # known by the time that the scene is published with the object
             self._colours[item.name] = colour
         try:
-            edited = self._edit(AddObjects(op="add", objects=(item,)))
+            edited = self._scene.add(item)
         except ZarmError as error:
             self._colours.pop(item.name, None)
             if before is not None:
@@ -85,25 +64,24 @@ class SceneServices:
     def _remove(self, request: RemoveObject.Request, _: RemoveObject.Response) -> str:
         name = name_of(request.name)
         try:
-            edited = self._edit(RemoveObjects(op="remove", names=(name,)))
+            edited = self._scene.remove(name)
         except ZarmError as error:
             raise in_terms_of(error, {"edit.names.0": "name"}) from error
         self._colours.pop(name, None)
         return f"Object '{name}' removed; the scene has {edited.count}"
 
     def _remove_all(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        self._edit(ClearScene(op="clear"))
+        self._scene.clear()
         self._colours.clear()
         return "All objects removed"
 
     def _obstacles(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        names = [item.name for item in self._scene().objects]
+        names = [item.name for item in self._scene.read().objects]
         return ", ".join(names) if names else "no obstacles"
 
     def _voxels(self, _: GetVoxelGrid.Request, response: GetVoxelGrid.Response) -> str:
-        request = OccupancyRequest(resolution=self._parameters.value("voxel_size"))
         try:
-            occupancy = self._engine.ask(self._engine.keys.occupancy, Occupancy, request, timeout=_SECONDS)
+            occupancy = self._scene.occupancy(self._parameters.value("voxel_size"))
         except ZarmError as error:
             raise in_terms_of(error, {"resolution": "voxel_size"}) from error
         response.voxel_grid = ros_cloud(occupancy, self._engine.robot.descriptor.base_link)
@@ -113,8 +91,7 @@ class SceneServices:
         joints = None
         if not is_empty(request.joint_state):
             joints = (positions_of(request.joint_state, self._engine.joints, "joint_state"),)
-        check = CheckRequest(joints=joints, spheres=True)
-        (result,) = self._engine.ask(self._engine.keys.check, CheckResults, check, timeout=_SECONDS).results
+        (result,) = self._engine.client.check(joints, spheres=True, timeout=_SECONDS)
         response.distances = list(result.spheres or ())
         response.in_collision = result.in_collision
         if result.pair is None:
@@ -138,7 +115,7 @@ class SceneServices:
                 setattr(response, f"{kind}_cache", self._parameters.value(f"{kind}_cache_size"))
         return "noted; the scene takes obstacles of any kind up to its own limits, whatever these numbers are"
 
-    def _links(self, request: RosSetLinkCollision.Request, response: RosSetLinkCollision.Response) -> str:
+    def _links(self, request: SetLinkCollision.Request, response: SetLinkCollision.Response) -> str:
         if not request.link_names:
             raise InvalidRequest("name the links", field="link_names")
         known = self._engine.robot.descriptor.spheres
@@ -146,7 +123,7 @@ class SceneServices:
         response.unknown_links = [name for name in dict.fromkeys(request.link_names) if name not in known]
         if applied:
             try:
-                self._edit(SetLinkCollision(op="links", names=tuple(applied), enabled=request.enabled))
+                self._scene.set_link_collision(*applied, enabled=request.enabled)
             except ZarmError as error:
                 raise in_terms_of(error, {"edit.names": "link_names"}) from error
             response.applied_links = applied

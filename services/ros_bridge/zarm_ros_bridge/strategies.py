@@ -20,9 +20,6 @@ from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
 
-SWITCH_SECONDS = 20.0
-"""Longest wait for a switch: the robot is brought to rest first."""
-
 
 class StrategyServices:
     """set_robot_strategy by both of its types, get_robot_strategy, get_robot_strategies. Use it in `with`.
@@ -59,7 +56,7 @@ class StrategyServices:
         self._follower.join()
 
     def _set(self, request: SetRobotStrategy.Request, response: SetRobotStrategy.Response) -> str:
-        before = self._engine.strategies().active
+        before = self._engine.client.strategy().active
         response.previous_robot_strategy = response.current_robot_strategy = before
         self._switch(request.robot_strategy)
         response.current_robot_strategy = request.robot_strategy
@@ -69,7 +66,7 @@ class StrategyServices:
         """Version 1: apply what robot_type says. Where that fails, robot_type goes back to what is active."""
         chosen = self._parameters.value("robot_type")
         try:
-            before = self._type(self._engine.strategies().active)
+            before = self._type(self._engine.client.strategy().active)
             self._switch("joint_trajectory" if chosen == self._engine.robot.descriptor.name else chosen)
         except ZarmError:
             self._parameters.set("robot_type", self._type(self._active))
@@ -77,14 +74,14 @@ class StrategyServices:
         return _switched(before, chosen)
 
     def _get(self, _: Any, __: Any) -> str:
-        active = self._engine.strategies().active
+        active = self._engine.client.strategy().active
         known = self._type(active)
         return f"Active strategy: '{active}'" + ("" if known == active else f" (robot_type '{known}')")
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
         """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""
         try:
-            strategies = self._engine.strategies()
+            strategies = self._engine.client.strategy()
         except ZarmError as error:
             log.warning("strategies cannot be listed reason=%s", error)
             return response
@@ -100,9 +97,9 @@ class StrategyServices:
         try:
             request = StrategyRequest(strategy=strategy)
         except ValidationError:
-            known = ", ".join(one.name for one in self._engine.strategies().strategies)
+            known = ", ".join(one.name for one in self._engine.client.strategy().strategies)
             raise InvalidRequest(f"there is no strategy {strategy!r}; this robot has {known}") from None
-        self._engine.ask(self._engine.keys.strategy, Strategies, request, timeout=SWITCH_SECONDS)
+        self._engine.client.strategy(request.strategy)
         self._show()
 
     def _follow(self) -> None:
@@ -117,7 +114,7 @@ class StrategyServices:
     def _show(self) -> None:
         """Make the parameters what the executor says. A robot_type that was chosen and not applied yet stays till a switch."""
         with self._showing:
-            active = self._engine.strategies().active
+            active = self._engine.client.strategy().active
             if self._parameters.value("control_strategy") != active:
                 self._parameters.set("control_strategy", active)
             if self._active != active:

@@ -11,7 +11,7 @@ import yaml
 
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
-from zarm_contract.messages import SceneEdit, SceneEdited
+from zarm_contract.messages import SceneEdit
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import Parameters
 
@@ -32,7 +32,7 @@ class WorldFile:
         try:
             load = {"edit": {"op": "load", "objects": list(_objects(_read(path)))}}
             request = decode(SceneEdit, json.dumps(load, default=str).encode())
-            self._engine.ask(self._engine.keys.scene_edit, SceneEdited, request)
+            self._engine.client.scene.apply(request)
         except ZarmError as error:
             problem = error.problem
             field = problem.field and problem.field.removeprefix("edit.")

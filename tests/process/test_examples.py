@@ -1,0 +1,68 @@
+"""Every program of examples/, run as its README says."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from harness import PATIENCE, free_endpoint
+from launched import ROBOT, Up
+
+import zarm
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SAYS = {
+    "01_plan": "succeeded: the tool is at 0.500 0.300 0.400 m",
+    "02_waypoints": "succeeded",
+    "03_path_constraint": "constrained: ",
+    "04_scene": "so it is refused: stale_plan",
+    "05_mesh": "to spare: succeeded",
+    "06_attach": "the box stands at 0.50 0.30 0.24 m",
+    "07_record_and_replay": "messages published again as those of the robot echo",
+    "08_speed_and_pause": "paused",
+    "09_two_robots": "second: succeeded",
+    "10_stream": "followed the target for 4 s, at most 0.3",
+}
+"""What is in the output of each, besides success."""
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+    """The robot that the README starts."""
+    with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--meshes", str(EXAMPLES / "meshes")) as running:
+        yield running
+
+
+def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
+    names = sorted(file.stem for file in EXAMPLES.glob("*.py"))
+    assert names == sorted(SAYS)
+    readme = (EXAMPLES / "README.md").read_text()
+    assert [name for name in names if f"`{name}.py`" not in readme] == []
+
+
+@pytest.mark.parametrize("name", SAYS)
+def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(name: str, up: Up, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        if name == "09_two_robots":
+            stack.enter_context(Up(up.endpoint, tmp_path, joins=True, name="second"))
+        environment = {key: value for key, value in os.environ.items() if not key.startswith("ZARM_")}
+        done = subprocess.run(
+            [sys.executable, str(EXAMPLES / f"{name}.py")],
+            env=environment | {"ZARM_CONNECT": up.endpoint},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+    assert done.returncode == 0, done.stderr
+    assert SAYS[name] in done.stdout
+    assert done.stderr == ""
+    with zarm.connect(up.endpoint, ROBOT) as robot:
+        assert robot.state().mode == "idle"
+        assert robot.speed() == 1.0
+        scene = robot.scene.read()
+    assert (scene.objects, scene.attached) == ((), ())
