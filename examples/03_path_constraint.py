@@ -4,7 +4,7 @@ import math
 
 import zarm
 
-HOME = (0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0)
+SLANTED = (0.0, 0.924, 0.0, 0.383)  # the tool points forwards and down: a quaternion (x, y, z, w)
 
 
 def turned(a: zarm.Pose, b: zarm.Pose) -> float:
@@ -14,13 +14,12 @@ def turned(a: zarm.Pose, b: zarm.Pose) -> float:
 
 
 with zarm.connect() as robot:
-    robot.execute(robot.plan(HOME))
+    robot.execute(robot.plan(zarm.Pose((0.4, -0.4, 0.5), SLANTED)))
     start = robot.tip()
-    x, y, z = start.position
-    goal = zarm.Pose((x, y + 0.3, z - 0.1), start.orientation)
+    goal = zarm.Pose((0.4, 0.4, 0.5), SLANTED)
 
-    upright = zarm.PathConstraint(("theta_x", "theta_y", "theta_z"))
-    for name, plan in (("free", robot.plan(goal)), ("constrained", robot.plan(goal, path_constraint=upright))):
+    level = zarm.PathConstraint(("theta_x", "theta_y", "theta_z"))
+    for name, plan in (("free", robot.plan(goal)), ("constrained", robot.plan(goal, path_constraint=level))):
         on_the_way = robot.fk(plan.trajectory.position[::5])
         tilt = max(turned(start, tip) for tip in on_the_way)
         print(f"{name}: {plan.trajectory.duration:.2f} s, tilts by up to {math.degrees(tilt):.2f} degrees")

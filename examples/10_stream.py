@@ -6,6 +6,7 @@ Each trajectory is where the target will be for 0.3 s, and then a way to rest: t
 import time
 
 import numpy as np
+
 import zarm
 
 HOME = (0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0)

@@ -84,7 +84,10 @@ class Interruption:
 
 
 def started(work: Callable[[], T], done: Callable[[], object] = lambda: None) -> tuple[Future[T], threading.Thread]:
-    """Work that is done by a thread of its own, which keeps no process from ending; `done()` is called after it."""
+    """Work that is done by a thread of its own; `done()` is called after it.
+
+    It is no daemon: a thread that is inside Zenoh when the interpreter ends would abort the process.
+    """
     future: Future[T] = Future()
 
     def run() -> None:
@@ -94,6 +97,6 @@ def started(work: Callable[[], T], done: Callable[[], object] = lambda: None) ->
             future.set_exception(error)
         done()
 
-    worker = threading.Thread(target=run, daemon=True, name="zarm client")
+    worker = threading.Thread(target=run, name="zarm client")
     worker.start()
     return future, worker

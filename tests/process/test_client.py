@@ -1,0 +1,292 @@
+"""`import zarm`, as a program uses it: what it promises beside the examples."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import PATIENCE, eventually, free_endpoint
+from launched import HOME, ROBOT, Up, pid
+
+import zarm
+import zarm.aio
+from zarm_contract.bus import Bus
+from zarm_contract.messages import GoalState
+
+ELSEWHERE = (1.2, *HOME[1:])
+SLOWLY = 0.12
+PROGRAM = f"""
+import zarm
+with zarm.connect() as robot:
+    plan = robot.plan({ELSEWHERE}, velocity_scale={SLOWLY})
+    robot.execute(plan, on_progress=lambda goal: print(goal.status, flush=True))
+"""
+
+
+@pytest.fixture
+def robot(up: Up, empty_scene: None) -> Iterator[zarm.Robot]:
+    """The robot at home, at rest at the end."""
+    with zarm.connect(up.endpoint) as found:
+        if not np.allclose(found.joint_state().position, HOME, atol=1e-3):
+            found.execute(found.plan(HOME))
+        yield found
+        assert found.state().mode == "idle"
+
+
+def on_its_way(robot: zarm.Robot) -> None:
+    eventually(lambda: robot.joint_state().position[0] > 0.05, "the robot is on its way")
+
+
+def program(up: Up) -> subprocess.Popen[str]:
+    environment = os.environ | {"ZARM_CONNECT": up.endpoint}
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+# -- what may be given --
+
+
+def test_numpy_arrays_are_taken_wherever_numbers_are(robot: zarm.Robot) -> None:
+    box = zarm.Cuboid("box", size=np.full(3, 0.1), position=np.array([0.0, -0.8, 0.2], dtype=np.float32))
+    cloud = zarm.PointCloud("cloud", np.array([[0.0, -0.8, 0.8], [0.1, -0.8, 0.8]]))
+    assert robot.scene.add(box, cloud).count == 2
+    assert robot.scene.objects()["box"] == box
+    assert isinstance(robot.scene.objects()["cloud"], zarm.Voxels)
+    plan = robot.plan(np.array(ELSEWHERE))
+    clearances = [found.clearance for found in robot.check(np.array(plan.trajectory.position))]
+    assert min(clearances) == pytest.approx(plan.clearance, abs=0.002)
+    assert np.allclose(robot.ik(robot.fk(np.array([HOME]))[0], near=np.array(HOME))[0], HOME, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: zarm.Pose((0.0, 0.0)), "position.2"),
+        (lambda: zarm.Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0)), "orientation"),
+        (lambda: zarm.Cuboid("box", size=(1, 0, 1), position=(0, 0, 0)), "size.1"),
+        (lambda: zarm.Sphere("no name", radius=1, position=(0, 0, 0)), "name"),
+        (lambda: zarm.PathConstraint(("x", "w")), "axes"),  # type: ignore[arg-type]
+        (lambda: zarm.PointCloud("cloud", "abc"), "points"),
+    ],
+)
+def test_what_cannot_be_is_an_error_of_zarm_that_names_the_field(make: object, field: str) -> None:
+    with pytest.raises(zarm.InvalidRequest) as refused:
+        make()  # type: ignore[operator]
+    assert isinstance(refused.value, zarm.Error)
+    assert refused.value.problem.field == field
+
+
+def test_what_a_service_refuses_is_the_error_that_it_stands_for(robot: zarm.Robot) -> None:
+    with pytest.raises(zarm.PlanningFailed):
+        robot.plan(zarm.Pose((5.0, 0.0, 0.5)))
+    with pytest.raises(zarm.InvalidRequest, match="6 joints"):
+        robot.plan((0.0, 0.0))
+    with pytest.raises(zarm.InvalidRequest, match="nothing"):
+        robot.scene.remove("nothing")
+    with pytest.raises(zarm.InvalidRequest, match=r"speed_scale"):
+        robot.speed(2.0)
+
+
+# -- who there is --
+
+
+def test_a_robot_is_found_by_itself_or_by_name(up: Up) -> None:
+    assert zarm.robots(up.endpoint) == [ROBOT]
+    with zarm.connect(up.endpoint, ROBOT) as robot:
+        assert robot.name == ROBOT
+    with zarm.connect(up.endpoint, "nobody") as nobody, pytest.raises(zarm.Unavailable):
+        nobody.stop()
+    with pytest.raises(zarm.InvalidRequest), zarm.connect(up.endpoint, "No Name"):
+        pass
+    with pytest.raises(zarm.Unavailable), zarm.connect(free_endpoint()):
+        pass
+
+
+# -- motion --
+
+
+def test_the_progress_of_a_goal_is_told_up_to_its_end(robot: zarm.Robot) -> None:
+    told: list[GoalState] = []
+    last = robot.execute(robot.plan(ELSEWHERE), on_progress=told.append)
+    assert told[-1] == last
+    assert last.status == "succeeded"
+    assert len(told) > 3
+    assert all(before.progress <= after.progress for before, after in itertools.pairwise(told))
+
+
+def test_a_goal_that_is_started_is_followed_and_cancelled_by_its_id(robot: zarm.Robot) -> None:
+    goal = robot.start(robot.plan(ELSEWHERE, velocity_scale=SLOWLY))
+    on_its_way(robot)
+    with pytest.raises(zarm.Busy):
+        robot.execute()
+    robot.cancel(goal)
+    assert robot.follow(goal).status == "cancelled"
+
+
+def test_who_executes_a_goal_that_another_client_ends_is_told_so(robot: zarm.Robot, up: Up) -> None:
+    plan = robot.plan(ELSEWHERE, velocity_scale=SLOWLY)
+    with zarm.connect(up.endpoint) as other, pytest.raises(zarm.Cancelled):
+        robot.execute(plan, on_progress=lambda goal: goal.progress > 0.1 and other.stop())
+
+
+def test_an_exception_of_who_is_told_the_progress_stops_the_robot(robot: zarm.Robot) -> None:
+    def fail(goal: GoalState) -> None:
+        if goal.progress > 0.1:
+            raise LookupError("enough")
+
+    with pytest.raises(LookupError):
+        robot.execute(robot.plan(ELSEWHERE, velocity_scale=SLOWLY), on_progress=fail)
+    assert robot.state().mode == "idle"
+    assert robot.joint_state().position[0] < 0.9
+
+
+def test_ctrl_c_stops_the_robot_before_the_program_goes_on(robot: zarm.Robot, up: Up) -> None:
+    with program(up) as running:
+        on_its_way(robot)
+        running.send_signal(signal.SIGINT)
+        _, errors = running.communicate(timeout=PATIENCE)
+    assert "KeyboardInterrupt: cancelled: the robot stands still at" in errors.splitlines()[-1]
+    assert robot.state().mode == "idle"
+
+
+def test_a_second_ctrl_c_leaves_an_executor_that_hangs_and_says_what_that_means(
+    robot: zarm.Robot, up: Up, observer: Bus
+) -> None:
+    executor = pid(observer, "executor")
+    with program(up) as running:
+        on_its_way(robot)
+        os.kill(executor, signal.SIGSTOP)
+        try:
+            running.send_signal(signal.SIGINT)
+            waiting = threading.Thread(target=running.wait, daemon=True)
+            waiting.start()
+            while waiting.is_alive():  # one at a time: the first must have been heard before the second comes
+                time.sleep(0.2)
+                with suppress(ProcessLookupError):
+                    running.send_signal(signal.SIGINT)
+        finally:
+            os.kill(executor, signal.SIGCONT)
+        _, errors = running.communicate(timeout=PATIENCE)
+    assert "the state of the robot is unknown" in errors
+    eventually(lambda: robot.state().mode == "idle", "the robot was cancelled all the same")
+
+
+# -- live --
+
+
+def test_states_and_joints_are_live_and_end_with_their_loop(robot: zarm.Robot) -> None:
+    modes: list[str] = []
+    plan = robot.plan(ELSEWHERE)
+    moving = threading.Thread(target=robot.execute, args=[plan])
+    for state in robot.states():
+        if not modes:
+            moving.start()
+        modes.append(state.mode)
+        if modes[-2:] == ["running", "idle"]:
+            break
+    moving.join()
+    assert modes[0] == "idle"
+    seen = [state.stamp for state in itertools.islice(robot.joint_states(), 20)]
+    assert seen == sorted(set(seen))
+
+
+# -- streams --
+
+
+def test_a_stream_that_is_not_gone_on_with_brakes_and_says_so(robot: zarm.Robot) -> None:
+    plan = robot.plan(ELSEWHERE, velocity_scale=SLOWLY)
+
+    def send_once() -> None:
+        with robot.stream(deadline=0.2) as stream:
+            stream.send(plan.trajectory)
+            eventually(lambda: not stream.running, "the deadline has passed")
+            stream.send(plan.trajectory)
+
+    with pytest.raises(zarm.DeadlineExceeded):
+        send_once()
+    assert robot.joint_state().position[0] < 0.9
+
+
+def test_a_stream_that_is_left_by_an_exception_is_cancelled(robot: zarm.Robot) -> None:
+    plan = robot.plan(ELSEWHERE, velocity_scale=SLOWLY)
+    left: list[zarm.Stream] = []
+
+    def leave() -> None:
+        with robot.stream(deadline=1.0) as stream:
+            left.append(stream)
+            while robot.joint_state().position[0] < 0.05:
+                stream.send(plan.trajectory, start=0.0)
+            raise LookupError
+
+    with pytest.raises(LookupError):
+        leave()
+    assert left[0].state is not None
+    assert left[0].state.status == "cancelled"
+
+
+# -- asyncio --
+
+
+def test_the_asynchronous_client_does_the_same(robot: zarm.Robot, up: Up) -> None:
+    async def main() -> tuple[GoalState, list[str], bool]:
+        async with zarm.aio.connect(up.endpoint) as arm:
+            await arm.scene.add(zarm.Sphere("ball", radius=0.05, position=(0.0, -0.8, 0.2)))
+            assert "ball" in await arm.scene.objects()
+            told: list[str] = []
+            loop_thread = threading.current_thread()
+            in_loop: list[bool] = []
+
+            def progress(goal: GoalState) -> None:
+                told.append(goal.status)
+                in_loop.append(threading.current_thread() is loop_thread)
+
+            last = await arm.execute(await arm.plan(ELSEWHERE), on_progress=progress)
+            async for state in arm.joint_states():
+                assert state.position == pytest.approx(ELSEWHERE, abs=0.01)
+                break
+            return last, told, all(in_loop)
+
+    last, told, in_loop = asyncio.run(main())
+    assert last.status == told[-1] == "succeeded"
+    assert in_loop
+
+
+def test_a_task_that_is_cancelled_has_stopped_the_robot(robot: zarm.Robot, up: Up) -> None:
+    async def main() -> str:
+        async with zarm.aio.connect(up.endpoint) as arm:
+            task = asyncio.create_task(arm.execute(await arm.plan(ELSEWHERE, velocity_scale=SLOWLY)))
+            async for state in arm.joint_states():
+                if state.position[0] > 0.05:
+                    break
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            return (await arm.state()).mode
+
+    assert asyncio.run(main()) == "idle"
+
+
+def test_an_asynchronous_stream_is_played_to_its_end(robot: zarm.Robot, up: Up, tmp_path: Path) -> None:
+    file = tmp_path / "stream.mcap"
+
+    async def main() -> None:
+        async with zarm.aio.connect(up.endpoint) as arm, arm.record(file):
+            plan = await arm.plan((0.2, *HOME[1:]))
+            async with arm.stream(deadline=1.0) as stream:
+                stream.send(plan.trajectory)
+
+    asyncio.run(main())
+    assert robot.joint_state().position[0] == pytest.approx(0.2, abs=0.01)
+    assert any("succeeded" in event.what for event in zarm.story(file).events)
