@@ -48,4 +48,5 @@ with zarm.connect() as robot:
             stream.send(chunk(stream.time, home))
             time.sleep(0.05)
             furthest = max(furthest, robot.joint_state().position[0] - home[0])
+        stream.send(chunk(stream.time, home), last=True)
     print(f"followed the target for 4 s, at most {furthest:.2f} rad from home, and rests")

@@ -219,6 +219,15 @@ def test_a_stream_that_is_not_gone_on_with_brakes_and_says_so(robot: zarm.Robot)
     assert robot.joint_state().position[0] < 0.9
 
 
+def test_who_leaves_a_stream_without_a_last_trajectory_has_stopped_the_robot(robot: zarm.Robot) -> None:
+    plan = robot.plan(ELSEWHERE, velocity_scale=SLOWLY)
+    with robot.stream(deadline=1.0) as stream:
+        stream.send(plan.trajectory)
+        eventually(lambda: stream.state is not None, "the stream has begun")
+    assert stream.state is not None
+    assert stream.state.status == "cancelled"
+
+
 def test_a_stream_that_is_left_by_an_exception_is_cancelled(robot: zarm.Robot) -> None:
     plan = robot.plan(ELSEWHERE, velocity_scale=SLOWLY)
     left: list[zarm.Stream] = []
@@ -283,9 +292,9 @@ def test_an_asynchronous_stream_is_played_to_its_end(robot: zarm.Robot, up: Up, 
 
     async def main() -> None:
         async with zarm.aio.connect(up.endpoint) as arm, arm.record(file):
-            plan = await arm.plan((0.2, *HOME[1:]))
+            plan = await arm.plan((0.2, *HOME[1:]), velocity_scale=0.5, acceleration_scale=0.3)
             async with arm.stream(deadline=1.0) as stream:
-                stream.send(plan.trajectory)
+                stream.send(plan.trajectory, last=True)
 
     asyncio.run(main())
     assert robot.joint_state().position[0] == pytest.approx(0.2, abs=0.01)

@@ -314,8 +314,7 @@ class Robot:
         ```
 
         The next one must be sent within `deadline` s (at most 1), else the robot brakes and DeadlineExceeded is raised. Leaving
-        the block lets the last one be played to its end; leaving it with an exception cancels the goal. Both wait until
-        the robot rests.
+        the block waits until the robot rests: at the end of a trajectory that was sent as the `last`, else it brakes at once.
         """
         from zarm.streaming import Stream
 
@@ -325,8 +324,10 @@ class Robot:
         except BaseException:
             self._rest(stream.goal_id)
             raise
-        if stream.finish() and (last := self.follow(stream.goal_id)).problem is not None:
-            raise from_problem(last.problem)
+        if stream.open:
+            self._rest(stream.goal_id)
+        elif (end := stream.end()) is not None and end.problem is not None:
+            raise from_problem(end.problem)
 
     # -- looking --
 

@@ -50,8 +50,8 @@ class Stream:
         """What the robot is to do from `start` on (s in the time of the stream; left out: from now on).
 
         The first begins at 0 and where the robot rests; each ends at rest, so that there is a way to stop on. To each the
-        executor leads over smoothly from where the robot is. After `last` no more is needed. Raises the problem that the
-        stream has ended with.
+        executor leads over smoothly from where the robot is, for which it needs some room to the limits. At the end of the `last` the stream has succeeded. Raises the
+        problem that the stream has ended with.
         """
         if (state := self.state) is not None and state.problem is not None:
             raise from_problem(state.problem)
@@ -72,12 +72,17 @@ class Stream:
         self._newest = chunk
         self._publisher.put(chunk)
 
-    def finish(self) -> bool:
-        """Have what was sent last be the last; whether anything was sent."""
-        newest = self._newest
-        if newest is not None and not newest.last and self.running:
-            self.send(newest.trajectory, start=newest.start, last=True)
-        return newest is not None
+    @property
+    def open(self) -> bool:
+        """Whether it runs, and waits for more."""
+        return self._newest is not None and not self._newest.last and self.running
+
+    def end(self) -> GoalState | None:
+        """Wait for its end; its last state, None where nothing was sent. Raises Unavailable where nothing is heard of it."""
+        if self._newest is not None:
+            for _ in self._connection.goals.states(self.goal_id, self._connection.interrupts):
+                pass
+        return self.state
 
     def _wait_heard(self) -> None:
         deadline = time.monotonic() + ANSWER_SECONDS
