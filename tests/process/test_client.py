@@ -21,8 +21,8 @@ from launched import HOME, ROBOT, Up, pid
 
 import zarm
 import zarm.aio
-from zarm_contract.bus import Bus
 from zarm_contract.messages import GoalState
+from zarm_runtime.bus import Bus
 
 ELSEWHERE = (1.2, *HOME[1:])
 SLOWLY = 0.12

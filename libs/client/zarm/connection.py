@@ -12,11 +12,11 @@ from zarm.goals import Goals
 from zarm.interrupts import CtrlC, Interrupts
 from zarm.live import Newest, live
 from zarm_contract.access import Role
-from zarm_contract.bus import Bus, Publisher
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import ALL_ALIVE, Keys
 from zarm_contract.messages import Message, Nothing
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.bus import Bus, Publisher
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 CONNECT_SECONDS = 2.0
 ANSWER_SECONDS = 5.0

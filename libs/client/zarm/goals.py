@@ -8,10 +8,10 @@ from collections import OrderedDict
 from collections.abc import Iterator
 
 from zarm.interrupts import SLICE, Interrupts
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import GoalState
+from zarm_runtime.bus import Bus
 
 SILENCE = 10.0
 """s without a word about a goal after which its executor is taken for gone; one that starts anew tells within that what became

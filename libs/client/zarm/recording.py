@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Self
 from zarm.connection import Connection
 from zarm.interrupts import SLICE
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.recorded import Recorded
+from zarm_runtime.recorded import Recorded
 
 if TYPE_CHECKING:
-    from zarm_contract.record import Entry, RecordFile
+    from zarm_runtime.record import Entry, RecordFile
 
 _BACKLOG = 100_000
 """Messages that may wait for a disk that is slow; more are lost, and counted. Minutes of a robot, some 50 MB."""
@@ -105,7 +105,7 @@ class Recorder:
             self._ended.set()
 
     def _open(self, connection: Connection) -> RecordFile:
-        from zarm_contract.record import RecordFile  # nothing else needs the libraries behind it
+        from zarm_runtime.record import RecordFile  # nothing else needs the libraries behind it
 
         try:
             return RecordFile(self.path, connection.keys)

@@ -13,14 +13,14 @@ from zarm.connection import keys_of, opened
 from zarm.interrupts import SLICE, CtrlC, Interrupts
 from zarm.record_story import Story, robot_of, tell
 from zarm_contract.access import Role
-from zarm_contract.bus import Bus, Publisher
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.recorded import Recorded
+from zarm_runtime.bus import Bus, Publisher
+from zarm_runtime.recorded import Recorded
 
 if TYPE_CHECKING:
-    from zarm_contract.record import Entry
+    from zarm_runtime.record import Entry
 
 _LOOK_SECONDS = 1.0
 
@@ -55,7 +55,7 @@ def replay(
 
 
 def _entries(file: Path, interrupts: Interrupts) -> Iterator[Entry]:
-    from zarm_contract.record import read_record  # nothing else needs the libraries behind it
+    from zarm_runtime.record import read_record  # nothing else needs the libraries behind it
 
     for entry in read_record(file):
         interrupts.check()

@@ -15,7 +15,7 @@ from zarm_cli.output import SCENE_CHANGED, err, facts, out, print_json
 from zarm_cli.planning import JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Speed
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 
 def execute(

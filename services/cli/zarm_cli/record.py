@@ -12,7 +12,7 @@ import typer
 
 from zarm_cli.client import Connect, Name, connected
 from zarm_cli.output import counted, err, out
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 
 def record(

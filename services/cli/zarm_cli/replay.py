@@ -15,7 +15,7 @@ from zarm.replaying import story
 from zarm_cli.client import SIGNALS, Connect, keys_of
 from zarm_cli.output import counted, facts, out
 from zarm_contract.keys import Keys
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 
 def replay(

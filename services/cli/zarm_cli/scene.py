@@ -11,7 +11,7 @@ from rich.table import Table
 from zarm_cli.client import AsJson, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import counted, numbers, out, print_json
 from zarm_contract.messages import SceneEdit, SceneEdited, Voxels
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 app = typer.Typer(no_args_is_help=True, help="Show and change the objects that motions are planned around.")
 

@@ -6,11 +6,11 @@ import threading
 
 from zarm.connection import Connection
 from zarm.robot import Robot as Client
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
 from zarm_contract.robot import Robot
+from zarm_runtime.bus import Bus
 
 
 class Engine:
