@@ -1,0 +1,1 @@
+"""The wire: keys, messages, errors, codec, access, robot descriptors."""

@@ -1,1 +1,0 @@
-"""What crosses the wire between zarm's processes, and nothing else."""
