@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import PATIENCE, eventually, free_endpoint
-from launched import HOME, ROBOT, Up, pid
 
 import zarm
 import zarm.aio
+from support.command_line import HOME, ROBOT, Up, pid
+from support.harness import PATIENCE, eventually, free_endpoint
 from zarm_contract.messages import GoalState
 from zarm_runtime.bus import Bus
 

@@ -12,9 +12,10 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE
-from launched import Up
 from packaging.requirements import Requirement
+
+from support.command_line import Up
+from support.harness import PATIENCE
 
 ROOT = Path(__file__).parents[2]
 OF_THE_PLANNER = ("fcl", "numba", "toppra", "torch", "trimesh")

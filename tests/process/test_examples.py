@@ -10,10 +10,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, free_endpoint
-from launched import ROBOT, Up
 
 import zarm
+from support.command_line import ROBOT, Up
+from support.harness import PATIENCE, free_endpoint
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SAYS = {
