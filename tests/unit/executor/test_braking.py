@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import HOME, ROBOT, trapezoid
 
+from support.trajectories import HOME, ROBOT, trapezoid
 from zarm_executor.braking import braking
 from zarm_executor.follower import Follower
 from zarm_executor.path import Path
