@@ -88,7 +88,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         _count(service.metrics, request, "ok")
         service.metrics.time(
             "zarm_planning_seconds",
-            "How long plans took that were found.",
+            "How long successful plans took.",
             answer.timings.total,
             planner=PLANNERS[request.goal.kind],
         )
@@ -130,7 +130,12 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
 
 
 def _count(metrics: Metrics, request: PlanRequest, outcome: str) -> None:
-    metrics.count("zarm_plans", "Plans asked for, by outcome.", planner=PLANNERS[request.goal.kind], outcome=outcome)
+    metrics.count(
+        "zarm_plans",
+        "Plans requested; outcome is ok or the code of the problem.",
+        planner=PLANNERS[request.goal.kind],
+        outcome=outcome,
+    )
 
 
 def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Scene]) -> None:
@@ -171,7 +176,7 @@ def main() -> int:
         action="append",
         default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
         metavar="FOLDER",
-        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES; may stand more than once",
+        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES; repeatable",
     )
     return run_service("planner", parser, start)
 

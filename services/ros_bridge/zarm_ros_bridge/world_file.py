@@ -72,7 +72,7 @@ def _objects(data: Mapping[str, Any]) -> Iterator[Any]:
                 yield {"kind": kind, "name": name, **_obstacle(kind, obstacle)}
             except (KeyError, TypeError, ValueError) as error:
                 raise InvalidRequest(
-                    f"the {kind} {name} is not as in a world of cuRobo: {error}; see services/ros_bridge/README.md"
+                    f"the {kind} {name} is not as in a world of cuRobo: {error}; see docs/reference/ros.md"
                 ) from error
 
 

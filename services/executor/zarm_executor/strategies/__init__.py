@@ -37,7 +37,7 @@ def build_strategies(robot: Robot, folder: Path, bus: Bus, keys: Keys) -> Repert
         if params is None or link is None:
             repertoire.rule_out(
                 strategy.name,
-                f"the descriptor of {descriptor.name} has no strategy_params; robots/README.md explains what to write there",
+                f"the descriptor of {descriptor.name} has no strategy_params; docs/reference/robot.md explains what to write there",
             )
         elif strategy.name not in params.strategies:
             repertoire.rule_out(
