@@ -42,7 +42,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.session import open_client
 
-DOCUMENTATION = Path(__file__).parents[2] / "deploy" / "access.md"
+DOCUMENTATION = Path(__file__).parents[2] / "docs" / "how-to" / "secure-a-bus.md"
 EXAMPLES = Path(__file__).parents[2] / "services" / "executor" / "examples"
 JOINT_NAMES = [f"joint_{number}" for number in range(1, 7)]
 BALL = Sphere(kind="sphere", name="ball", position=(0.0, -1.0, 0.2), radius=0.1)

@@ -53,7 +53,7 @@ T = TypeVar("T")
 DT = 0.01
 DENSE = 0.1
 BUDGETS = (0.0, 0.02, 0.1, 0.5)
-PLOT = Path(__file__).parent / "plots" / "arrival.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "arrival.png"
 ENDLESS = Stop(1e6)
 COLUMNS = (
     "robot", "scene", "paths", "zarm s", "TOPPRA s", "ratio, worst", *(f"+{budget:g} s" for budget in BUDGETS[1:]), "least",

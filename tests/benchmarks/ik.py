@@ -3,7 +3,7 @@
 CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes; batches by the clock, since a GPU
 works beside it. Poses are those of random joints. The robots of MotionBenchMaker take part where ../shared/mbm is, and
 EAIK's closed form as a second opinion on branches where it is installed (`pip install --no-deps eaik==1.2.2`). Plots into
-tests/benchmarks/plots/ik.png.
+docs/images/ik.png.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ NEAR = 0.1
 MANY = 500
 """Poses of which all branches are asked for."""
 SIZES = (1, 10, 100, 1000)
-PLOT = Path(__file__).parent / "plots" / "ik.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "ik.png"
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 All run in turn on each problem, in CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes.
 OMPL is driven by zarm's own compiled checks, and shortens with its simplifyMax; RoboPlan (`pip install roboplan==0.7.0`) checks the same spheres itself. Both
 take fewer runs. The margin is 0 by default, as in published results on these problems; with one, problems whose start or
-goal is not free any more are left out. Needs the problems in ../shared/mbm; plots into tests/benchmarks/plots/mbm.png.
+goal is not free any more are left out. Needs the problems in ../shared/mbm; plots into docs/images/mbm.png.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ PEERS: list[tuple[str, str, Callable[[Result], list[Run | None]]]] = [
     ("RoboPlan RRT-Connect", "tab:green", lambda result: result.roboplan),
 ]
 """Name, colour in the plot, and runs."""
-PLOT = Path(__file__).parent / "plots" / "mbm.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "mbm.png"
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ clients at once, each a process. On two cores clients and planner compete there.
 With objects: times of one thread against the number of objects, in clutter out of the arm's reach and around the arm; what
 stands in the way of a plan in the empty scene is left out, so that there is always a way.
 
-Prints tables and draws them into plots/scaling.png. Needs the problems in ../shared/mbm.
+Prints tables and draws them into docs/images/scaling.png. Needs the problems in ../shared/mbm.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ from matplotlib import pyplot as plt
 
 Array = NDArray[np.float64]
 
-PLOT = Path(__file__).parent / "plots" / "scaling.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "scaling.png"
 COUNTS = (10, 100, 1000, 10_000)
 CLEAR = 0.03
 """Metres that clutter around the arm keeps away from the motion through the empty scene."""
