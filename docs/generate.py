@@ -6,6 +6,7 @@ import ast
 import inspect
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -309,25 +310,35 @@ def _options(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def commands() -> Iterator[str]:
-    """Every command of `zarm` with its arguments and options."""
+    """Every command of `zarm` with its arguments and options; those that nearly all have stand once, at the beginning."""
+    every = dict(_commands(typer.main.get_command(command_line()), "zarm"))
+    seen = Counter(row for command in every.values() for row in map(_parameter, command.params))
+    common = [row for row, count in seen.items() if count > len(every) / 2]
     yield from (
         "# Commands",
         "",
         "`zarm COMMAND --help` shows the same. Lengths are in m, angles in rad, quaternions `x,y,z,w`.",
         "[The command line](command-line.md) has exit codes, files and what Ctrl-C does.",
         "",
+        "## Common options",
+        "",
     )
-    yield from _command(typer.main.get_command(command_line()), "zarm")
+    yield from _table(("", "what", "default"), common)
+    for name, command in every.items():
+        rows = [_parameter(one) for one in command.params if one.name != "help"]
+        yield from (f"## `{name}`", "", " ".join((command.help or "").split()), "")
+        yield from _table(("", "what", "default"), [row for row in rows if row not in common])
+        if also := [row[0] for row in rows if row in common]:
+            yield from (f"Also {', '.join(also)}: see [common options](#common-options).", "")
 
 
-def _command(command: Any, name: str) -> Iterator[str]:
+def _commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """The commands under one, by the words that name them; itself, where there are none."""
     inner: dict[str, Any] = getattr(command, "commands", {})
     if not inner:
-        yield from (f"## `{name}`", "", " ".join((command.help or "").split()), "")
-        shown = [one for one in command.params if one.name != "help"]
-        yield from _table(("", "what", "default"), map(_parameter, shown))
+        yield name, command
     for word, nested in inner.items():
-        yield from _command(nested, f"{name} {word}")
+        yield from _commands(nested, f"{name} {word}")
 
 
 def _parameter(parameter: Any) -> tuple[str, str, str]:
