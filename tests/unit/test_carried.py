@@ -249,7 +249,7 @@ def pose(item: SceneObject) -> np.ndarray:
     [
         (attach("nothing"), "edit.name", "no object nothing"),
         (attach("load"), "edit.name", "carries load already"),
-        (attach("box", "upper", "finger"), "edit.touch_links.1", "finger is no link .* stand, turret, upper"),
+        (attach("box", "upper", "finger"), "edit.touch_links.1", "finger is not a link .* stand, turret, upper"),
         (attach("rod"), "edit.name", "rod is a link"),
         (attach("box", at=UP[:3]), "edit.joints", "3 joint positions for the 4 joints"),
         (detach("box"), "edit.name", "does not carry box; it carries load"),
@@ -260,8 +260,8 @@ def pose(item: SceneObject) -> np.ndarray:
             "carries load; detach it",
         ),
         (SceneEdit(edit=RemoveObjects(op="remove", names=("box", "load"))), "edit.names.1", "detach it"),
-        (links("cover", "elbow"), "edit.names.1", "elbow is no link .* stand, turret, upper"),
-        (links("stand", "turret", "upper", "fore", "cover", "rod"), "edit.names", "no link would be looked at"),
+        (links("cover", "elbow"), "edit.names.1", "elbow is not a link .* stand, turret, upper"),
+        (links("stand", "turret", "upper", "fore", "cover", "rod"), "edit.names", "no link would be checked"),
     ],
 )
 def test_a_faulty_edit_is_refused_and_changes_nothing(

@@ -130,7 +130,9 @@ def launch(
 def _next_port(address: str, step: int) -> str:
     host, _, port = address.rpartition(":")
     if not (host and port.isdecimal()):
-        raise InvalidRequest(f"{address!r} is no address for metrics; write it like 127.0.0.1:9464", field="--metrics")
+        raise InvalidRequest(
+            f"{address!r} is not an address for metrics; write it like 127.0.0.1:9464", field="--metrics"
+        )
     return f"{host}:{int(port) + step}"
 
 

@@ -44,7 +44,7 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
         touches = f"; it may touch {', '.join(carried.touch_links)}" if carried.touch_links else ""
         out.print(f"the robot carries {carried.object.name}, placed from its tip{touches}")
     if scene.ignored_links:
-        out.print(f"links that are not looked at: {', '.join(scene.ignored_links)}")
+        out.print(f"links whose collisions are ignored: {', '.join(scene.ignored_links)}")
     out.print(f"revision {scene.revision}")
 
 

@@ -176,10 +176,10 @@ class StrategyParams(_Section):
                 yield f"{name}: {len(bounds)} values for {len(joints)} joints"
         for name, span in (("chunk_period", self.chunk_period), ("look_ahead", self.look_ahead)):
             if not _is_multiple(span, self.point_dt):
-                yield f"{name}: {span:g} s is no whole number of points; use a multiple of point_dt {self.point_dt:g} s"
+                yield f"{name}: {span:g} s is not a whole number of points; use a multiple of point_dt {self.point_dt:g} s"
         if self.gain * (self.delay + self.chunk_period) > 1.0:
             yield (
-                f"gain: the robot would swing, because {self.gain:g}/s times delay and chunk_period is more than 1; use "
+                f"gain: the robot would oscillate, because {self.gain:g}/s times delay and chunk_period is more than 1; use "
                 f"at most {1.0 / (self.delay + self.chunk_period):.3g}"
             )
 
@@ -225,7 +225,7 @@ class RobotDescriptor(_Section):
             "cspace.acceleration": self.cspace.acceleration,
             "cspace.jerk": self.cspace.jerk,
         }
-        faults = ["joints: a name stands twice"] if len(set(self.joints)) != count else []
+        faults = ["joints: a name appears twice"] if len(set(self.joints)) != count else []
         faults += [
             f"{name}: {len(vector)} values for {count} joints"
             for name, vector in vectors.items()
@@ -251,8 +251,8 @@ class RobotDescriptor(_Section):
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
             if {"joint_speed", "joint_pose"} & set(self.strategy_params.strategies) and not _is_multiple(chunk, period):
                 faults.append(
-                    f"strategy_params.chunk_period: {chunk:g} s is no whole number of periods of the control loop, so that "
-                    f"chunks would not come evenly; use a multiple of {period:g} s, or change execution.control_rate"
+                    f"strategy_params.chunk_period: {chunk:g} s is not a whole number of periods of the control loop, so that "
+                    f"chunks would not be evenly spaced; use a multiple of {period:g} s, or change execution.control_rate"
                 )
         if faults:
             raise ValueError("\n".join(map(one_line, faults)))
@@ -360,7 +360,7 @@ def _mount(robot: RobotDescriptor, urdf: Urdf, link: str) -> Iterator[str]:
         return
     for joint in chain:
         if joint.type != "fixed" and joint.name not in robot.joints:
-            yield f'it hangs on {joint.name}, which is none of the robot\'s joints; give that joint type="fixed" in the URDF'
+            yield f'it hangs on {joint.name}, which is not a joint of the robot; give that joint type="fixed" in the URDF'
 
 
 def _explain(document: Document, loc: KeyPath, message: str, kind: str) -> str:

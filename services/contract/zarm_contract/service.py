@@ -108,7 +108,7 @@ class Service:
         if robot.hash != self.robot.hash:
             self.interruptible()
             self._ready, self.outdated = False, True
-            self.starting("ending to start anew with the changed robot")
+            self.starting("restarting with the changed robot")
             self.end()
         return self.health()
 
@@ -262,7 +262,7 @@ def _robots(options: argparse.Namespace) -> list[tuple[Robot, Keys]]:
     if len(names) != len(robots):
         raise InvalidRequest(f"{len(names)} names for {len(robots)} robots; give one for each, or none", field="--name")
     if len(set(names)) < len(names):
-        raise InvalidRequest("a name stands twice; give each robot a name of its own", field="--name")
+        raise InvalidRequest("a name appears twice; give each robot a name of its own", field="--name")
     return [(robot, _keys(name)) for robot, name in zip(robots, names, strict=True)]
 
 

@@ -50,9 +50,8 @@ class Motion:
         if goal.outcome is None and goal.pausing:
             if goal.scene != scene:
                 raise ExecutionRefused(
-                    f"the scene is not the one that {goal.goal_id} was begun in (revision {goal.scene}, now {scene}), so that "
-                    "what is left of it may lead through something; it stays held: cancel it, and plan again from where the "
-                    "robot is",
+                    f"the scene is not the one that {goal.goal_id} started in (revision {goal.scene}, now {scene}), so "
+                    "the rest of it may collide; it stays paused: cancel it, and plan again from where the robot is",
                     code="stale_plan",
                 )
             goal.pausing = False

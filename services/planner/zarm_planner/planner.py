@@ -232,7 +232,7 @@ class Planner:
                 self._check_links(names, "edit.names")
                 if not enabled and {*self._model.links} <= {*names, *self._store.scene.ignored_links}:
                     raise InvalidRequest(
-                        "no link would be looked at any more, so that nothing would keep the robot from colliding; leave one",
+                        "no link would be checked any more, so that nothing would keep the robot from colliding; leave one",
                         field="edit.names",
                     )
             case AttachObject(name=name, touch_links=touch_links):
@@ -252,7 +252,7 @@ class Planner:
         for i, name in enumerate(names):
             if name not in links:
                 raise InvalidRequest(
-                    f"{name} is no link that can collide; those are {', '.join(links)}", field=f"{field}.{i}"
+                    f"{name} is not a link that can collide; those are {', '.join(links)}", field=f"{field}.{i}"
                 )
 
     def change_settings(self, change: SettingsChange) -> PlannerSettings:

@@ -174,7 +174,7 @@ def _added(
         field = f"edit.objects.{index}"
         if item.name in added:
             raise InvalidRequest(
-                f"{item.name} stands twice in this edit; give each object one name", field=f"{field}.name"
+                f"{item.name} appears twice in this edit; give each object one name", field=f"{field}.name"
             )
         if item.name in objects and not replace:
             raise InvalidRequest(

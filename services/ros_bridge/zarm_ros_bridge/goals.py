@@ -53,7 +53,7 @@ class Goals:
                 seen, heard = state, now
             elif now - heard > SILENCE:
                 raise Unavailable(
-                    f"the executor of {self._robot} has told nothing of the goal {goal_id} for {SILENCE:g} s; whether the "
+                    f"the executor of {self._robot} has reported nothing about the goal {goal_id} for {SILENCE:g} s; whether the "
                     "robot still moves is not known: look at it, and at `zarm status`"
                 )
             elif now - max(heard, asked) > _ASK_AFTER:

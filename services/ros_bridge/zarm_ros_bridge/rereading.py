@@ -40,7 +40,7 @@ def reread_robot(engine: Engine) -> str:
     if engine.strategies().active != strategy:
         engine.ask(engine.keys.strategy, Strategies, StrategyRequest(strategy=strategy), timeout=SWITCH_SECONDS)
     engine.robot = robot
-    return f"{' and '.join(renewed)} have started anew with it" if renewed else ""
+    return f"{' and '.join(renewed)} have restarted with it" if renewed else ""
 
 
 def _wait_for(engine: Engine, service: str, robot_hash: str) -> None:

@@ -37,7 +37,7 @@ Quaternion = Annotated[tuple[float, float, float, float], AfterValidator(_unit)]
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"the joint {name} stands twice; name each joint once")
+            raise ValueError(f"the joint {name} appears twice; name each joint once")
     return names
 
 
