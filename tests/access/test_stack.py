@@ -189,7 +189,7 @@ def test_a_service_can_be_asked_how_it_is_with_no_certificate_but_its_own(
     done(up, "health", "planner", ZARM_CERTS=str(tmp_path), ZARM_ROLE="planner")
     refused = run(up, "status", ZARM_ROLE="boss")
     assert refused.returncode == 1
-    assert "ZARM_ROLE=boss is no role" in the_one_line(refused.stderr)
+    assert "ZARM_ROLE=boss is not a role" in the_one_line(refused.stderr)
 
 
 # -- what is not allowed does nothing --
