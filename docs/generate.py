@@ -395,7 +395,8 @@ def metrics() -> Iterator[str]:
             method = call.func.attr if isinstance(call.func, ast.Attribute) else ""
             kind = kinds.get(method) or str(texts[0])
             labels = ", ".join(f"`{one.arg}`" for one in call.keywords if one.arg not in (None, "by"))
-            service = path.parent.name.removeprefix("zarm_")
+            package = next(part for part in path.parts if part.startswith("zarm_"))
+            service = package.removeprefix("zarm_")
             rows.append(
                 (
                     f"`{name}{'_total' if kind == 'counter' else ''}`",
