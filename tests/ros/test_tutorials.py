@@ -17,8 +17,8 @@ from harness import PATIENCE, ServiceProcess, eventually, router
 from ros_stack import KEYS
 from support.markdown import PAGES, ROOT, commands
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import JointState
+from zarm_runtime.bus import Bus
 
 REFERENCE = ROOT.parent / "shared" / "reference"
 NODE = "/unified_planner"
