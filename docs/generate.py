@@ -32,7 +32,7 @@ from zarm_contract.robot import (
     RobotDescriptor,
     StrategyParams,
 )
-from zarm_contract.settings import SETTINGS
+from zarm_runtime.settings import SETTINGS
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = ROOT / "docs" / "reference"

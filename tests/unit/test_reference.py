@@ -14,7 +14,7 @@ import pytest
 
 from zarm_contract.errors import Code
 from zarm_contract.keys import Keys
-from zarm_contract.settings import SETTINGS
+from zarm_runtime.settings import SETTINGS
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "docs" / "reference"

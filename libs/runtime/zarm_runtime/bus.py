@@ -14,12 +14,11 @@ from typing import Any, NoReturn, Self, TypeVar
 import zenoh
 from zenoh.handlers import FifoChannel
 
-from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
-from zarm_contract.messages import Asker
+from zarm_contract.messages import Asker, Message
 from zarm_runtime.arrivals import Arrivals
 from zarm_runtime.asking import asked_by, asker_of
 from zarm_runtime.following import Following
@@ -249,7 +248,7 @@ class Bus:
             other = None if reply.any_contract else other_contract(str(first.ok.encoding))
             if other is not None:
                 raise InternalError(
-                    f"the service on {key} speaks contract {other}, and this client {CONTRACT}; run the same version of "
+                    f"whoever answers on {key} speaks contract {other}, and this client {CONTRACT}; run the same version of "
                     "zarm on both sides (`zarm status` shows who runs which)"
                 )
             try:
@@ -460,7 +459,7 @@ def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:
         return error.code
     except Exception:
         log.exception("handler failed key=%s", key)
-        _reply_problem(query, InternalError(f"{key} failed on this request; its log has the trace"))
+        _reply_problem(query, InternalError(f"{key} failed on this request; its log holds the trace"))
         return "internal"
     query.reply(key, payload, encoding=encoding_of(type(message)))
     return "ok"
