@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from zarm_contract._document import Document, KeyPath, read_document
 from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.messages import Joints, Name, NonNegative, Positive, Quaternion, SpeedScale, Vector3
 from zarm_contract.urdf import Urdf, load_urdf
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -249,7 +249,7 @@ class RobotDescriptor(_Section):
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
-            if {"joint_speed", "joint_pose"} & set(self.strategy_params.strategies) and not _is_multiple(chunk, period):
+            if not _is_multiple(chunk, period):
                 faults.append(
                     f"strategy_params.chunk_period: {chunk:g} s is not a whole number of periods of the control loop, so that "
                     f"chunks would not be evenly spaced; use a multiple of {period:g} s, or change execution.control_rate"
