@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 import typer
-from harness import PATIENCE, free_endpoint
-from launched import Up, zarm
-from support.markdown import PAGES, ROOT, commands, section
 
+from support.command_line import Up, zarm
+from support.harness import PATIENCE, free_endpoint
+from support.markdown import PAGES, ROOT, commands, section
 from zarm_cli.commands import command_line
 
 DOCS = ROOT / "docs"

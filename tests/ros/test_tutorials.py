@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from harness import PATIENCE, ServiceProcess, eventually, router
-from ros_stack import KEYS
-from support.markdown import PAGES, ROOT, commands
 
+from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.markdown import PAGES, ROOT, commands
+from support.paths import PROGRAMS
+from support.ros.stack import KEYS
 from zarm_contract.messages import JointState
 from zarm_runtime.bus import Bus
 
@@ -51,7 +52,7 @@ def ros2(command: str) -> str:
     assert command in COMMANDS
     words = shlex.split(command)
     if shutil.which("ros2") is None:
-        words = [sys.executable, str(Path(__file__).parents[1] / "ros2_command.py"), *words[1:]]
+        words = [sys.executable, str(PROGRAMS / "ros2_command.py"), *words[1:]]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=2 * PATIENCE)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
