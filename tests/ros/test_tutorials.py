@@ -8,20 +8,19 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from support.harness import PATIENCE, ServiceProcess, eventually, router
-from support.markdown import PAGES, ROOT, commands
-from support.paths import PROGRAMS
+from support.markdown import PAGES, commands
+from support.paths import PROGRAMS, SHARED
 from support.ros.stack import KEYS
 from zarm_contract.messages import JointState
 from zarm_runtime.bus import Bus
 
-REFERENCE = ROOT.parent / "shared" / "reference"
+REFERENCE = SHARED / "reference"
 NODE = "/unified_planner"
 PLAN = f"ros2 service call {NODE}/generate_trajectory curobo_msgs/srv/TrajectoryGeneration "
 PLAN_1 = PLAN + '"{target_pose: {position: {x: 0.5, y: 0.2, z: 0.3}, orientation: {w: 1.0}}}"'
