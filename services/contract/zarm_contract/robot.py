@@ -81,8 +81,10 @@ class Execution(_Section):
     Defaults: start 0.05 (MoveIt 0.01), path 0.2 and goal 0.01 (ros2_control), settle 1.0 (ros2_control),
     allowed duration 1.1 x + 0.5 s (MoveIt), stopped below 0.01 rad/s (ros2_control). The allowed duration is that of a
     driver at 0.05 of the speed it was told, so that one with a speed slider of its own (UR) is waited for while it makes
-    progress. `progress_timeout` is how long a moving robot's driver may stay at one point of the path. `control_rate` is that of the control loop in Hz, `speed_scale`
-    the share of the planned speed at which the robot moves until a client changes it.
+    progress. `progress_timeout` is how long a moving robot's driver may stay at one point of the path. Joints older than
+    `joint_state_timeout` hold a motion, for `hold_timeout` more at most: then it is a fault (1.0, longer than a busy machine keeps
+    a driver waiting). `control_rate` is that of the control loop in Hz, `speed_scale` the share of the planned speed at which the
+    robot moves until a client changes it.
     """
 
     control_rate: Annotated[float, Field(ge=100, le=500)] = 100.0
@@ -93,6 +95,7 @@ class Execution(_Section):
     goal_tolerance: Positive = 0.01
     settle_time: Positive = 1.0
     joint_state_timeout: Positive = 0.1
+    hold_timeout: NonNegative = 1.0
     stopped_velocity: Positive = 0.01
     allowed_duration_factor: Annotated[float, Field(ge=1)] = 1.1
     allowed_duration_margin: NonNegative = 0.5

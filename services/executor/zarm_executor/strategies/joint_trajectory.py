@@ -55,12 +55,13 @@ class JointTrajectory(DriverStrategy):
         self._stopping = False
         self._waited = 0.0
         self._resuming = False
-        self._unheard = False
+        self._lost_at: float | None = None
 
     def start(self, path: Path, speed: float) -> None:
         """Have the whole of `path` played from the next tick on."""
         self._path, self._speed = path, speed
-        self._braking = self._stopping = self._resuming = self._unheard = False
+        self._braking = self._stopping = self._resuming = False
+        self._lost_at = None
         self._play(self._along(path, 0.0, speed))
 
     def stop(self) -> None:
@@ -86,7 +87,7 @@ class JointTrajectory(DriverStrategy):
         command = self._command
         if command is None:
             return
-        if not self.link.heard(now) or self._unheard:
+        if not self.link.heard(now) or self._lost_at is not None:
             self._brake_unheard(now)
             return
         if not self._unsent:
@@ -111,27 +112,39 @@ class JointTrajectory(DriverStrategy):
         if path is None or command is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         time, speed, position = command.at(self._index)
-        return Progress(time, speed, position, finished=time >= path.duration)
+        over = self._lost_at is None and not self._resuming
+        return Progress(time, speed, position, finished=over and time >= path.duration)
 
     def _brake_unheard(self, now: float) -> None:
         """Where the driver is not heard it is told to stop, by its own means, until it is heard again and the robot stands.
 
-        What was to be sent is forgotten: it would start from where the robot is no longer.
+        What was to be sent is forgotten: it would start from where the robot is no longer. What nobody has told to stop goes on
+        from where the robot stands.
         """
-        path = self._path
-        if path is None or not (self._stopping or self._braking):
+        stopped = self._stopping or self._braking
+        if self.progress().finished and not stopped:
             return
-        self._stopping = self._unsent = self._resuming = False
-        self._braking = self._unheard = True
+        if self._lost_at is None:
+            self._lost_at = now
+        self._resuming = self._resuming or not stopped
+        self._stopping = self._unsent = False
+        self._braking = True
         self.hold(now)
-        measured = self.link.measured()
-        if measured is not None and self.link.heard(now) and self.link.standing():
-            self._unheard = False
-            at = path.nearest(measured.position, 0.0, path.duration)
-            self._command = Follower(path, self.link.acceleration_limit, time=at, speed=0.0, target=0.0).ahead(
-                self.link.params.point_dt
-            )
-            self._index = self._clock = 0.0
+        if self.link.heard(now):
+            self._find(now)
+
+    def _find(self, now: float) -> None:
+        """Look for the robot, which brakes by itself, on its path; where it stands the motion is held."""
+        path, measured = self._path, self.link.measured()
+        if path is None or measured is None or self._lost_at is None:
+            return
+        time, standing = self.progress().time, self.link.standing()
+        time = path.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + now - self._lost_at)
+        speed = 0.0 if standing else 1.0
+        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=speed)
+        self._command = follower.ahead(self.link.params.point_dt, 1)
+        self._index = self._clock = 0.0
+        self._lost_at = None if standing else now
 
     def _untaken(self, now: float) -> bool:
         """Whether a driver that tells its progress has not taken the trajectory that starts a motion, so that it is sent again."""
