@@ -133,3 +133,18 @@ def test_an_arm_at_its_goal_is_not_moved_back_there_after_a_gap(bench: DriverBen
     bench.arm.position = HOME.copy()
     bench.run(2.0)
     assert not any(command.time for _, command in bench.commands[sent:])
+
+
+@pytest.mark.parametrize("seconds", [0.35, 0.9])
+def test_an_executor_that_stood_still_beside_a_silent_driver_goes_on_to_the_goal(
+    bench: DriverBench, seconds: float
+) -> None:
+    bench.execute()
+    bench.run(0.9)
+    bench.silent = True
+    bench.freeze(seconds)
+    bench.run(0.3)
+    bench.silent = False
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    np.testing.assert_allclose(bench.arm.position, FAR, atol=0.005)

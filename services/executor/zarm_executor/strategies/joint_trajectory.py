@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_executor.follower import Follower
+from zarm_executor.follower import CATCH_UP, Follower
 from zarm_executor.path import Path
-from zarm_executor.strategies.base import Progress
+from zarm_executor.strategies.base import Measured, Progress
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.stretch import Stretch
@@ -56,6 +56,7 @@ class JointTrajectory(DriverStrategy):
         self._waited = 0.0
         self._resuming = False
         self._lost_at: float | None = None
+        self._back_at = -np.inf
 
     def start(self, path: Path, speed: float) -> None:
         """Have the whole of `path` played from the next tick on."""
@@ -87,7 +88,12 @@ class JointTrajectory(DriverStrategy):
         command = self._command
         if command is None:
             return
-        if not self.link.heard(now) or self._lost_at is not None:
+        if dt > CATCH_UP:
+            self._back_at = now
+        heard = self.link.heard(now)
+        if not heard and now - self._back_at <= self.link.execution.joint_state_timeout:
+            return  # the executor stood still: what the driver told meanwhile is still to be read
+        if not heard or self._lost_at is not None:
             self._brake_unheard(now)
             return
         if not self._unsent:
@@ -124,27 +130,24 @@ class JointTrajectory(DriverStrategy):
         stopped = self._stopping or self._braking
         if self.progress().finished and not stopped:
             return
+        measured = self.link.measured()
         if self._lost_at is None:
-            self._lost_at = now
+            self._lost_at = now if measured is None else measured.time
         self._resuming = self._resuming or not stopped
         self._stopping = self._unsent = False
         self._braking = True
         self.hold(now)
-        if self.link.heard(now):
-            self._find(now)
+        if self._path is not None and measured is not None and self.link.heard(now):
+            self._find(self._path, measured, now - self._lost_at)
+            self._lost_at = None if self.link.standing() else now
 
-    def _find(self, now: float) -> None:
-        """Look for the robot, which brakes by itself, on its path; where it stands the motion is held."""
-        path, measured = self._path, self.link.measured()
-        if path is None or measured is None or self._lost_at is None:
-            return
-        time, standing = self.progress().time, self.link.standing()
-        time = path.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + now - self._lost_at)
-        speed = 0.0 if standing else 1.0
+    def _find(self, path: Path, measured: Measured, unseen: float) -> None:
+        """Put the motion where the robot is, which brakes by itself, on its path; it was not seen for `unseen` s."""
+        time, speed = self.progress().time, 0.0 if self.link.standing() else 1.0
+        time = path.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + unseen)
         follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=speed)
         self._command = follower.ahead(self.link.params.point_dt, 1)
         self._index = self._clock = 0.0
-        self._lost_at = None if standing else now
 
     def _untaken(self, now: float) -> bool:
         """Whether a driver that tells its progress has not taken the trajectory that starts a motion, so that it is sent again."""
