@@ -30,8 +30,7 @@ class Arm:
     """An arm that has at once the velocity that it is told. Yours talks to a controller instead."""
 
     def __init__(self, position: list[float]) -> None:
-        self.position = position
-        self.velocity = [0.0] * len(position)
+        self.position, self.velocity = position, [0.0] * len(position)
 
     def move(self, velocity: list[float], dt: float) -> None:
         """Take on these velocities (rad/s) for `dt` s."""
