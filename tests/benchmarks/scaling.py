@@ -29,7 +29,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import motion_bench
 from harness import PATIENCE, ServiceProcess, router
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -52,6 +51,7 @@ from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
 from zarm_planner.stop import Stop
 from zarm_planner.world import World
+from zarm_runtime.bus import Bus
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -10,12 +10,12 @@ from contextlib import contextmanager
 import pytest
 from harness import PATIENCE, eventually
 
-from zarm_contract.asking import ANYONE
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Asker
 from zarm_planner import running
 from zarm_planner.running import WITHDRAWN, Running
 from zarm_planner.stop import Stop
+from zarm_runtime.asking import ANYONE
 
 
 def client(name: str, patience: float = PATIENCE) -> Asker:

@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zarm_contract.asking import asker
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     AttachObject,
@@ -51,6 +50,7 @@ from zarm_planner.sphere_distances import sphere_distances
 from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
 from zarm_planner.world import World
+from zarm_runtime.asking import asker
 
 log = logging.getLogger(__name__)
 

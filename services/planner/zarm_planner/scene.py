@@ -33,10 +33,10 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
-from zarm_contract.state_file import StateFile
 from zarm_planner.carrying import attach, detach, refuse_carried, set_links
 from zarm_planner.meshes import Meshes
 from zarm_planner.voxels import check_reach, voxels_of
+from zarm_runtime.state_file import StateFile
 
 log = logging.getLogger(__name__)
 

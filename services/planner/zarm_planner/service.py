@@ -29,14 +29,14 @@ from zarm_contract.messages import (
     SceneObject,
     SettingsChange,
 )
-from zarm_contract.metrics import Metrics
-from zarm_contract.service import Service, run_service, service_parser
-from zarm_contract.state_file import owned
 from zarm_planner.joints import MeasuredJoints
 from zarm_planner.meshes import Meshes
 from zarm_planner.planner import PLANNERS, Planner
 from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
+from zarm_runtime.metrics import Metrics
+from zarm_runtime.service import Service, run_service, service_parser
+from zarm_runtime.state_file import owned
 
 log = logging.getLogger(__name__)
 
