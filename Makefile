@@ -66,7 +66,7 @@ audit: $(VENV)/.dev
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
-	find services tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find libs services tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp for what runs zarm, one for what develops it; the second includes the first.
 $(VENV)/.planner: $(PINNED) | $(BIN)/python
