@@ -29,8 +29,7 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import motion_bench
-
+from support.planner import motion_bench
 from zarm_planner.exact import ExactScene
 from zarm_planner.improve import Improvement
 from zarm_planner.motion import Limits, Motion

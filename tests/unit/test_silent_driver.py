@@ -6,11 +6,11 @@ from pathlib import Path as Folder
 
 import numpy as np
 import pytest
-from arrivals import arrival
-from driven import FAR
-from driver_bench import MOVING, DriverBench, distance_from
-from motions import HOME, trapezoid
 
+from support.arrivals import arrival
+from support.executor.driven import FAR
+from support.executor.driver_bench import MOVING, DriverBench, distance_from
+from support.trajectories import HOME, trapezoid
 from zarm_leeloo_sim.player import CEILING
 
 BY_ITSELF = 0.06
