@@ -66,7 +66,7 @@ audit: $(VENV)/.dev
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
-	find services tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find libs services tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp for what runs zarm, one for what develops it; the second includes the first.
 $(VENV)/.planner: $(PINNED) | $(BIN)/python
@@ -92,7 +92,7 @@ $(VENV)/.ros: constraints.txt $(MESSAGES) | $(VENV)/.ros_packages
 	@touch $@
 
 # The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
-$(VENV)/.kernels: $(VENV)/.planner $(wildcard services/planner/zarm_planner/kernels/*.py)
+$(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
 	@echo "compiling the planner's kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
 	@touch $@

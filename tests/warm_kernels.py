@@ -10,21 +10,26 @@ import numpy as np
 
 from zarm_contract.messages import Cuboid, HeldAxes, JointGoal, PoseGoal, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
-from zarm_planner import kernels
+from zarm_geometry import kernels as geometry_kernels
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner import kernels as planner_kernels
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import pose_of
 from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, plan
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
-from zarm_planner.world import World
 
 
 def compiled() -> dict[str, int]:
     """How often each kernel is compiled in this process."""
-    names = [f"{kernels.__name__}.{module.name}" for module in pkgutil.iter_modules(kernels.__path__)]
+    names = [
+        f"{kernels.__name__}.{module.name}"
+        for kernels in (geometry_kernels, planner_kernels)
+        for module in pkgutil.iter_modules(kernels.__path__)
+    ]
     return {
         f"{name}.{key}": len(value.signatures)
         for name in names

@@ -31,18 +31,19 @@ from toppra.constraint import JointAccelerationConstraint, JointVelocityConstrai
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import motion_bench
 
-from zarm_planner.exact import ExactScene
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.improve import Improvement
 from zarm_planner.motion import Limits, Motion
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
+from zarm_planner.search import search
 from zarm_planner.shorten import shorten
 from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.timing import time_path
 from zarm_planner.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
-from zarm_planner.world import World
 
 matplotlib.use("Agg")
 from matplotlib import pyplot

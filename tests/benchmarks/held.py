@@ -25,14 +25,14 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import motion_bench
 
 from zarm_contract.messages import HeldAxes
+from zarm_geometry.collision import is_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.held import Held
 from zarm_planner.held_motion import search_held, shorten_held, time_held
 from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

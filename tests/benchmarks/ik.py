@@ -27,9 +27,9 @@ import motion_bench
 
 from zarm_contract.messages import Device
 from zarm_contract.robot import load_robot
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.batches import batch_fk, batch_ik
 from zarm_planner.ik import solve_ik
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
 

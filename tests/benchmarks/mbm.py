@@ -28,16 +28,17 @@ import motion_bench
 import ompl_peer
 from ompl_peer import Run
 
-from zarm_planner.exact import ExactScene
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.motion import Limits
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
+from zarm_planner.search import search
 from zarm_planner.shorten import shorten
 from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
-from zarm_planner.world import World
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -43,15 +43,15 @@ from zarm_contract.messages import (
     SceneEdited,
     SceneObject,
 )
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
 from zarm_planner.motion import Limits, Motion
 from zarm_planner.pipeline import Options, plan
 from zarm_planner.planner import Planner
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

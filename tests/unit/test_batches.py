@@ -13,12 +13,12 @@ from sphere_model import random_joints
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Device, Sphere
 from zarm_contract.robot import load_robot
+from zarm_geometry.collision import is_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner import batches
 from zarm_planner.batches import WORTH_A_GPU, batch_fk, batch_ik
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -34,15 +34,15 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import matrix
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.sphere_distances import sphere_distances
+from zarm_geometry.world import World
 from zarm_planner import carrying
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import matrix
 from zarm_planner.planner import Planner
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
-from zarm_planner.search import is_free
-from zarm_planner.sphere_distances import sphere_distances
-from zarm_planner.world import World
 
 KINDS = ("cuboid", "sphere", "capsule", "cylinder")
 UP = np.array([0.0, 0.0, 0.0, 0.1])

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_model import distance, random_object
 
-from zarm_planner.cover import MOST, STANDS_OUT, cover
-from zarm_planner.rows import primitives
-from zarm_planner.shapes import obstacle_shape
+from zarm_geometry.rows import primitives
+from zarm_geometry.shapes import obstacle_shape
+from zarm_geometry.sphere_cover import MOST, STANDS_OUT, cover
 
 KINDS = ("cuboid", "sphere", "capsule", "cylinder")
 

@@ -17,16 +17,16 @@ from sphere_model import clearances, random_objects
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, HeldAxes, SceneObject
 from zarm_contract.robot import load_robot
+from zarm_geometry.collision import is_free
+from zarm_geometry.kernels.collision import RESOLUTION
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.held import Held
 from zarm_planner.held_motion import search_held, shorten_held, time_held
 from zarm_planner.ik import solve_ik
-from zarm_planner.kernels.collision import RESOLUTION
 from zarm_planner.kernels.manifold import CLOSE
 from zarm_planner.motion import Limits, Motion
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -9,18 +9,18 @@ import second_opinion
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, Cylinder, Goal, HeldAxes, JointGoal, PoseGoal, SceneObject, WaypointsGoal
 from zarm_contract.robot import load_robot
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import pose_of
 from zarm_planner.held import Held
 from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
 from zarm_planner.timing import time_path
 from zarm_planner.verify import VerificationFailed, verify
-from zarm_planner.world import World
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 UPRIGHT = HeldAxes(axes=(True, True, False, False, False, False), position_tolerance=0.003, angle_tolerance=0.01)

@@ -9,13 +9,13 @@ from sphere_model import clearances
 
 from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.improve import GAIN, Improvement
 from zarm_planner.motion import Limits, Motion
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import search
 from zarm_planner.shorten import shorten
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 Route = tuple[Array, tuple[int, ...]]

@@ -17,11 +17,11 @@ from sphere_model import random_joints
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, Sphere
 from zarm_contract.robot import load_robot
+from zarm_geometry.collision import is_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.ik import solve_ik
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -9,17 +9,17 @@ import second_opinion
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import pose_of
 from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
 from zarm_planner.timing import time_path
 from zarm_planner.verify import VerificationFailed
 from zarm_planner.waypoints import passing_times
-from zarm_planner.world import World
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 STOPS = [HOME + turn for turn in ([0.6, 0.1, 0, 0, 0, 0], [0.9, -0.2, 0.3, 0, 0, 0.4], [0.3, 0.2, -0.3, 0.2, 0, 0.4])]

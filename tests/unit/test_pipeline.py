@@ -10,14 +10,14 @@ import pytest
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Cuboid, Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import pose_of
 from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 HOME = np.array([0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0])
 SWUNG = HOME + [1.3, 0, 0, 0, 0, 0]

@@ -18,13 +18,13 @@ from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Attached, JointGoal, Trajectory
 from zarm_contract.robot import Robot, load_robot
 from zarm_executor.checks import executable
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
 from zarm_planner.motion import Limits
 from zarm_planner.pipeline import Options, plan
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 DENSER = 10
 """Moments that are looked at per sample of a motion."""

@@ -17,12 +17,13 @@ from sphere_model import clearances
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner.kernels.collision import RESOLUTION
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
+from zarm_geometry.collision import is_free
+from zarm_geometry.kernels.collision import RESOLUTION
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.search import search
 from zarm_planner.shorten import shorten
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

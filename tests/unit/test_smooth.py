@@ -15,15 +15,16 @@ from sphere_model import clearances, random_objects
 
 from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
+from zarm_geometry.collision import is_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.kernels.ramps import Ramps, connect_states, in_range, make_ramps, state
 from zarm_planner.motion import Limits, Motion
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
+from zarm_planner.search import search
 from zarm_planner.shorten import shorten
 from zarm_planner.smooth import DEVIATION, Smoothing, smooth_path
 from zarm_planner.stop import Stop
 from zarm_planner.timing import time_path
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

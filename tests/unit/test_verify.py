@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from small_arm import small_arm
 
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
-from zarm_planner.exact import ExactScene
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.motion import Limits, Motion
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.timing import time_path
 from zarm_planner.verify import VerificationFailed, verify
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import AddObjects, PointCloud, SceneEdit, Voxels
+from zarm_geometry.voxels import FARTHEST_CELL, distinct, edges, merged, occupied
+from zarm_geometry.world import World
 from zarm_planner import scene
 from zarm_planner.scene import SceneStore
-from zarm_planner.voxels import FARTHEST_CELL, distinct, edges, merged, occupied
-from zarm_planner.world import World
 
 Cells = NDArray[np.int64]
 

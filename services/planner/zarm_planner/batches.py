@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Device
+from zarm_geometry.collision import is_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.ik import solve_ik, with_turns
 from zarm_planner.kernels.inverse import DISTINCT, TOLERANCE, TURN
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 if TYPE_CHECKING:
     from pytorch_kinematics import SerialChain

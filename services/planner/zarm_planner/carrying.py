@@ -21,7 +21,7 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
-from zarm_planner.frames import matrix, pose_of
+from zarm_geometry.frames import matrix, pose_of
 
 Array = NDArray[np.float64]
 

@@ -12,16 +12,16 @@ import numpy as np
 
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import JointGoal, PoseGoal, SceneRevision
-from zarm_planner.exact import RESOLUTION, ExactScene, Nearest
-from zarm_planner.frames import matrix
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import RESOLUTION, ExactScene, Nearest
+from zarm_geometry.frames import matrix
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.held import Held
 from zarm_planner.ik import solve_ik
 from zarm_planner.joints import within_range
 from zarm_planner.motion import Array
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 _GOALS = 16
 """At most so many ways to reach a pose are considered."""

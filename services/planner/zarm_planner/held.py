@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import HeldAxes
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.kernels.inverse import Chain
 from zarm_planner.kernels.manifold import Hold, deviations, project_all
-from zarm_planner.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -9,16 +9,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry.collision import is_free
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.world import World
 from zarm_planner.held import Held
-from zarm_planner.kernels.arrays import memory
 from zarm_planner.kernels.constrained import ROWS, connect_held, shortcut_held
 from zarm_planner.kernels.manifold import Hold
 from zarm_planner.kernels.trees import make_trees
 from zarm_planner.motion import Limits, Motion
-from zarm_planner.search import ENDLESS, is_free, sampling_range
+from zarm_planner.search import ENDLESS, sampling_range
 from zarm_planner.stop import Stop
 from zarm_planner.timing import through, time_curve
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import memory
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.kernels.inverse import TURN, Chain, solve
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.motion import Array, Limits, Motion
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.smooth import DEVIATION, Smoothing
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 GAIN = 0.005
 """A motion that saves less than this part of the best one is not worth a verification."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.kernels import quintic
-from zarm_planner.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

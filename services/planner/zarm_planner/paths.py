@@ -7,15 +7,15 @@ from typing import Protocol
 
 import numpy as np
 
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.held import Held
 from zarm_planner.held_motion import search_held, shorten_held
 from zarm_planner.motion import Array
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import search
 from zarm_planner.shorten import quickest_of, shorten
 from zarm_planner.stop import Stop
 from zarm_planner.watch import Watch
-from zarm_planner.world import World
 
 _TRIES = 4
 """Paths between two, of which the quickest counts; on MotionBenchMaker's problems it is about a tenth shorter than one alone."""

@@ -11,13 +11,13 @@ import numpy as np
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
 from zarm_contract.messages import Goal, HeldAxes, JointGoal, PlanTimings, PoseGoal, WaypointsGoal
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.ends import End, Snapshot, goal_ends, start_end
 from zarm_planner.held import Held
 from zarm_planner.held_motion import time_held
 from zarm_planner.improve import GAIN, Improvement, Routes
 from zarm_planner.motion import Array, Limits, Motion
 from zarm_planner.paths import FreePaths, HeldPaths, Paths
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.route import Route, find_route
 from zarm_planner.smooth import least_duration, smooth_path
 from zarm_planner.stop import Stop

@@ -36,21 +36,21 @@ from zarm_contract.messages import (
     SetLinkCollision,
     SettingsChange,
 )
+from zarm_geometry.exact import RESOLUTION, ExactScene
+from zarm_geometry.frames import matrix, pose_of
+from zarm_geometry.occupancy import reached_cells
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.sphere_distances import sphere_distances
+from zarm_geometry.world import World
 from zarm_planner.batches import batch_fk, batch_ik
 from zarm_planner.ends import Snapshot
-from zarm_planner.exact import RESOLUTION, ExactScene
-from zarm_planner.frames import matrix, pose_of
 from zarm_planner.joints import checked, within_range
 from zarm_planner.motion import Array, Limits
-from zarm_planner.occupancy import reached_cells
 from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.running import Running
 from zarm_planner.scene import SceneStore
-from zarm_planner.sphere_distances import sphere_distances
 from zarm_planner.stop import Stop
 from zarm_planner.warm_up import warm_up
-from zarm_planner.world import World
 
 log = logging.getLogger(__name__)
 

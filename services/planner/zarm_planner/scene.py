@@ -34,9 +34,9 @@ from zarm_contract.messages import (
     Voxels,
 )
 from zarm_contract.state_file import StateFile
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.voxels import check_reach, voxels_of
 from zarm_planner.carrying import attach, detach, refuse_carried, set_links
-from zarm_planner.meshes import Meshes
-from zarm_planner.voxels import check_reach, voxels_of
 
 log = logging.getLogger(__name__)
 

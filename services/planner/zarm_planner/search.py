@@ -1,17 +1,16 @@
-"""From a start to a goal: the first free path, and whether a given one is free."""
+"""From a start to a goal: the first free path."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import memory
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.kernels.connect import connect
-from zarm_planner.kernels.edge import path_free
 from zarm_planner.kernels.trees import make_trees
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 
@@ -62,12 +61,3 @@ def sampling_range(model: RobotModel, ends: Array) -> NDArray[np.float32]:
     lower = np.maximum(model.lower, ends.min(axis=0) - half_turn)
     upper = np.minimum(model.upper, ends.max(axis=0) + half_turn)
     return np.array((lower, upper), np.float32)
-
-
-def is_free(model: RobotModel, world: World, path: ArrayLike) -> bool:
-    """Whether a configuration (dof,) or every edge of a path (n, dof) is free of the world and of the robot itself.
-
-    In spheres and to `kernels.collision.RESOLUTION`.
-    """
-    rows = np.array(path, np.float32, order="C").reshape(-1, model.dof)
-    return path_free(model.arrays, world.arrays, memory(model.arrays), rows)

@@ -32,10 +32,10 @@ from zarm_contract.messages import (
 from zarm_contract.metrics import Metrics
 from zarm_contract.service import Service, run_service, service_parser
 from zarm_contract.state_file import owned
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.joints import MeasuredJoints
-from zarm_planner.meshes import Meshes
 from zarm_planner.planner import PLANNERS, Planner
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.scene import SceneStore
 
 log = logging.getLogger(__name__)

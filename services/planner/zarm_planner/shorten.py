@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.kernels import leg as kernel
-from zarm_planner.kernels.arrays import memory
 from zarm_planner.kernels.shortcut import MOST, shortcut
 from zarm_planner.kernels.trees import make_trees
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.search import sampling_range
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zarm_planner.kernels.arrays import memory
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.kernels.ramps import along, make_ramps
 from zarm_planner.kernels.sampling import sample_average
 from zarm_planner.kernels.smoothing import smooth
 from zarm_planner.motion import Array, Limits, Motion, sample_times, within
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 ATTEMPTS = 1500
 """Shortcuts that are tried for a path, and for each via on top; ten times as many gain 1 % on MotionBenchMaker's problems."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zarm_planner.exact import RESOLUTION, ExactScene
+from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_planner.held import Held
 from zarm_planner.motion import TOLERANCE, Array, Limits, Motion
 

@@ -13,17 +13,18 @@ import numpy as np
 
 from zarm_contract.messages import HeldAxes
 from zarm_contract.robot import load_robot
-from zarm_planner.exact import ExactScene
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.held import Held
 from zarm_planner.held_motion import search_held, shorten_held
 from zarm_planner.ik import solve_ik
 from zarm_planner.motion import Limits
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
+from zarm_planner.search import search
 from zarm_planner.shorten import quickest_of, shorten
 from zarm_planner.smooth import smooth_path
 from zarm_planner.stop import Stop
-from zarm_planner.world import World
 
 STAGES = 8
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from zarm_geometry.robot_model import RobotModel
 from zarm_planner.motion import Array, Motion
-from zarm_planner.robot_model import RobotModel
 from zarm_planner.verify import VerificationFailed
 
 _STEP = 0.001

@@ -11,14 +11,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.edge import edge_free
+from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.edge import edge_free
 from zarm_planner.kernels.manifold import Desk, Hold, advance, make_desk, project
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
-from zarm_planner.kernels.vectors import apart, copy
 
 EXTENSION = 1.0
 """Rad: so far a sample extends a tree."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, WorldArrays
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, WorldArrays
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import seconds
-from zarm_planner.kernels.compiled import inlined, kernel
 from zarm_planner.kernels.connect import connect
 from zarm_planner.kernels.shortcut import MOST, shortcut
 from zarm_planner.kernels.trees import Trees
-from zarm_planner.kernels.vectors import copy
 
 
 @inlined

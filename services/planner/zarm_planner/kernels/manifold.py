@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Single
-from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.arrays import Single
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.kinematics import Array
+from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.inverse import Chain, Work, make_work, tip_jacobian, tip_pose
-from zarm_planner.kernels.kinematics import Array
-from zarm_planner.kernels.vectors import apart, copy
 
 CLOSE = 1e-5
 """A projected configuration is off by this much at most (m, rad); what is left of the tolerance is room for curves."""

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_planner.kernels.clearance import Body, Obstacles, course, look
-from zarm_planner.kernels.convex import PRECISION
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.shapes import distance, obstacle_shape
-from zarm_planner.world import World
+from zarm_geometry.kernels.clearance import Body, Obstacles, course, look
+from zarm_geometry.kernels.convex import PRECISION
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.shapes import distance, obstacle_shape
+from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_planner.kernels.arrays import SHAPE, Pointer, Space
-from zarm_planner.kernels.compiled import inlined
-from zarm_planner.kernels.lanes import (
+from zarm_geometry.kernels.arrays import SHAPE, Pointer, Space
+from zarm_geometry.kernels.compiled import inlined
+from zarm_geometry.kernels.simd import (
     LANES,
     Lanes,
     Mask,

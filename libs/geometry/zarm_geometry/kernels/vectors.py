@@ -7,8 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Single
-from zarm_planner.kernels.compiled import inlined
+from zarm_geometry.kernels.arrays import Single
+from zarm_geometry.kernels.compiled import inlined
 
 
 @inlined

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import MAX_CELLS, MAX_INDEX
-from zarm_planner import rows
-from zarm_planner.shapes import obstacle_shape
-from zarm_planner.voxels import Cells, distinct
-from zarm_planner.world import World
+from zarm_geometry import rows
+from zarm_geometry.shapes import obstacle_shape
+from zarm_geometry.voxels import Cells, distinct
+from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.robot import CollisionCuboid, CollisionCylinder, CollisionPrimitive, CollisionSphere
-from zarm_planner.frames import matrix, rotation_to
+from zarm_geometry.frames import matrix, rotation_to
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class Shape:
 
     It is all points within `rounding` of a box of half extents `core` (3,) that is widened by a disc of radius `disc`
     about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc. With `disc`
-    below 0 it is a triangle with its first corner in the origin, `core` then being as in `zarm_planner.rows`.
+    below 0 it is a triangle with its first corner in the origin, `core` then being as in `zarm_geometry.rows`.
     """
 
     name: str

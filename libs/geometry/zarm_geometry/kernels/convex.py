@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from zarm_planner.kernels.compiled import inlined
+from zarm_geometry.kernels.compiled import inlined
 
 Vector = tuple[float, float, float]
 Extents = tuple[float, float, float, float]

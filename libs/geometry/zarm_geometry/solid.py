@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.voxels import edges, merged
+from zarm_geometry.voxels import edges, merged
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

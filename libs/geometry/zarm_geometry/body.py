@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from zarm_contract.messages import Attached, Vector3
 from zarm_contract.robot import Robot
 from zarm_contract.urdf import Joint
-from zarm_planner.cover import cover
-from zarm_planner.frames import rotation_to
-from zarm_planner.rows import primitives
-from zarm_planner.shapes import Shape, link_shape, obstacle_shape
+from zarm_geometry.frames import rotation_to
+from zarm_geometry.rows import primitives
+from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
+from zarm_geometry.sphere_cover import cover
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.messages import Mesh, Primitive, SceneObject, Voxels
-from zarm_planner import rows
-from zarm_planner.frames import matrix
-from zarm_planner.kernels.arrays import WorldArrays
-from zarm_planner.meshes import Meshes
-from zarm_planner.voxels import edges, merged
+from zarm_geometry import rows
+from zarm_geometry.frames import matrix
+from zarm_geometry.kernels.arrays import WorldArrays
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.voxels import edges, merged
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ class World:
     """Scene objects in the base frame, with `margin` (m) added all around in `arrays`. Immutable.
 
     `rows` (n, 17) are the convex shapes that the objects consist of, in the order of the tree and without the margin, see
-    `zarm_planner.rows`; `owner` (n,) is the index in `names` of the object that each is part of. Raises Unavailable for a
+    `zarm_geometry.rows`; `owner` (n,) is the index in `names` of the object that each is part of. Raises Unavailable for a
     mesh that is not in `meshes`.
     """
 

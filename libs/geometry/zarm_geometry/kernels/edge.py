@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
-from zarm_planner.kernels.collision import RESOLUTION, check
-from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.lanes import LANES, load, splat, store
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.collision import RESOLUTION, check
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.simd import LANES, load, splat, store
 
 
 @inlined

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.exact import FARTHEST
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.rows import distances
-from zarm_planner.world import World
+from zarm_geometry.exact import FARTHEST
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.rows import distances
+from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The robot as the planner computes with it: its kinematic tree and collision spheres, packed into arrays."""
+"""The robot as geometry computes with it: its kinematic tree and collision spheres, packed into arrays."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached
 from zarm_contract.robot import Robot
-from zarm_planner.body import Body, along, carried_body, link_body
-from zarm_planner.kernels.arrays import RobotArrays
-from zarm_planner.kernels.kinematics import frames
-from zarm_planner.kernels.lanes import LANES
-from zarm_planner.shapes import Shape
+from zarm_geometry.body import Body, along, carried_body, link_body
+from zarm_geometry.kernels.arrays import RobotArrays
+from zarm_geometry.kernels.kinematics import frames
+from zarm_geometry.kernels.simd import LANES
+from zarm_geometry.shapes import Shape
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import inlined
-from zarm_planner.kernels.lanes import LANES, pointer
+from zarm_geometry.kernels.compiled import inlined
+from zarm_geometry.kernels.simd import LANES, pointer
 
 Single = NDArray[np.float32]
 Index = NDArray[np.int32]

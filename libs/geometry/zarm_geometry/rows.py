@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.messages import Cuboid, Cylinder, Primitive, Sphere
-from zarm_planner.frames import rotations
+from zarm_geometry.frames import rotations
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
-from zarm_planner.kernels.kinematics import joint_frames
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
+from zarm_geometry.kernels.kinematics import joint_frames
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]

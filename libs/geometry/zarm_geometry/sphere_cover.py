@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.shapes import Shape
+from zarm_geometry.shapes import Shape
 
 Array = NDArray[np.float64]
 Grid = tuple[int, int, int]

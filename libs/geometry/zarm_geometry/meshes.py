@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import Mesh
-from zarm_planner import rows
-from zarm_planner.solid import inside
+from zarm_geometry import rows
+from zarm_geometry.solid import inside
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Meshes:
         return item.model_copy(update={"sha256": digest})
 
     def rows(self, item: Mesh) -> Array:
-        """The shapes (n, 17) of a mesh of the scene, in its own frame, see `zarm_planner.rows`.
+        """The shapes (n, 17) of a mesh of the scene, in its own frame, see `zarm_geometry.rows`.
 
         Raises Unavailable where its file has to be read again and is not there any more, or is another one.
         """
