@@ -33,13 +33,13 @@ def kernel(function: F) -> F:
 
 def brief(function: F) -> F:
     """Like `kernel`, for a few microseconds of work: it keeps the GIL, for to hand it over would take longer than that."""
-    return _cached(function)
+    return _cached(function, nogil=False)
 
 
-def _cached(function: F, **options: bool) -> F:
+def _cached(function: F, *, nogil: bool) -> F:
     # Numba takes the folder from its configuration as it is now.
     config.CACHE_DIR = _cache_folder(Path(function.__code__.co_filename).parent)
-    return cast(F, numba.njit(cache=True, error_model="numpy", **options)(function))
+    return cast(F, numba.njit(cache=True, nogil=nogil, error_model="numpy")(function))
 
 
 @cache
