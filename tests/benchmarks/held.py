@@ -28,11 +28,12 @@ from zarm_contract.messages import HeldAxes
 from zarm_geometry.collision import is_free
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.held import Held
-from zarm_planner.held_motion import search_held, shorten_held, time_held
-from zarm_planner.ik import solve_ik
-from zarm_planner.motion import Limits
-from zarm_planner.stop import Stop
+from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
+from zarm_planner.constraints.constrained_timing import time_constrained
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.deadline import Deadline
+from zarm_planner.kinematics.ik import solve_ik
+from zarm_planner.timing.trajectory import Limits
 
 Array = NDArray[np.float64]
 
@@ -76,13 +77,15 @@ def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: fl
     limits = Limits.of(model)
     for seed, (world, held, start, goals) in zip(range(count), problems(model, name, message), strict=False):
         times = [time.thread_time()]
-        path = search_held(world, held, start, goals, seed=seed, stop=Stop(timeout))
+        path = search_constrained(world, held, start, goals, seed=seed, deadline=Deadline(timeout))
         times.append(time.thread_time())
         if path is None:
             continue
-        path = shorten_held(world, held, path, seed=seed, stop=Stop(timeout))
+        path = shortcut_constrained(world, held, path, seed=seed, deadline=Deadline(timeout))
         times.append(time.thread_time())
-        motion = time_held(held, path, limits, DT, free=partial(is_free, model, world), stop=Stop(timeout))
+        motion = time_constrained(
+            held, path, limits, DT, free=partial(is_free, model, world), deadline=Deadline(timeout)
+        )
         times.append(time.thread_time())
         if motion is not None:
             moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))
@@ -95,7 +98,7 @@ def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: fl
     return [f"{len(runs)} / {count}", *cells, f"{columns[4].mean():.2f}", f"{columns[5].max():.2f}"]
 
 
-def problems(model: RobotModel, name: str, message: HeldAxes) -> Iterator[tuple[World, Held, Array, Array]]:
+def problems(model: RobotModel, name: str, message: HeldAxes) -> Iterator[tuple[World, PathConstraint, Array, Array]]:
     """Random ones, without end."""
     rng = np.random.default_rng(0)
     worlds = [
@@ -109,16 +112,18 @@ def problems(model: RobotModel, name: str, message: HeldAxes) -> Iterator[tuple[
         if not is_free(model, world, start):
             continue
         pose = model.fk_tip(start)
-        held = Held.of(model, message, pose)
+        held = PathConstraint.of(model, message, pose)
         end = wander(world, held, start, rng)
         if np.linalg.norm(end - start) < NEAREST:
             continue
-        found = solve_ik(model, model.fk_tip(end), start, world=world, max_solutions=16, seed=0, stop=Stop(10.0))
+        found = solve_ik(
+            model, model.fk_tip(end), start, world=world, max_solutions=16, seed=0, deadline=Deadline(10.0)
+        )
         if len(found.solutions):
             yield world, held, start, found.solutions
 
 
-def wander(world: World, held: Held, start: Array, rng: np.random.Generator) -> Array:
+def wander(world: World, held: PathConstraint, start: Array, rng: np.random.Generator) -> Array:
     """Where a free walk in steps of STEP ends that turns towards one random configuration after the other."""
     q = start
     for target in rng.uniform(held.model.lower, held.model.upper, (LEGS, held.model.dof)):

@@ -40,9 +40,9 @@ from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.sphere_distances import sphere_distances
 from zarm_geometry.world import World
-from zarm_planner import carrying
-from zarm_planner.planner import Planner
-from zarm_planner.scene import SceneStore
+from zarm_planner.handlers import Handlers
+from zarm_planner.scene import attached_objects
+from zarm_planner.scene.store import SceneStore
 
 KINDS = ("cuboid", "sphere", "capsule", "cylinder")
 UP = np.array([0.0, 0.0, 0.0, 0.1])
@@ -190,8 +190,8 @@ def store(tmp_path: Path) -> SceneStore:
 
 
 @pytest.fixture
-def planner(arm: RobotModel, store: SceneStore) -> Iterator[Planner]:
-    planner = Planner(arm, "small_arm", store, unmeasured)
+def planner(arm: RobotModel, store: SceneStore) -> Iterator[Handlers]:
+    planner = Handlers(arm, "small_arm", store, unmeasured)
     yield planner
     planner.close()
 
@@ -221,7 +221,7 @@ def links(*names: str, enabled: bool = False) -> SceneEdit:
 
 @pytest.mark.parametrize("item", [BOX, BALL])
 def test_an_object_goes_with_the_tip_and_stays_where_it_is_put_down(
-    arm: RobotModel, planner: Planner, item: SceneObject
+    arm: RobotModel, planner: Handlers, item: SceneObject
 ) -> None:
     away = np.array([1.0, 0.5, -0.7, 0.05])
     planner.edit(add(item))
@@ -265,7 +265,7 @@ def pose(item: SceneObject) -> np.ndarray:
     ],
 )
 def test_a_faulty_edit_is_refused_and_changes_nothing(
-    planner: Planner, store: SceneStore, edit: SceneEdit, field: str, says: str
+    planner: Handlers, store: SceneStore, edit: SceneEdit, field: str, says: str
 ) -> None:
     planner.edit(add(BOX, BALL.model_copy(update={"name": "rod"}), BALL.model_copy(update={"name": "load"})))
     before = planner.edit(attach("load"))
@@ -285,14 +285,16 @@ def test_a_faulty_edit_is_refused_and_changes_nothing(
 )
 def test_meshes_and_voxels_cannot_be_carried(item: SceneObject) -> None:
     with pytest.raises(InvalidRequest, match="cuboid or capsule around it") as refused:
-        carrying.attach(
+        attached_objects.attach(
             Scene(revision="1-5be0c1d2f3a4", objects=(item,)), AttachObject(op="attach", name="part"), np.eye(4)
         )
     assert refused.value.problem.field == "edit.name"
 
 
 @pytest.mark.parametrize("edit", [attach("box", at=None), detach("load", at=None)])
-def test_without_joints_and_a_measured_state_nothing_is_attached_or_detached(planner: Planner, edit: SceneEdit) -> None:
+def test_without_joints_and_a_measured_state_nothing_is_attached_or_detached(
+    planner: Handlers, edit: SceneEdit
+) -> None:
     planner.edit(add(BOX, BALL.model_copy(update={"name": "load"})))
     planner.edit(attach("load"))
     with pytest.raises(ExecutionRefused) as refused:
@@ -300,7 +302,7 @@ def test_without_joints_and_a_measured_state_nothing_is_attached_or_detached(pla
     assert refused.value.code == "no_joint_state"
 
 
-def test_a_robot_carries_no_more_than_the_greatest_number_of_objects(planner: Planner) -> None:
+def test_a_robot_carries_no_more_than_the_greatest_number_of_objects(planner: Handlers) -> None:
     planner.edit(add(*(BALL.model_copy(update={"name": f"b{i}"}) for i in range(MAX_ATTACHED + 1))))
     for i in range(MAX_ATTACHED):
         planner.edit(attach(f"b{i}"))
@@ -308,7 +310,7 @@ def test_a_robot_carries_no_more_than_the_greatest_number_of_objects(planner: Pl
         planner.edit(attach(f"b{MAX_ATTACHED}"))
 
 
-def test_clearing_and_loading_leave_what_is_carried_and_what_is_ignored(planner: Planner) -> None:
+def test_clearing_and_loading_leave_what_is_carried_and_what_is_ignored(planner: Handlers) -> None:
     planner.edit(add(BOX))
     planner.edit(attach("box"))
     carried = planner.edit(links("cover"))
@@ -318,14 +320,14 @@ def test_clearing_and_loading_leave_what_is_carried_and_what_is_ignored(planner:
     assert scene.objects == (BALL,)
 
 
-def test_links_are_switched_off_and_on_however_often_one_says_so(planner: Planner) -> None:
+def test_links_are_switched_off_and_on_however_often_one_says_so(planner: Handlers) -> None:
     edits = (links("cover"), links("rod", "cover", "rod"), links("cover", enabled=True), links("cover", enabled=True))
     seen = [planner.edit(edit) for edit in edits]
     assert [scene.ignored_links for scene in seen] == [("cover",), ("cover", "rod"), ("rod",), ("rod",)]
     assert len({scene.revision for scene in seen}) == 4
 
 
-def test_what_is_carried_and_ignored_outlives_the_process(planner: Planner, tmp_path: Path) -> None:
+def test_what_is_carried_and_ignored_outlives_the_process(planner: Handlers, tmp_path: Path) -> None:
     planner.edit(add(BOX))
     planner.edit(attach("box", "fore"))
     scene = planner.edit(links("cover"))
@@ -349,7 +351,7 @@ def test_a_file_from_before_anything_could_be_carried_is_read(tmp_path: Path) ->
     assert scene == Scene(revision=scene.revision, objects=(BALL,))
 
 
-def test_checks_look_at_the_robot_as_it_is_in_the_scene(planner: Planner) -> None:
+def test_checks_look_at_the_robot_as_it_is_in_the_scene(planner: Handlers) -> None:
     at_tip = BALL.model_copy(update={"position": (0.0, 0.0, 1.0)})
     near = Sphere(kind="sphere", name="near", position=at_tip.position, radius=0.2)
     request = CheckRequest(joints=(tuple(UP.tolist()),), spheres=True)

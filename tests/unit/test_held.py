@@ -21,12 +21,13 @@ from zarm_geometry.collision import is_free
 from zarm_geometry.kernels.collision import RESOLUTION
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.held import Held
-from zarm_planner.held_motion import search_held, shorten_held, time_held
-from zarm_planner.ik import solve_ik
+from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
+from zarm_planner.constraints.constrained_timing import time_constrained
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.manifold import CLOSE
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.stop import Stop
+from zarm_planner.kinematics.ik import solve_ik
+from zarm_planner.timing.trajectory import Limits, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -88,11 +89,11 @@ def used(model: RobotModel, message: HeldAxes, start: Array, q: Array) -> float:
     return float(np.max(np.abs(np.concatenate((turn, shift)) / allowed)[list(message.axes)]))
 
 
-def assert_kept(model: RobotModel, message: HeldAxes, motion: Motion) -> None:
+def assert_kept(model: RobotModel, message: HeldAxes, motion: Trajectory) -> None:
     """At ten moments per sample, by the second opinion; and inside the limits, from rest to rest."""
     moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))
     positions, _, _ = motion.at(moments)
-    held = Held.of(model, message, model.fk_tip(motion.position[0]))
+    held = PathConstraint.of(model, message, model.fk_tip(motion.position[0]))
     assert held.use(positions).max() <= 1.0
     assert held.violation(positions) is None
     worst = np.argsort(held.use(positions))[-20:]
@@ -104,31 +105,39 @@ def assert_kept(model: RobotModel, message: HeldAxes, motion: Motion) -> None:
 
 
 def plan_held(
-    world: World, held: Held, start: Array, goals: Array, limits: Limits, *, seed: int, stop: Stop, most: int = 10_000
-) -> Motion | None:
+    world: World,
+    held: PathConstraint,
+    start: Array,
+    goals: Array,
+    limits: Limits,
+    *,
+    seed: int,
+    deadline: Deadline,
+    most: int = 10_000,
+) -> Trajectory | None:
     """A motion that keeps what is held, free of `world` in spheres; None where none is found."""
-    path = search_held(world, held, start, goals, seed=seed, stop=stop, most=most)
+    path = search_constrained(world, held, start, goals, seed=seed, deadline=deadline, most=most)
     if path is None:
         return None
-    path = shorten_held(world, held, path, seed=seed, stop=stop)
-    return time_held(held, path, limits, DT, free=lambda rows: is_free(held.model, world, rows), stop=stop)
+    path = shortcut_constrained(world, held, path, seed=seed, deadline=deadline)
+    return time_constrained(held, path, limits, DT, free=lambda rows: is_free(held.model, world, rows), deadline=deadline)
 
 
 def problem(
     model: RobotModel, message: HeldAxes, rng: np.random.Generator
-) -> tuple[tuple[SceneObject, ...], Held, Array, Array]:
+) -> tuple[tuple[SceneObject, ...], PathConstraint, Array, Array]:
     """Objects, and a free start and free goals that keep what is held, at random."""
     while True:
         objects = random_objects(4, 0.25, rng)
         start = rng.uniform(model.lower, model.upper)
-        held = Held.of(model, message, model.fk_tip(start))
+        held = PathConstraint.of(model, message, model.fk_tip(start))
         near = held.projected(rng.uniform(model.lower, model.upper))
         pose = model.fk_tip(start if near is None else near[0])
         if message is LINE:
             pose = model.fk_tip(start)
             pose[:3, 3] += rng.uniform(-0.3, 0.3) * pose[:3, 0]
         world = World(objects, 0.005)
-        goals = solve_ik(model, pose, start, world=world, max_solutions=16, seed=0, stop=Stop(30.0)).solutions
+        goals = solve_ik(model, pose, start, world=world, max_solutions=16, seed=0, deadline=Deadline(30.0)).solutions
         if len(goals) and is_free(model, world, start):
             return objects, held, start, goals
 
@@ -142,7 +151,7 @@ def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_
     for seed in range(3):
         objects, held, start, goals = problem(model, message, rng)
         world = World(objects, 0.005)
-        motion = plan_held(world, held, start, goals, Limits.of(model), seed=seed, stop=Stop(30.0), most=50)
+        motion = plan_held(world, held, start, goals, Limits.of(model), seed=seed, deadline=Deadline(30.0), most=50)
         if motion is None:  # obstacles and joint ranges can cut a goal off
             continue
         planned += 1
@@ -158,11 +167,11 @@ def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_
 def test_a_glass_is_carried_upright_around_a_wall(sides: tuple[Array, Array], message: HeldAxes, seed: int) -> None:
     start, goal = sides
     world = World(WALL, 0.005)
-    held = Held.of(PANDA, message, PANDA.fk_tip(start))
+    held = PathConstraint.of(PANDA, message, PANDA.fk_tip(start))
     pose = PANDA.fk_tip(goal)
     pose[:3, :3] = PANDA.fk_tip(start)[:3, :3]
-    goals = solve_ik(PANDA, pose, start, world=world, max_solutions=16, seed=0, stop=Stop(30.0)).solutions
-    motion = plan_held(world, held, start, goals, Limits.of(PANDA), seed=seed, stop=Stop(30.0))
+    goals = solve_ik(PANDA, pose, start, world=world, max_solutions=16, seed=0, deadline=Deadline(30.0)).solutions
+    motion = plan_held(world, held, start, goals, Limits.of(PANDA), seed=seed, deadline=Deadline(30.0))
     assert motion is not None
     assert_kept(PANDA, message, motion)
     assert clearances(PANDA, WALL, motion.position).min() > -RESOLUTION / 2
@@ -171,9 +180,10 @@ def test_a_glass_is_carried_upright_around_a_wall(sides: tuple[Array, Array], me
 
 def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    world, held = World(WALL, 0.005), Held.of(PANDA, UPRIGHT, PANDA.fk_tip(start))
+    world, held = World(WALL, 0.005), PathConstraint.of(PANDA, UPRIGHT, PANDA.fk_tip(start))
     motions = [
-        plan_held(world, held, start, goal[None], Limits.of(PANDA), seed=seed, stop=Stop(30.0)) for seed in (1, 1, 2)
+        plan_held(world, held, start, goal[None], Limits.of(PANDA), seed=seed, deadline=Deadline(30.0))
+        for seed in (1, 1, 2)
     ]
     first, same, other = (motion for motion in motions if motion is not None)
     np.testing.assert_array_equal(first.position, same.position)
@@ -182,11 +192,11 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tup
 
 def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still() -> None:
     start = np.array(PANDA.robot.descriptor.home)
-    held = Held.of(PANDA, STILL, PANDA.fk_tip(start))
+    held = PathConstraint.of(PANDA, STILL, PANDA.fk_tip(start))
     goal = held.projected(start + [0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0])
     assert goal is not None
     assert np.abs(goal[0] - start).max() > 0.2
-    motion = plan_held(World((), 0.0), held, start, goal, Limits.of(PANDA), seed=0, stop=Stop(30.0))
+    motion = plan_held(World((), 0.0), held, start, goal, Limits.of(PANDA), seed=0, deadline=Deadline(30.0))
     assert motion is not None
     assert_kept(PANDA, STILL, motion)
 
@@ -194,10 +204,10 @@ def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still
 def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Path) -> None:
     arm = RobotModel.of(small_arm(tmp_path))
     start = np.array([-3.0, 1.2, 0.3, 0.1])
-    held = Held.of(arm, LEVEL, arm.fk_tip(start))
+    held = PathConstraint.of(arm, LEVEL, arm.fk_tip(start))
     goals = held.projected(np.array([6.0, 0.9, 0.9, 0.15]))
     assert goals is not None
-    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm), seed=0, stop=Stop(30.0))
+    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm), seed=0, deadline=Deadline(30.0))
     assert motion is not None
     np.testing.assert_array_equal(motion.position[-1], goals[0])
     assert_kept(arm, LEVEL, motion)
@@ -206,11 +216,11 @@ def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Pat
 def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> None:
     start = np.array(PANDA.robot.descriptor.home)
     pose = PANDA.fk_tip(start)
-    held = Held.of(PANDA, LEVEL, pose)
+    held = PathConstraint.of(PANDA, LEVEL, pose)
     pose[:3, 3] += (0.1, 0.2, 0.9 * LEVEL.position_tolerance)
     held.check_goal(pose, "goal")
-    goals = solve_ik(PANDA, pose, start, world=None, max_solutions=4, seed=0, stop=Stop(30.0)).solutions
-    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(PANDA), seed=0, stop=Stop(30.0))
+    goals = solve_ik(PANDA, pose, start, world=None, max_solutions=4, seed=0, deadline=Deadline(30.0)).solutions
+    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(PANDA), seed=0, deadline=Deadline(30.0))
     assert motion is not None
     assert np.abs(goals - motion.position[-1]).max(axis=1).min() == 0.0
     assert_kept(PANDA, LEVEL, motion)
@@ -218,8 +228,8 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
 
 def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
     start = np.array(MODELS["ur5e"].robot.descriptor.home)
-    held = Held.of(MODELS["ur5e"], STILL, MODELS["ur5e"].fk_tip(start))
-    motion = plan_held(World((), 0.0), held, start, start[None], Limits.of(held.model), seed=0, stop=Stop(30.0))
+    held = PathConstraint.of(MODELS["ur5e"], STILL, MODELS["ur5e"].fk_tip(start))
+    motion = plan_held(World((), 0.0), held, start, start[None], Limits.of(held.model), seed=0, deadline=Deadline(30.0))
     assert motion is not None
     assert np.all(motion.position == start)
 
@@ -234,7 +244,7 @@ def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_fr
     turn, shift = angle * axis / np.linalg.norm(axis), rng.normal(size=3)
     pose[:3, :3], pose[:3, 3] = rotation(turn) @ start[:3, :3], start[:3, 3] + shift
     for frame, axes in (("base", np.eye(3)), ("tool", start[:3, :3].T)):
-        held = Held.of(PANDA, STILL.model_copy(update={"frame": frame}), start)
+        held = PathConstraint.of(PANDA, STILL.model_copy(update={"frame": frame}), start)
         found = held.deviations(pose)[0]
         vector = axes @ turn
         if angle > 3.14 and found[:3] @ vector < 0.0:  # half a turn is the same in either sense
@@ -250,7 +260,7 @@ def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
 ) -> None:
     model, rng = MODELS[name], np.random.default_rng(seed)
     start, q = rng.uniform(model.lower, model.upper, (2, model.dof))
-    held = Held.of(model, message, model.fk_tip(start))
+    held = PathConstraint.of(model, message, model.fk_tip(start))
     near = held.projected(q)
     if near is not None:
         assert used(model, message, start, near[0]) <= CLOSE / 0.0005 + 1e-4
@@ -278,13 +288,13 @@ def test_a_goal_that_cannot_be_kept_to_is_refused_with_the_component_that_is_off
     goal[:3, 3] += shift
     goal[:3, :3] = rotation(np.array(turn)) @ start[:3, :3]
     with pytest.raises(InvalidRequest, match=says) as refusal:
-        Held.of(PANDA, message, start).check_goal(goal, "goal")
+        PathConstraint.of(PANDA, message, start).check_goal(goal, "goal")
     assert refusal.value.problem.field == "goal"
 
 
 def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    held = Held.of(PANDA, LEVEL, PANDA.fk_tip(start))
+    held = PathConstraint.of(PANDA, LEVEL, PANDA.fk_tip(start))
     low = start + [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     violation = held.violation(np.array((start, low, goal)))
     assert violation is not None
@@ -296,17 +306,19 @@ def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Arr
 def test_a_goal_in_reach_that_no_held_motion_leads_to_ends_with_its_samples_and_with_a_cancel() -> None:
     ur5e = MODELS["ur5e"]
     start = np.array(ur5e.robot.descriptor.home)
-    held = Held.of(ur5e, STILL, ur5e.fk_tip(start))
-    found = solve_ik(ur5e, ur5e.fk_tip(start), start, world=None, max_solutions=8, seed=0, stop=Stop(30.0)).solutions
+    held = PathConstraint.of(ur5e, STILL, ur5e.fk_tip(start))
+    found = solve_ik(
+        ur5e, ur5e.fk_tip(start), start, world=None, max_solutions=8, seed=0, deadline=Deadline(30.0)
+    ).solutions
     others = found[
         np.abs(found - start).max(axis=1) > 0.1
     ]  # an arm of six joints cannot get there without moving its tip
     assert len(others)
     world, limits = World((), 0.0), Limits.of(ur5e)
-    assert plan_held(world, held, start, others, limits, seed=0, stop=Stop(30.0), most=50) is None
-    stop = Stop(60.0)
+    assert plan_held(world, held, start, others, limits, seed=0, deadline=Deadline(30.0), most=50) is None
+    stop = Deadline(60.0)
     canceller = threading.Timer(0.1, stop.cancel)
     canceller.start()
-    assert plan_held(world, held, start, others, limits, seed=0, stop=stop) is None
+    assert plan_held(world, held, start, others, limits, seed=0, deadline=stop) is None
     canceller.join()
     assert stop.cancelled

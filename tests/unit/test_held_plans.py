@@ -14,13 +14,15 @@ from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.ends import Snapshot
-from zarm_planner.held import Held
-from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.stop import Stop
-from zarm_planner.timing import time_path
-from zarm_planner.verify import VerificationFailed, verify
+from zarm_planner.constraints.path_constraint import PathConstraint, constrains
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import Verified, plan
+from zarm_planner.planners.registry import choose
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_planner.timing.trajectory import Limits
+from zarm_planner.verification.verify import VerificationFailed, verify
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 UPRIGHT = HeldAxes(axes=(True, True, False, False, False, False), position_tolerance=0.003, angle_tolerance=0.01)
@@ -44,16 +46,17 @@ def held_plan(
     model: RobotModel, goal: Goal, held: HeldAxes, *objects: SceneObject, optimize_s: float = 0.0
 ) -> Verified:
     world = World(objects, 0.005)
-    snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
-    options = Options(Limits.of(model), held=held, max_attempts=10, optimize_s=optimize_s, seed=0)
-    return plan(snapshot, HOME, goal, options, Stop(60.0))[0]
+    snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    limits, deadline = Limits.of(model), Deadline(60.0)
+    context = PlanningContext(snapshot, limits, deadline, path_constraint=held, max_attempts=10, optimize_s=optimize_s)
+    return plan(choose("auto", goal, constrains(held)), context, HOME, goal)
 
 
 def tips(model: RobotModel, found: Verified) -> np.ndarray:
     """The tip's poses (n, 4, 4) along a motion, by forward kinematics that are not the planner's."""
-    times = np.arange(0.0, found.motion.duration, DENSE)
+    times = np.arange(0.0, found.trajectory.duration, DENSE)
     tip = model.robot.descriptor.tip_link
-    return np.array([second_opinion.link_pose(model.robot, tip, q) for q in found.motion.at(times)[0]])
+    return np.array([second_opinion.link_pose(model.robot, tip, q) for q in found.trajectory.at(times)[0]])
 
 
 def tilt(poses: np.ndarray) -> float:
@@ -76,8 +79,8 @@ def test_what_is_held_is_kept_around_an_obstacle(model: RobotModel) -> None:
     assert np.abs(poses[:, 2, 3] - poses[0, 2, 3]).max() <= LEVEL.position_tolerance
     assert tilt(poses) <= LEVEL.angle_tolerance * np.sqrt(2.0)
     collisions = second_opinion.Collisions(model.robot, [post])
-    times = np.arange(0.0, found.motion.duration, DENSE)
-    assert not any(collisions.at(q) for q in found.motion.at(times)[0])
+    times = np.arange(0.0, found.trajectory.duration, DENSE)
+    assert not any(collisions.at(q) for q in found.trajectory.at(times)[0])
 
 
 def test_all_axes_but_one_make_a_straight_line(model: RobotModel) -> None:
@@ -94,7 +97,7 @@ def test_waypoints_are_passed_without_a_stop_with_axes_held(model: RobotModel) -
     assert np.abs(poses[:, 2, 3] - poses[0, 2, 3]).max() <= LEVEL.position_tolerance
     assert len(found.waypoint_times) == 3
     for goal, time in zip(through, found.waypoint_times, strict=True):
-        q, qd, _ = found.motion.at(np.array([time]))
+        q, qd, _ = found.trajectory.at(np.array([time]))
         distance, _ = second_opinion.tip_error(model.robot, q[0], goal.position, goal.orientation)
         assert distance <= 0.005
         assert goal is through[-1] or np.abs(qd).max() > 0.01
@@ -103,7 +106,7 @@ def test_waypoints_are_passed_without_a_stop_with_axes_held(model: RobotModel) -
 def test_a_budget_makes_no_held_motion_slower_and_loses_nothing(model: RobotModel) -> None:
     goal = moved(model, -0.3, 0.3, 0.2)
     quick, better = (held_plan(model, goal, UPRIGHT, optimize_s=seconds) for seconds in (0.0, 0.3))
-    assert better.motion.duration <= quick.motion.duration
+    assert better.trajectory.duration <= quick.trajectory.duration
     assert tilt(tips(model, better)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
 
 
@@ -119,7 +122,7 @@ def test_a_goal_that_cannot_keep_what_is_held_is_refused_with_the_axis_and_how_f
 def test_no_axis_held_is_a_plan_like_any_other(model: RobotModel) -> None:
     nothing = HeldAxes(axes=(False,) * 6)
     free, held = (held_plan(model, moved(model, 0.0, 0.2, 0.1), axes) for axes in (nothing, UPRIGHT))
-    assert free.motion.duration <= held.motion.duration
+    assert free.trajectory.duration <= held.trajectory.duration
 
 
 def test_an_axis_is_held_from_a_start_and_to_a_goal_near_a_table(model: RobotModel) -> None:
@@ -138,7 +141,7 @@ def test_verification_refuses_a_motion_that_loses_what_is_held(model: RobotModel
     away = HOME + (0.0, 0.2, 0.0, 0.0, 0.0, 0.0)
     limits, exact = Limits.of(model), ExactScene(model, World((), 0.0))
     motion = time_path(np.array((HOME, away)), limits, 0.01, 0.0)
-    held = Held.of(model, UPRIGHT, model.fk_tip(HOME))
+    held = PathConstraint.of(model, UPRIGHT, model.fk_tip(HOME))
     assert verify(motion, HOME, away, limits, exact, lambda: None) > 0.0
     with pytest.raises(VerificationFailed, match="theta_"):
         verify(motion, HOME, away, limits, exact, lambda: None, held)

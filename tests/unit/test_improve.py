@@ -11,11 +11,11 @@ from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.improve import GAIN, Improvement
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.search import search
-from zarm_planner.shorten import shorten
-from zarm_planner.stop import Stop
+from zarm_planner.deadline import Deadline
+from zarm_planner.search.rrt_connect import search
+from zarm_planner.search.shortcut import shortcut
+from zarm_planner.timing.improvement import GAIN, Improvement
+from zarm_planner.timing.trajectory import Limits, Trajectory
 
 Array = NDArray[np.float64]
 Route = tuple[Array, tuple[int, ...]]
@@ -25,7 +25,7 @@ LEFT = np.array([0.6, 0.6, 0.0, -1.8, 0.0, 2.4, 0.785])
 RIGHT = LEFT * [-1, 1, 1, 1, 1, 1, 1]
 
 
-class Rounds(Stop):
+class Rounds(Deadline):
     """Passes after so many looks at it, so that what is done in between does not depend on the machine."""
 
     def __init__(self, looks: int) -> None:
@@ -51,13 +51,13 @@ def world() -> World:
 @pytest.fixture
 def improvement(model: RobotModel, world: World) -> Improvement:
     def route(k: int) -> Route:
-        found = search(model, world, LEFT, RIGHT, seed=k, stop=Stop(60))
-        return shorten(model, world, found, seed=k, stop=Stop(60)), ()
+        found = search(model, world, LEFT, RIGHT, seed=k, deadline=Deadline(60))
+        return shortcut(model, world, found, seed=k, deadline=Deadline(60)), ()
 
     return Improvement(model, world, Limits.of(model), 0.01, route, seed=0)
 
 
-def staircase(improvement: Improvement, looks: int) -> list[Motion]:
+def staircase(improvement: Improvement, looks: int) -> list[Trajectory]:
     stop, motions = Rounds(looks), []
     while (motion := improvement.faster_than(motions[-1].duration if motions else 60.0, stop)) is not None:
         motions.append(motion)
@@ -83,14 +83,14 @@ def test_the_same_seed_tries_the_same(improvement: Improvement, model: RobotMode
 
 
 def test_what_was_of_no_use_is_not_offered_again(improvement: Improvement) -> None:
-    stop = Stop(60)
+    stop = Deadline(60)
     refused = [improvement.faster_than(60.0, stop) for _ in range(3)]
     durations = [motion.duration for motion in refused if motion is not None]
     assert len(set(durations)) == 3
 
 
 def test_nothing_comes_after_the_stop(improvement: Improvement) -> None:
-    stop = Stop(60)
+    stop = Deadline(60)
     stop.cancel()
     assert improvement.faster_than(60.0, stop) is None
 

@@ -24,7 +24,7 @@ from zarm_geometry.frames import matrix
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.scene import SceneStore
+from zarm_planner.scene.store import SceneStore
 
 Array = NDArray[np.float64]
 

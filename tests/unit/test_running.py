@@ -13,9 +13,9 @@ from harness import PATIENCE, eventually
 from zarm_contract.asking import ANYONE
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Asker
-from zarm_planner import running
-from zarm_planner.running import WITHDRAWN, Running
-from zarm_planner.stop import Stop
+from zarm_planner import scheduler
+from zarm_planner.deadline import Deadline
+from zarm_planner.scheduler import WITHDRAWN, Scheduler
 
 
 def client(name: str, patience: float = PATIENCE) -> Asker:
@@ -27,7 +27,7 @@ class Desk:
 
     def __init__(self, slots: int, pool: ThreadPoolExecutor) -> None:
         self.there: set[str] = set()
-        self.running = Running(slots, self.there.__contains__)
+        self.running = Scheduler(slots, self.there.__contains__)
         self.begun: list[str] = []
         self._pool = pool
         self._ends: dict[str, threading.Event] = {}
@@ -38,7 +38,7 @@ class Desk:
         """Work of the client that the first letter of the name stands for: until it is told, or asked to give way."""
         ending = self._ends[name] = threading.Event()
 
-        def work(stop: Stop) -> str:
+        def work(stop: Deadline) -> str:
             self.begun.append(name)
             optimisation = stop.sooner(PATIENCE) if until == "asked" else None
             while not ending.wait(0.001):
@@ -77,7 +77,7 @@ def desk(slots: int) -> Iterator[Desk]:
 
 
 def test_who_has_nothing_running_is_next_and_then_clients_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "LONG", PATIENCE)
+    monkeypatch.setattr(scheduler, "LONG", PATIENCE)
     with desk(2) as one:
         for name in ("a1", "a2", "a3", "a4", "a5", "b1", "c1", "b2"):
             one.ask(name)
@@ -89,7 +89,7 @@ def test_who_has_nothing_running_is_next_and_then_clients_take_turns(monkeypatch
 
 
 def test_long_work_keeps_its_slot_from_its_own_client_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "LONG", 0.0)
+    monkeypatch.setattr(scheduler, "LONG", 0.0)
     with desk(1) as one:
         for name in ("a1", "a2", "b1", "b2"):
             one.ask(name)
@@ -109,7 +109,7 @@ def test_optimisation_gives_way_to_what_its_own_client_asks_for() -> None:
 def test_optimisation_gives_way_to_clients_that_run_less_and_not_to_those_that_run_as_much(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(running, "LONG", PATIENCE)
+    monkeypatch.setattr(scheduler, "LONG", PATIENCE)
     with desk(2) as one:
         greedy, modest = one.ask("a1"), one.ask("b1", until="asked")
         waiting = one.ask("a2", timeout=0.2)
@@ -133,7 +133,7 @@ def test_what_nobody_waits_for_any_longer_does_not_begin() -> None:
 
 
 def test_all_that_a_client_has_in_hand_ends_when_it_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "LONG", PATIENCE)
+    monkeypatch.setattr(scheduler, "LONG", PATIENCE)
     with desk(1) as one:
         left = [one.ask("a1"), one.ask("a2")]
         stays = one.ask("b1")
@@ -177,18 +177,18 @@ def test_a_cancel_that_overtakes_its_request_ends_it_and_no_other() -> None:
 
 
 def test_a_cancel_ends_one_request_and_is_forgotten_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = Running(1, lambda _: False)
+    work = Scheduler(1, lambda _: False)
     work.cancel("again")
     with pytest.raises(Cancelled):
         work.run(lambda _: "done", ANYONE, PATIENCE, "again")
     assert work.run(lambda _: "done", ANYONE, PATIENCE, "again") == "done"
     work.cancel("late")
-    monkeypatch.setattr(running, "WITHDRAWN_S", 0.0)
+    monkeypatch.setattr(scheduler, "WITHDRAWN_S", 0.0)
     assert work.run(lambda _: "done", ANYONE, PATIENCE, "late") == "done"
 
 
 def test_so_many_cancels_are_remembered_and_no_more() -> None:
-    work = Running(1, lambda _: False)
+    work = Scheduler(1, lambda _: False)
     for number in range(WITHDRAWN + 1):
         work.cancel(f"r{number}")
     assert work.run(lambda _: "done", ANYONE, PATIENCE, "r0") == "done"

@@ -18,13 +18,13 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.ramps import Ramps, connect_states, in_range, make_ramps, state
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.search import search
-from zarm_planner.shorten import shorten
-from zarm_planner.smooth import DEVIATION, Smoothing, smooth_path
-from zarm_planner.stop import Stop
-from zarm_planner.timing import time_path
+from zarm_planner.search.rrt_connect import search
+from zarm_planner.search.shortcut import shortcut
+from zarm_planner.timing.smoothing import DEVIATION, Smoothing, smooth_path
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_planner.timing.trajectory import Limits, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -41,14 +41,16 @@ def model() -> RobotModel:
 @pytest.fixture(scope="module")
 def path(model: RobotModel) -> Array:
     world = World(WALL, 0.005)
-    return shorten(model, world, search(model, world, LEFT, RIGHT, seed=0, stop=Stop(60)), seed=0, stop=Stop(60))
+    return shortcut(
+        model, world, search(model, world, LEFT, RIGHT, seed=0, deadline=Deadline(60)), seed=0, deadline=Deadline(60)
+    )
 
 
 def moments(duration: float, step: float) -> Array:
     return np.linspace(0.0, duration, 2 + int(duration / step))
 
 
-def assert_inside(motion: Motion, model: RobotModel, limits: Limits) -> None:
+def assert_inside(motion: Trajectory, model: RobotModel, limits: Limits) -> None:
     """From rest to rest, and inside every limit at the samples and between them."""
     position, velocity, acceleration = motion.at(moments(motion.duration, 0.001))
     assert np.all(np.abs(velocity) <= limits.velocity * 1.001)
@@ -60,7 +62,7 @@ def assert_inside(motion: Motion, model: RobotModel, limits: Limits) -> None:
     assert not motion.acceleration[[0, -1]].any()
 
 
-def passings(motion: Motion, rows: Array) -> tuple[Array, Array]:
+def passings(motion: Trajectory, rows: Array) -> tuple[Array, Array]:
     """For each row, passed one after the other: when the motion is nearest, and how far any joint is off then."""
     t = moments(motion.duration, 0.0002)
     position, _, _ = motion.at(t)
@@ -84,12 +86,12 @@ def test_the_limits_hold_between_the_samples_too(model: RobotModel, path: Array,
     limits = Limits.of(model)
     if jerk is not None:
         limits = replace(limits, jerk=np.full(model.dof, jerk))
-    motion = smooth_path(model, World(WALL, 0.005), path, limits, dt, seed=1, stop=Stop(60))
+    motion = smooth_path(model, World(WALL, 0.005), path, limits, dt, seed=1, deadline=Deadline(60))
     assert_inside(motion, model, limits)
 
 
 def test_it_leads_from_rest_to_rest_between_the_ends_of_the_path(model: RobotModel, path: Array) -> None:
-    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model), 0.01, seed=1, stop=Stop(60))
+    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model), 0.01, seed=1, deadline=Deadline(60))
     np.testing.assert_allclose(motion.position[[0, -1]], path[[0, -1]], atol=1e-9)
     assert not motion.velocity[[0, -1]].any()
     assert not motion.acceleration[[0, -1]].any()
@@ -98,26 +100,26 @@ def test_it_leads_from_rest_to_rest_between_the_ends_of_the_path(model: RobotMod
 
 def test_it_arrives_sooner_than_along_the_path_without_stops(model: RobotModel, path: Array) -> None:
     limits = Limits.of(model)
-    motion = smooth_path(model, World(WALL, 0.005), path, limits, 0.01, seed=1, stop=Stop(60))
+    motion = smooth_path(model, World(WALL, 0.005), path, limits, 0.01, seed=1, deadline=Deadline(60))
     assert len(path) > 2  # else there is nothing to smooth
     assert motion.duration < time_path(path, limits, 0.01, 0.03).duration
 
 
 def test_the_same_seed_gives_the_same_motion(model: RobotModel, path: Array) -> None:
     world, limits = World(WALL, 0.005), Limits.of(model)
-    first, again = (smooth_path(model, world, path, limits, 0.01, seed=7, stop=Stop(60)) for _ in range(2))
+    first, again = (smooth_path(model, world, path, limits, 0.01, seed=7, deadline=Deadline(60)) for _ in range(2))
     np.testing.assert_array_equal(first.position, again.position)
 
 
 def test_it_is_a_good_motion_also_when_there_is_no_time_left(model: RobotModel, path: Array) -> None:
-    stop = Stop(60)
+    stop = Deadline(60)
     stop.cancel()
-    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model), 0.01, seed=1, stop=stop)
+    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model), 0.01, seed=1, deadline=stop)
     np.testing.assert_allclose(motion.position[[0, -1]], path[[0, -1]], atol=1e-9)
 
 
 def test_a_path_that_goes_nowhere_is_a_short_rest(model: RobotModel) -> None:
-    motion = smooth_path(model, World((), 0.0), LEFT[None], Limits.of(model), 0.01, seed=1, stop=Stop(60))
+    motion = smooth_path(model, World((), 0.0), LEFT[None], Limits.of(model), 0.01, seed=1, deadline=Deadline(60))
     assert not motion.velocity.any()
     np.testing.assert_array_equal(motion.position, [LEFT, LEFT])
 
@@ -133,11 +135,11 @@ def test_in_random_worlds_the_motion_is_as_free_as_the_path(seed: int) -> None:
     free = [q for q in rng.uniform(model.lower, model.upper, (40, model.dof)) if is_free(model, world, q)]
     if len(free) < 2:
         return
-    found = search(model, world, free[0], free[1], seed=seed, stop=Stop(1))
+    found = search(model, world, free[0], free[1], seed=seed, deadline=Deadline(1))
     if found is None:
         return
-    path = shorten(model, world, found, seed=seed, stop=Stop(1))
-    motion = smooth_path(model, world, path, Limits.of(model), 0.01, seed=seed, stop=Stop(60))
+    path = shortcut(model, world, found, seed=seed, deadline=Deadline(1))
+    motion = smooth_path(model, world, path, Limits.of(model), 0.01, seed=seed, deadline=Deadline(60))
     position, _, _ = motion.at(moments(motion.duration, 0.005))
     assert clearances(model, objects, position).min() > 0.0
 
@@ -146,7 +148,9 @@ ZIGZAG = LEFT + 0.3 * np.array([np.zeros(7), *np.random.default_rng(5).uniform(-
 
 
 def test_in_free_space_it_does_not_stop_at_vias(model: RobotModel) -> None:
-    motion = smooth_path(model, World((), 0.0), ZIGZAG, Limits.of(model), 0.01, seed=1, stop=Stop(60), vias=range(1, 6))
+    motion = smooth_path(
+        model, World((), 0.0), ZIGZAG, Limits.of(model), 0.01, seed=1, deadline=Deadline(60), vias=range(1, 6)
+    )
     times, off = passings(motion, ZIGZAG[1:6])
     assert off.max() <= DEVIATION
     _, velocity, _ = motion.at(times)
@@ -156,8 +160,8 @@ def test_in_free_space_it_does_not_stop_at_vias(model: RobotModel) -> None:
 def test_vias_along_the_way_cost_little(model: RobotModel) -> None:
     world, limits = World((), 0.0), Limits.of(model)
     line = LEFT + np.linspace(0.0, 1.0, 6)[:, None] * (RIGHT - LEFT)
-    direct = smooth_path(model, world, line[[0, -1]], limits, 0.01, seed=1, stop=Stop(60))
-    through = smooth_path(model, world, line, limits, 0.01, seed=1, stop=Stop(60), vias=range(1, 5))
+    direct = smooth_path(model, world, line[[0, -1]], limits, 0.01, seed=1, deadline=Deadline(60))
+    through = smooth_path(model, world, line, limits, 0.01, seed=1, deadline=Deadline(60), vias=range(1, 5))
     stopping = Smoothing(model, world, line, limits, 0.01, vias=range(1, 5)).motion()
     assert through.duration < 1.2 * direct.duration
     assert through.duration < 0.7 * stopping.duration
@@ -168,7 +172,7 @@ def test_vias_along_the_way_cost_little(model: RobotModel) -> None:
 def test_low_jerk_takes_a_motion_no_further_off_its_vias(model: RobotModel, jerk: float, deviation: float) -> None:
     limits = replace(Limits.of(model), jerk=np.full(model.dof, jerk))
     motion = smooth_path(
-        model, World((), 0.0), ZIGZAG, limits, 0.01, seed=1, stop=Stop(60), vias=[2, 4], deviation=deviation
+        model, World((), 0.0), ZIGZAG, limits, 0.01, seed=1, deadline=Deadline(60), vias=[2, 4], deviation=deviation
     )
     _, off = passings(motion, ZIGZAG[[2, 4]])
     assert off.max() <= deviation + 2e-4  # it is looked at every 0.2 ms, at up to 2 rad/s
@@ -178,7 +182,7 @@ def test_low_jerk_takes_a_motion_no_further_off_its_vias(model: RobotModel, jerk
 def test_rows_that_are_no_vias_need_not_be_passed(model: RobotModel) -> None:
     world, limits = World((), 0.0), Limits.of(model)
     through, free = (
-        smooth_path(model, world, ZIGZAG, limits, 0.01, seed=1, stop=Stop(60), vias=vias) for vias in ([3], [])
+        smooth_path(model, world, ZIGZAG, limits, 0.01, seed=1, deadline=Deadline(60), vias=vias) for vias in ([3], [])
     )
     assert free.duration < through.duration
     assert passings(free, ZIGZAG[3:4])[1].max() > DEVIATION
@@ -204,7 +208,9 @@ def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops
     if len(rows) < 2:
         return
     path, vias = np.array(rows), range(1, len(rows) - 1)
-    motion, again = (smooth_path(model, world, path, limits, dt, seed=seed, stop=Stop(60), vias=vias) for _ in range(2))
+    motion, again = (
+        smooth_path(model, world, path, limits, dt, seed=seed, deadline=Deadline(60), vias=vias) for _ in range(2)
+    )
     np.testing.assert_array_equal(motion.position, again.position)
     assert_inside(motion, model, limits)
     _, off = passings(motion, path[1:-1])
@@ -216,7 +222,7 @@ def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops
 def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
     rng = np.random.default_rng(2)
     samples = rng.normal(size=(3, 20, model.dof)) * np.array([0.01, 0.5, 5.0])[:, None, None]
-    motion = Motion(np.cumsum(rng.uniform(0.05, 0.1, 20)) - 0.05, *samples)
+    motion = Trajectory(np.cumsum(rng.uniform(0.05, 0.1, 20)) - 0.05, *samples)
     t = np.linspace(motion.time[0], motion.time[-1], 20_000)
     _, velocity, acceleration = motion.at(t[:-1])
     ample = np.full(model.dof, 1e9)

@@ -13,8 +13,8 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.timing import time_path
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_planner.timing.trajectory import Limits, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ scales = st.sampled_from([1e-4, 1e-2, 1.0, 2.0])
 deviations = st.sampled_from([0.2, 0.05, 0.01, 0.001, 0.0])
 
 
-def between(motion: Motion, order: int, fractions: Array) -> Array:
+def between(motion: Trajectory, order: int, fractions: Array) -> Array:
     """The motion's derivative of an order at fractions (k,) of each interval, (n - 1, k, dof): from the six conditions
     that a quintic meets, solved afresh.
     """

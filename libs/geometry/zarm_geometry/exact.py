@@ -62,19 +62,19 @@ class ExactScene:
         self._asked = np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
         self._asked_of_world = self._asked & (np.arange(len(self._asked)) < len(model.links))
 
-    def nearest(self, q: ArrayLike, stop: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
+    def nearest(self, q: ArrayLike, check: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
         """The smallest distance, to 0.01 mm, over configurations `q` (n, dof) or over one (dof,).
 
         To objects and, if `itself`, of the robot's links to each other. The search ends at the first collisions that it
         finds; so the deepest is sure for a single configuration only. Links fixed to the base are not checked against the
-        world. The closer the configurations follow each other, the fewer of them need a look. `stop` is called now and
+        world. The closer the configurations follow each other, the fewer of them need a look. `check` is called now and
         then and may raise.
 
         FCL's distance counts, unless two points are known that are closer to each other: of random pairs of a capsule or
         cylinder and a box or cylinder, FCL measures 1 in 600 more than 0.1 mm too long, by 49 mm at worst, and none too short.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
-        near = self.bounds(q, stop, itself)
+        near = self.bounds(q, check, itself)
         best = Nearest(FARTHEST, None, 0)
         for lower, upper, *which in near[np.argsort(near[:, 0], kind="stable")].tolist():
             if lower >= best.distance - PRECISION:
@@ -85,12 +85,12 @@ class ExactScene:
                 best = Nearest(measured, pair, sample)
         return best
 
-    def bounds(self, q: Array, stop: Callable[[], None], itself: bool) -> Array:
+    def bounds(self, q: Array, check: Callable[[], None], itself: bool) -> Array:
         """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof)."""
         motion = course(self._body, q, self._asked if itself else self._asked_of_world)
         smallest, over, looks = FARTHEST, False, []
         while not over:
-            stop()
+            check()
             found, smallest, over = look(self._body, self._obstacles, motion, smallest, _LOOKS)
             looks.append(found)
         return np.concatenate(looks)

@@ -1,4 +1,4 @@
-"""RRT-Connect and shortcuts on the manifold of what is held, each in one compiled call.
+"""RRT-Connect and shortcuts on the manifold of a path constraint, each in one compiled call.
 
 Berenson, Srinivasa, Ferguson and Kuffner, "Manipulation planning on constraint manifolds", 2009 (CBiRRT). Other than there,
 samples are brought onto the manifold before a tree grows towards them: what is nearest is then nearest along it, too.
@@ -16,7 +16,7 @@ from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.manifold import Desk, Hold, advance, make_desk, project
+from zarm_planner.kernels.manifold import ConstraintArrays, Desk, advance, make_desk, project
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
 
@@ -33,7 +33,7 @@ GAIN = 0.01
 
 
 @kernel
-def walk(hold: Hold, a: Single, b: Single, longest: float, rows: Single, desk: Desk) -> int:
+def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, rows: Single, desk: Desk) -> int:
     """Write the configurations after `a` on the way along the manifold to `b` into `rows`; returns how many they are.
 
     0 where the way does not get there, or is longer than `longest`.
@@ -41,7 +41,7 @@ def walk(hold: Hold, a: Single, b: Single, longest: float, rows: Single, desk: D
     count, length = 0, 0.0
     here = a
     while count < rows.shape[0]:
-        if not advance(hold, here, b, rows[count], desk):
+        if not advance(constraint, here, b, rows[count], desk):
             return 0
         length += apart(here, rows[count])
         if length + apart(rows[count], b) > longest:
@@ -65,12 +65,12 @@ def walk_free(checks: Space, a: Single, rows: Single, count: int) -> bool:
 
 
 @kernel
-def connect_held(
+def connect_constrained(
     robot: RobotArrays,
     world: WorldArrays,
     memory: Memory,
     trees: Trees,
-    hold: Hold,
+    constraint: ConstraintArrays,
     limits: Single,
     weight: Single,
     start: Single,
@@ -89,7 +89,7 @@ def connect_held(
     now = np.empty(2, np.int64)
     rows = np.empty((ROWS, dof), np.float32)
     for goal in range(goals.shape[0]):
-        count = walk(hold, start, goals[goal], 1e9, rows, desk)
+        count = walk(constraint, start, goals[goal], 1e9, rows, desk)
         if count > 0 and walk_free(checks, start, rows, count):
             path = np.empty((count + 1, dof), np.float32)
             copy(start, path[0])
@@ -109,13 +109,13 @@ def connect_held(
                 add(trees, 1, goals[goal], -1)
         for k in range(dof):
             sample[k] = limits[0, k] + (limits[1, k] - limits[0, k]) * uniform(random)
-        if not project(hold, sample, desk):
+        if not project(constraint, sample, desk):
             continue
         copy(sample, target)
         new, _ = nearest_node(trees, grown, target, weight)
         read(trees, grown, new, here)
         length, moved = 0.0, False
-        while length < EXTENSION and advance(hold, here, target, there, desk) and edge_free(checks, here, there):
+        while length < EXTENSION and advance(constraint, here, target, there, desk) and edge_free(checks, here, there):
             new, moved = add(trees, grown, there, new), True
             length += apart(here, there)
             copy(there, here)
@@ -129,7 +129,9 @@ def connect_held(
         near, _ = nearest_node(trees, other, target, weight)
         read(trees, other, near, here)
         while (
-            trees.size[other] < CAPACITY and advance(hold, here, target, there, desk) and edge_free(checks, here, there)
+            trees.size[other] < CAPACITY
+            and advance(constraint, here, target, there, desk)
+            and edge_free(checks, here, there)
         ):
             if apart(there, target) == 0.0:
                 return path_through(trees, dof, new, near) if grown == 0 else path_through(trees, dof, near, new)
@@ -141,11 +143,11 @@ def connect_held(
 
 
 @kernel
-def shortcut_held(
+def shortcut_constrained(
     robot: RobotArrays,
     world: WorldArrays,
     memory: Memory,
-    hold: Hold,
+    constraint: ConstraintArrays,
     path: Single,
     count: int,
     random: NDArray[np.uint64],
@@ -170,7 +172,7 @@ def shortcut_held(
         longest = (1.0 - GAIN) * piece
         if apart(path[i], path[j]) > longest:
             continue
-        new = walk(hold, path[i], path[j], longest, rows, desk)
+        new = walk(constraint, path[i], path[j], longest, rows, desk)
         moved = new - (j - i)  # what comes after `i` up to `j` gives way to the new rows
         if new == 0 or count + moved > path.shape[0] or not walk_free(checks, path[i], rows, new):
             continue

@@ -32,22 +32,22 @@ DAMPING = 0.01
 """Times the squared deviation, as in Levenberg-Marquardt."""
 
 
-class Hold(NamedTuple):
-    """What is held: components of the tip's pose, numbered as [theta_x, theta_y, theta_z, x, y, z].
+class ConstraintArrays(NamedTuple):
+    """A path constraint: components of the tip's pose that are kept, numbered as [theta_x, theta_y, theta_z, x, y, z].
 
-    `start` (4, 4): the pose that they are held at; `frame` (3, 3): takes base axes to those that the components are
-    along; `held` (m,): their numbers; `tolerance` (6,) in rad and m.
+    `start` (4, 4): the pose at which they are kept; `frame` (3, 3): takes base axes to those that the components are
+    along; `axes` (m,): their numbers; `tolerance` (6,) in rad and m.
     """
 
     chain: Chain
     start: Array
     frame: Array
-    held: NDArray[np.int64]
+    axes: NDArray[np.int64]
     tolerance: Array
 
 
 class Desk(NamedTuple):
-    """Working memory: of the kinematics; the rotation vector (3,); deviation (6,); the held rows of the Jacobian (6, dof),
+    """Working memory: of the kinematics; the rotation vector (3,); deviation (6,); the constrained rows of the Jacobian (6, dof),
     their normal equations (6, 6) and right side (6,); which joints are at a limit (dof,); configurations (dof,)."""
 
     work: Work
@@ -110,41 +110,41 @@ def rotation_vector(a: Array, b: Array, out: Array) -> None:
 
 
 @inlined
-def deviate(hold: Hold, pose: Array, desk: Desk) -> float:
-    """Write how far `pose` is from the start, in all six components, into `desk.deviation`; returns the largest held one.
+def deviate(constraint: ConstraintArrays, pose: Array, desk: Desk) -> float:
+    """Write how far `pose` is from the start, in all six components, into `desk.deviation`; returns the largest constrained one.
 
     The rotation vector in base axes is left in `desk.turn`.
     """
-    rotation_vector(pose, hold.start, desk.turn)
-    d, f, s = desk.deviation, hold.frame, hold.start
+    rotation_vector(pose, constraint.start, desk.turn)
+    d, f, s = desk.deviation, constraint.frame, constraint.start
     for i in range(3):
         d[i] = f[i, 0] * desk.turn[0] + f[i, 1] * desk.turn[1] + f[i, 2] * desk.turn[2]
         d[3 + i] = (
             f[i, 0] * (pose[0, 3] - s[0, 3]) + f[i, 1] * (pose[1, 3] - s[1, 3]) + f[i, 2] * (pose[2, 3] - s[2, 3])
         )
     worst = 0.0
-    for i in range(hold.held.shape[0]):
-        worst = max(worst, abs(d[hold.held[i]]))
+    for i in range(constraint.axes.shape[0]):
+        worst = max(worst, abs(d[constraint.axes[i]]))
     return worst
 
 
 @inlined
-def used(hold: Hold, desk: Desk) -> float:
+def used(constraint: ConstraintArrays, desk: Desk) -> float:
     """The largest part of the tolerances that the deviation in hand uses."""
     worst = 0.0
-    for i in range(hold.held.shape[0]):
-        worst = max(worst, abs(desk.deviation[hold.held[i]]) / hold.tolerance[hold.held[i]])
+    for i in range(constraint.axes.shape[0]):
+        worst = max(worst, abs(desk.deviation[constraint.axes[i]]) / constraint.tolerance[constraint.axes[i]])
     return worst
 
 
 @inlined
-def held_rows(hold: Hold, desk: Desk) -> None:
-    """Write how the held components change with each joint into `desk.rows`; joints at a limit change nothing.
+def constrained_rows(constraint: ConstraintArrays, desk: Desk) -> None:
+    """Write how the constrained components change with each joint into `desk.rows`; joints at a limit change nothing.
 
     The rotation vector phi changes with the angular velocity w as J(phi) w, where J is the inverse left Jacobian of SO(3),
     1 - [phi] / 2 + c [phi]^2 (Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018).
     """
-    tip_jacobian(hold.chain, desk.work)
+    tip_jacobian(constraint.chain, desk.work)
     jac, phi = desk.work.jacobian, desk.turn
     square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
     half = 0.5 * math.sqrt(square)
@@ -155,14 +155,14 @@ def held_rows(hold: Hold, desk: Desk) -> None:
         wx += c * (phi[1] * az - phi[2] * ay) - 0.5 * ax
         wy += c * (phi[2] * ax - phi[0] * az) - 0.5 * ay
         wz += c * (phi[0] * ay - phi[1] * ax) - 0.5 * az
-        for i in range(hold.held.shape[0]):
+        for i in range(constraint.axes.shape[0]):
             if desk.stuck[k]:
                 desk.rows[i, k] = 0.0
-            elif hold.held[i] < 3:
-                f = hold.frame[hold.held[i]]
+            elif constraint.axes[i] < 3:
+                f = constraint.frame[constraint.axes[i]]
                 desk.rows[i, k] = f[0] * wx + f[1] * wy + f[2] * wz
             else:
-                f = hold.frame[hold.held[i] - 3]
+                f = constraint.frame[constraint.axes[i] - 3]
                 desk.rows[i, k] = f[0] * jac[0, k] + f[1] * jac[1, k] + f[2] * jac[2, k]
 
 
@@ -189,24 +189,24 @@ def solve_normal(count: int, damping: float, desk: Desk) -> None:
 
 
 @kernel
-def project(hold: Hold, q: Array, desk: Desk) -> bool:
+def project(constraint: ConstraintArrays, q: Array, desk: Desk) -> bool:
     """Bring `q` onto the manifold, in place, by damped least squares; False where that fails.
 
     A joint that would leave its range stops there, and the others do what is left to do.
     """
-    dof, count = q.shape[0], hold.held.shape[0]
-    lower, upper = hold.chain.lower, hold.chain.upper
+    dof, count = q.shape[0], constraint.axes.shape[0]
+    lower, upper = constraint.chain.lower, constraint.chain.upper
     for k in range(dof):
         desk.stuck[k] = False
         q[k] = min(max(q[k], lower[k]), upper[k])
     for _ in range(ITERATIONS):
-        tip_pose(hold.chain, q, desk.work)
-        worst = deviate(hold, desk.work.pose, desk)
+        tip_pose(constraint.chain, q, desk.work)
+        worst = deviate(constraint, desk.work.pose, desk)
         if worst <= CLOSE:
             return True
-        held_rows(hold, desk)
+        constrained_rows(constraint, desk)
         for i in range(count):
-            desk.right[i] = -desk.deviation[hold.held[i]]
+            desk.right[i] = -desk.deviation[constraint.axes[i]]
         solve_normal(count, DAMPING * worst * worst + 1e-12, desk)
         for k in range(dof):
             for i in range(count):
@@ -218,17 +218,17 @@ def project(hold: Hold, q: Array, desk: Desk) -> bool:
 
 
 @inlined
-def step_kept(hold: Hold, a: Single, b: Single, desk: Desk) -> bool:
+def step_kept(constraint: ConstraintArrays, a: Single, b: Single, desk: Desk) -> bool:
     """Whether half way along the straight step from `a` to `b`, on the manifold both, SLACK of the tolerance is enough."""
     for k in range(a.shape[0]):
         desk.middle[k] = 0.5 * (np.float64(a[k]) + np.float64(b[k]))
-    tip_pose(hold.chain, desk.middle, desk.work)
-    deviate(hold, desk.work.pose, desk)
-    return used(hold, desk) <= SLACK
+    tip_pose(constraint.chain, desk.middle, desk.work)
+    deviate(constraint, desk.work.pose, desk)
+    return used(constraint, desk) <= SLACK
 
 
 @kernel
-def advance(hold: Hold, here: Single, target: Single, there: Single, desk: Desk) -> bool:
+def advance(constraint: ConstraintArrays, here: Single, target: Single, there: Single, desk: Desk) -> bool:
     """Write to `there` the configuration on the manifold a step from `here` nearer to `target`, or `target` itself.
 
     False where there is none. `here` and `target` are on the manifold.
@@ -236,18 +236,18 @@ def advance(hold: Hold, here: Single, target: Single, there: Single, desk: Desk)
     left, step = apart(here, target), STEP
     while step >= SHORTEST:
         if left <= step:
-            if step_kept(hold, here, target, desk):
+            if step_kept(constraint, here, target, desk):
                 copy(target, there)
                 return True
         else:
             for k in range(here.shape[0]):
                 desk.q[k] = here[k] + (target[k] - here[k]) * (step / left)
-            if project(hold, desk.q, desk):
+            if project(constraint, desk.q, desk):
                 copy(desk.q, there)
                 if (
                     apart(here, there) <= 2.0 * step
                     and apart(there, target) <= left - 0.1 * step
-                    and step_kept(hold, here, there, desk)
+                    and step_kept(constraint, here, there, desk)
                 ):
                     return True
         step *= 0.5
@@ -255,19 +255,19 @@ def advance(hold: Hold, here: Single, target: Single, there: Single, desk: Desk)
 
 
 @kernel
-def deviations(hold: Hold, poses: Array, out: Array) -> None:
+def deviations(constraint: ConstraintArrays, poses: Array, out: Array) -> None:
     """Write the deviations (n, 6) of poses (n, 4, 4) from the start."""
-    desk = make_desk(hold.chain.lower.shape[0])
+    desk = make_desk(constraint.chain.lower.shape[0])
     for n in range(poses.shape[0]):
-        deviate(hold, poses[n], desk)
+        deviate(constraint, poses[n], desk)
         copy(desk.deviation, out[n])
 
 
 @kernel
-def project_all(hold: Hold, rows: Array) -> int:
+def project_all(constraint: ConstraintArrays, rows: Array) -> int:
     """Bring configurations (n, dof) onto the manifold, in place, until that fails for one; returns how many came there."""
     desk = make_desk(rows.shape[1])
     done = 0
-    while done < rows.shape[0] and project(hold, rows[done], desk):
+    while done < rows.shape[0] and project(constraint, rows[done], desk):
         done += 1
     return done

@@ -14,48 +14,51 @@ GUARANTEED = 0.02
 """Seconds under a sooner deadline that `give_way` leaves; as long as `optimize_s` is unless a request states it."""
 
 
-class Stop:
-    """A deadline `timeout` s from now that other threads may bring forward; kernels look at it all the time."""
+class Deadline:
+    """A deadline `timeout` s from now that other threads may bring forward.
+
+    `at` (1,) is the moment on the monotonic clock (s); kernels look at it all the time.
+    """
 
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
-        self._sooner: list[Stop] = []
+        self._sooner: list[Deadline] = []
         self._began = time.monotonic()
         self._lock = threading.Lock()
-        self.deadline = np.array([self._began + timeout])
+        self.at = np.array([self._began + timeout])
 
-    def sooner(self, timeout: float) -> Stop:
+    def sooner(self, timeout: float) -> Deadline:
         """A deadline `timeout` s from now and no later than this one's; a cancel of this one is one of that, too."""
-        stop = Stop(min(timeout, float(self.deadline[0]) - time.monotonic()))
-        self._sooner.append(stop)
+        deadline = Deadline(min(timeout, float(self.at[0]) - time.monotonic()))
+        self._sooner.append(deadline)
         if self.cancelled:
-            stop.cancel()
-        return stop
+            deadline.cancel()
+        return deadline
 
     def cancel(self) -> None:
         """End whatever runs under this deadline now."""
         self._bring_forward(-math.inf)
-        for stop in self._sooner:
-            stop.cancel()
+        for deadline in self._sooner:
+            deadline.cancel()
 
     def give_way(self) -> None:
         """End what runs under sooner deadlines when it has had GUARANTEED s; this one stays."""
-        for stop in self._sooner:
-            stop._bring_forward(stop._began + GUARANTEED)
+        for deadline in self._sooner:
+            deadline._bring_forward(deadline._began + GUARANTEED)
 
-    def _bring_forward(self, deadline: float) -> None:
+    def _bring_forward(self, moment: float) -> None:
         with self._lock:
-            self.deadline[0] = min(self.deadline[0], deadline)
+            self.at[0] = min(self.at[0], moment)
 
     @property
     def cancelled(self) -> bool:
         """Whether `cancel` was called."""
-        return bool(self.deadline[0] == -math.inf)
+        return bool(self.at[0] == -math.inf)
 
     @property
     def passed(self) -> bool:
         """Whether the deadline has passed or `cancel` was called."""
-        return bool(time.monotonic() > self.deadline[0])
+        return bool(time.monotonic() > self.at[0])
 
     def check(self) -> None:
         """Raises Cancelled or DeadlineExceeded when it is time to end."""

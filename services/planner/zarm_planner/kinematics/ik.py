@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.inverse import TURN, Chain, solve
-from zarm_planner.stop import Stop
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def solve_ik(
     world: World | None,
     max_solutions: int,
     seed: int,
-    stop: Stop,
+    deadline: Deadline,
 ) -> IkResult:
     """Solve for a pose (4, 4) of the tip in the base frame, to 1e-6 m and 1e-6 rad, starting at `near` (dof,).
 
@@ -62,7 +62,7 @@ def solve_ik(
         free,
         colliding,
         np.array([seed], np.uint64),
-        stop.deadline,
+        deadline.at,
     )
     return IkResult(
         with_turns(model, free[: found.free], near, max_solutions),

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from zarm_geometry.robot_model import RobotModel
-from zarm_planner.motion import Array, Motion
-from zarm_planner.verify import VerificationFailed
+from zarm_planner.timing.trajectory import Array, Trajectory
+from zarm_planner.verification.verify import VerificationFailed
 
 _STEP = 0.001
 """Seconds between looks."""
 
 
 def passing_times(
-    model: RobotModel, motion: Motion, waypoints: Sequence[Array], position_tolerance: float, angle_tolerance: float
+    model: RobotModel, motion: Trajectory, waypoints: Sequence[Array], position_tolerance: float, angle_tolerance: float
 ) -> tuple[float, ...]:
     """The times (s) at which the tip is nearest to its poses at `waypoints` (dof,), which are passed in this order.
 

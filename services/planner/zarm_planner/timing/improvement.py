@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.motion import Array, Limits, Motion
-from zarm_planner.smooth import DEVIATION, Smoothing
-from zarm_planner.stop import Stop
+from zarm_planner.deadline import Deadline
+from zarm_planner.timing.smoothing import DEVIATION, Smoothing
+from zarm_planner.timing.trajectory import Array, Limits, Trajectory
 
 GAIN = 0.005
 """A motion that saves less than this part of the best one is not worth a verification."""
@@ -41,8 +41,8 @@ class Improvement:
     _best: list[Smoothing] = field(default_factory=list, init=False)
     _given: tuple[Smoothing, float] | None = field(default=None, init=False)
 
-    def faster_than(self, duration: float, stop: Stop) -> Motion | None:
-        """A motion that lasts at most `(1 - GAIN) * duration` s; None where `stop` came before one was found.
+    def faster_than(self, duration: float, deadline: Deadline) -> Trajectory | None:
+        """A motion that lasts at most `(1 - GAIN) * duration` s; None where `deadline` came before one was found.
 
         To ask again for one that is faster than before is to say that the last answer was of no use: it is not developed
         further. Raises what `routes` raises, and InvalidRequest where a motion is longer than `motion.MAX_SAMPLES`.
@@ -51,8 +51,8 @@ class Improvement:
         if self._given is not None and self._given[1] < duration:
             self._best.remove(self._given[0])
         self._given = None
-        while not stop.passed:
-            self._develop(stop)
+        while not deadline.passed:
+            self._develop(deadline)
             if self._best and self._best[0].duration <= wanted:
                 motion = self._best[0].motion()
                 if motion.duration <= wanted:
@@ -60,16 +60,16 @@ class Improvement:
                     return motion
         return None
 
-    def _develop(self, stop: Stop) -> None:
+    def _develop(self, deadline: Deadline) -> None:
         """One round: a new route, and more shortcuts on the best motion."""
         seed = self.seed + 2 * self._round
         if (route := self.routes(self._round)) is not None:
             path, vias = route
             new = Smoothing(self.model, self.world, path, self.limits, self.dt, vias=vias, deviation=self.deviation)
-            new.shortcut(_ATTEMPTS, seed, stop)
+            new.shortcut(_ATTEMPTS, seed, deadline)
             self._best.append(new)
         if self._best:
             self._best.sort(key=lambda smoothing: smoothing.duration)
             del self._best[_KEPT:]
-            self._best[0].shortcut(_ATTEMPTS, seed + 1, stop)
+            self._best[0].shortcut(_ATTEMPTS, seed + 1, deadline)
         self._round += 1

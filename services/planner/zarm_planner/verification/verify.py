@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
-from zarm_planner.held import Held
-from zarm_planner.motion import TOLERANCE, Array, Limits, Motion
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.timing.trajectory import TOLERANCE, Array, Limits, Trajectory
 
 _POSITION = 1e-6
 """Rad by which a motion may miss its start and its goal."""
@@ -21,19 +21,19 @@ class VerificationFailed(Exception):
 
 
 def verify(
-    motion: Motion,
+    motion: Trajectory,
     start: Array,
     goal: Array,
     limits: Limits,
     scene: ExactScene,
-    stop: Callable[[], None],
-    held: Held | None = None,
+    check: Callable[[], None],
+    constraint: PathConstraint | None = None,
 ) -> float:
     """The motion's smallest distance (m) to the scene and to the robot itself, at most 1.
 
     Raises VerificationFailed unless the motion leads from `start` to `goal` (dof,), from rest to rest, inside the joints'
     ranges and `limits`, and free of collision: between the configurations looked at no point of the robot moves further
-    than `RESOLUTION`, and what is `held` is looked at there. `stop` is called now and then and may raise.
+    than `RESOLUTION`, and what is `constraint` is looked at there. `check` is called now and then and may raise.
     """
     model, joints = scene.model, scene.model.robot.descriptor.joints
     for values, wanted, what in (
@@ -56,9 +56,9 @@ def verify(
             f"the timed motion takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "
             f"{times[sample]:.2f} s"
         )
-    if held is not None and (lost := held.violation(position)):
+    if constraint is not None and (lost := constraint.violation(position)):
         raise VerificationFailed(f"{lost[1]} at {times[lost[0]]:.2f} s of the timed motion")
-    nearest = scene.nearest(position, stop)
+    nearest = scene.nearest(position, check)
     if nearest.distance <= 0.0 and nearest.pair:
         raise VerificationFailed(
             f"{nearest.pair[0]} would be {-1e3 * nearest.distance:.1f} mm inside {nearest.pair[1]} at "
@@ -67,7 +67,7 @@ def verify(
     return nearest.distance
 
 
-def _moments(motion: Motion, reach: Array) -> Array:
+def _moments(motion: Trajectory, reach: Array) -> Array:
     """Times (k,) between which no point of the robot moves further than RESOLUTION, the samples' own among them."""
     pieces = np.maximum(1, np.ceil(motion.travel(reach) / RESOLUTION)).astype(int)
     return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), motion.time)

@@ -11,15 +11,32 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zarm_planner.ends import End
-from zarm_planner.motion import Array
-from zarm_planner.paths import Paths
+from zarm_planner.goals.ends import End
+from zarm_planner.goals.problem import Problem
+
+Array = NDArray[np.float64]
 
 _LEGS = 4
 """Per target, so many pairs of configurations are tried to be joined before what was found so far has to do."""
+LEG_SAMPLES = 1000
+"""Samples after which the search for such a leg is given up, some milliseconds; nine of ten problems of MotionBenchMaker take fewer."""
+MOST_SAMPLES = 100_000
+"""Samples after which a search to any of several configurations is given up, some seconds."""
+
+
+class Paths(Protocol):
+    """Paths (n, dof) whose straight edges are free in spheres. The same seed gives the same paths; a deadline may raise."""
+
+    def between(self, start: Array, goal: Array) -> Array | None:
+        """A short path between two configurations (dof,); None where none was found soon."""
+
+    def to_any(self, start: Array, goals: Array) -> Array | None:
+        """A path to one of `goals` (m, dof); None where none was found with much patience."""
 
 
 @dataclass(frozen=True)
@@ -29,12 +46,18 @@ class Route:
     path: Array
     rows: tuple[int, ...]
 
+    @property
+    def vias(self) -> tuple[int, ...]:
+        """The rows of the targets on the way to the last one."""
+        return self.rows[:-1]
 
-def find_route(paths: Paths, start: End, targets: Sequence[Sequence[End]], fastest: Array) -> Route | None:
-    """A quick route from `start` through one end of each target, in their order, for joints that move `fastest` (dof,) at most.
+
+def find_route(paths: Paths, problem: Problem, fastest: Array) -> Route | None:
+    """A quick route through one end of each target, in their order, for joints that move `fastest` (dof,) at most.
 
     None where none was found.
     """
+    start, targets = problem.start, problem.targets
     chain = _quickest_chain(paths, [[start], *targets], fastest) or _any_chain(paths, start, targets)
     if chain is None:
         return None

@@ -1,4 +1,4 @@
-"""What the planner answers: requests in, messages out, whatever carries them."""
+"""What the planner process answers: requests in, messages out, whatever carries them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 import os
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -27,10 +27,8 @@ from zarm_contract.messages import (
     Occupancy,
     OccupancyRequest,
     Plan,
-    PlannerKind,
     PlannerSettings,
     PlanRequest,
-    PlanTimings,
     Scene,
     SceneEdit,
     SetLinkCollision,
@@ -42,31 +40,33 @@ from zarm_geometry.occupancy import reached_cells
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.sphere_distances import sphere_distances
 from zarm_geometry.world import World
-from zarm_planner.batches import batch_fk, batch_ik
-from zarm_planner.ends import Snapshot
-from zarm_planner.joints import checked, within_range
-from zarm_planner.motion import Array, Limits
-from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.running import Running
-from zarm_planner.scene import SceneStore
-from zarm_planner.stop import Stop
+from zarm_planner.constraints.path_constraint import constrains
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.goals.joints import checked, within_range
+from zarm_planner.kinematics.batches import batch_fk, batch_ik
+from zarm_planner.pipeline import Verified, plan
+from zarm_planner.planners.base import Planner
+from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.scene.store import SceneStore
+from zarm_planner.scheduler import Scheduler
+from zarm_planner.timing.trajectory import Array, Limits
 from zarm_planner.warm_up import warm_up
 
 log = logging.getLogger(__name__)
 
-PLANNERS: dict[str, PlannerKind] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
-"""Which planner a kind of goal is for."""
 _MARGINS = 4
 """How many margins a scene is kept ready with."""
 _BATCH_TIMEOUT = 60.0
 """Seconds that a batch of kinematics or checks may take."""
 
 
-class Planner:
-    """The planner of one robot, for any number of threads, each working for its `asker`. `name` is the robot's on the bus.
+class Handlers:
+    """All answers for one robot, for any number of threads, each working for its `asker`. `name` is the robot's on the bus.
 
     `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`). `is_there` tells whether
-    a client that has left has come back.
+    a client that has left has come back. `planners` are those to choose from.
     """
 
     def __init__(
@@ -76,15 +76,17 @@ class Planner:
         store: SceneStore,
         measured: Callable[[], Array],
         is_there: Callable[[str], bool] = lambda _: False,
+        planners: Sequence[Planner] = PLANNERS,
     ) -> None:
         self._model = model
         self._name = name
         self._store = store
         self._measured = measured
-        self._running = Running(os.cpu_count() or 1, is_there)
+        self._planners = planners
+        self._scheduler = Scheduler(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
-        self._snapshots: dict[float, Snapshot] = {}  # by margin, the one used last at the end
+        self._scenes: dict[float, PlanningScene] = {}  # by margin, the one used last at the end
 
     def warm_up(self, report: Callable[[str], None]) -> None:
         """Compile what plans run on, or load it; `report` is told what comes next."""
@@ -97,60 +99,67 @@ class Planner:
 
     def close(self) -> None:
         """End all work in hand; from now on there is only Unavailable."""
-        self._running.close()
+        self._scheduler.close()
 
     def plan(self, request: PlanRequest) -> Plan:
-        """A verified motion to the goal. Raises a ZarmError that says why there is none."""
+        """A verified trajectory to the goal. Raises a ZarmError that says why there is none."""
         settings, model = self._settings, self._model
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
-        kind = request.planner or settings.planner
-        if kind not in ("auto", PLANNERS[request.goal.kind]):
-            raise InvalidRequest(
-                f"the planner {kind} takes no goal of kind {request.goal.kind}; ask for {PLANNERS[request.goal.kind]} or auto",
-                field="planner",
-            )
-        options = Options(
-            limits=Limits.of(
-                model,
-                request.velocity_scale or settings.velocity_scale,
-                request.acceleration_scale or settings.acceleration_scale,
-            ),
-            held=request.held,
-            max_attempts=request.max_attempts or settings.max_attempts,
-            optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
-            seed=request.seed,
-        )
+        planner = self._choose(request)
 
-        def work(stop: Stop) -> tuple[Snapshot, tuple[Verified, PlanTimings]]:
+        def work(deadline: Deadline) -> tuple[PlanningContext, Verified]:
             start = within_range(model, self._measured() if request.start is None else request.start, "start")
-            snapshot = self._look(request.margin)
-            return snapshot, plan(snapshot, start, request.goal, options, stop)
+            context = PlanningContext(
+                scene=self._look(request.margin),
+                limits=Limits.of(
+                    model,
+                    request.velocity_scale or settings.velocity_scale,
+                    request.acceleration_scale or settings.acceleration_scale,
+                ),
+                deadline=deadline,
+                path_constraint=request.held,
+                max_attempts=request.max_attempts or settings.max_attempts,
+                optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
+                seed=request.seed,
+            )
+            return context, plan(planner, context, start, request.goal)
 
-        snapshot, (verified, timings) = self._running.run(
-            work, asker(), request.timeout or settings.timeout, request.request_id
-        )
+        context, verified = self._scheduler.run(work, asker(), request.timeout or settings.timeout, request.request_id)
+        trajectory = verified.trajectory
         return Plan(
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
             robot_hash=model.robot.hash,
-            scene_revision=snapshot.revision,
-            trajectory=verified.motion.trajectory(model.robot.descriptor.joints),
-            tip=pose_of(model.fk_tip(verified.motion.position[-1])),
+            scene_revision=context.scene.revision,
+            trajectory=trajectory.message(model.robot.descriptor.joints),
+            tip=pose_of(model.fk_tip(trajectory.position[-1])),
             clearance=verified.clearance,
             resolution=RESOLUTION,
             waypoint_times=verified.waypoint_times,
-            path_length=verified.motion.length,
-            timings=timings,
+            path_length=trajectory.length,
+            timings=context.timer.timings(),
         )
+
+    def planner_name(self, request: PlanRequest) -> str:
+        """The name of the planner that takes a request, or would if the request named none. Raises InvalidRequest."""
+        try:
+            planner = self._choose(request)
+        except InvalidRequest:
+            planner = self._choose(request.model_copy(update={"planner": AUTO}))
+        return planner.names[request.goal.kind]
+
+    def _choose(self, request: PlanRequest) -> Planner:
+        name = request.planner or self._settings.planner
+        return choose(name, request.goal, constrains(request.held), self._planners)
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:
         """End the planning of a request, or of one that is still on its way here."""
-        return CancelledPlan(was_running=self._running.cancel(request.request_id))
+        return CancelledPlan(was_running=self._scheduler.cancel(request.request_id))
 
     def leave(self, client: str) -> None:
         """End all that is in hand for a client that can no longer be answered."""
-        self._running.leave(client)
+        self._scheduler.leave(client)
 
     def ik(self, request: IkRequest) -> IkSolutions:
         """Joints for poses. Raises InvalidRequest."""
@@ -158,21 +167,21 @@ class Planner:
         near = self._measured_or_home() if request.near is None else checked(model, request.near, "near")
         poses = np.array([matrix(pose.position, pose.orientation) for pose in request.poses])
 
-        def work(stop: Stop) -> IkSolutions:
-            snapshot = self._look()
+        def work(deadline: Deadline) -> IkSolutions:
+            scene = self._look()
             found = batch_ik(
-                snapshot.model,
+                scene.model,
                 poses,
                 near,
-                world=snapshot.world if request.collision_free else None,
+                world=scene.world if request.collision_free else None,
                 max_solutions=request.max_solutions,
                 seed=request.seed,
                 device=request.device,
-                stop=stop,
+                deadline=deadline,
             )
             return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
 
-        return self._running.run(work, asker(), _BATCH_TIMEOUT)
+        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
 
     def fk(self, request: FkRequest) -> FkPoses:
         """Poses for joints. Raises InvalidRequest."""
@@ -188,12 +197,12 @@ class Planner:
         else:
             joints = [checked(model, q, f"joints.{i}") for i, q in enumerate(request.joints)]
 
-        def work(stop: Stop) -> CheckResults:
-            snapshot, results = self._look(), []
+        def work(deadline: Deadline) -> CheckResults:
+            scene, results = self._look(), []
             for q in joints:
-                stop.check()
-                nearest = snapshot.exact.nearest(q)
-                spheres = tuple(sphere_distances(model, snapshot.world, q).tolist()) if request.spheres else None
+                deadline.check()
+                nearest = scene.exact.nearest(q)
+                spheres = tuple(sphere_distances(model, scene.world, q).tolist()) if request.spheres else None
                 results.append(
                     CheckResult(
                         in_collision=nearest.distance <= 0.0,
@@ -205,21 +214,21 @@ class Planner:
                 )
             return CheckResults(results=tuple(results))
 
-        return self._running.run(work, asker(), _BATCH_TIMEOUT)
+        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
 
     def occupancy(self, request: OccupancyRequest) -> Occupancy:
         """Which cells of a grid the scene's objects reach into. Raises InvalidRequest where they are too many."""
 
-        def work(stop: Stop) -> Occupancy:
-            snapshot = self._look()
-            cells = reached_cells(snapshot.world, request.resolution, stop.check)
+        def work(deadline: Deadline) -> Occupancy:
+            scene = self._look()
+            cells = reached_cells(scene.world, request.resolution, deadline.check)
             return Occupancy.model_construct(  # whose cells were just counted; to validate so many takes longer than to find them
-                scene_revision=snapshot.revision,
+                scene_revision=scene.revision,
                 resolution=request.resolution,
                 cells=tuple(map(tuple, cells.tolist())),
             )
 
-        return self._running.run(work, asker(), _BATCH_TIMEOUT)
+        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
 
     def edit(self, request: SceneEdit) -> Scene:
         """Apply an edit of the scene and return the result.
@@ -256,29 +265,29 @@ class Planner:
                 )
 
     def change_settings(self, change: SettingsChange) -> PlannerSettings:
-        """Apply what the change names, all of it at once, and return all settings."""
+        """Apply what the change names, all of it at once, and return all settings. Raises InvalidRequest."""
+        if change.planner is not None:
+            check_name(change.planner, self._planners)
         with self._lock:
             self._settings = self._settings.model_copy(update=change.model_dump(exclude_none=True))
             return self._settings
 
-    def _look(self, margin: float | None = None) -> Snapshot:
+    def _look(self, margin: float | None = None) -> PlanningScene:
         """The present scene, made ready for planning once per revision and margin (m, left out: that of the settings).
 
         Raises Unavailable while the file of one of its meshes is missing.
         """
         with self._lock:
             scene, kept = self._store.scene, self._settings.margin if margin is None else margin
-            ready = self._snapshots.pop(kept, None)
+            ready = self._scenes.pop(kept, None)
             if ready is None or ready.revision != scene.revision:
                 model = self._model.carrying(scene.attached, scene.ignored_links)
                 world = World(scene.objects, kept, self._store.meshes)
-                ready = Snapshot(scene.revision, model, world, ExactScene(model, world))
-                self._snapshots = {
-                    other: old for other, old in self._snapshots.items() if old.revision == scene.revision
-                }
-            self._snapshots[kept] = ready
-            if len(self._snapshots) > _MARGINS:
-                del self._snapshots[next(iter(self._snapshots))]
+                ready = PlanningScene(scene.revision, model, world, ExactScene(model, world))
+                self._scenes = {other: old for other, old in self._scenes.items() if old.revision == scene.revision}
+            self._scenes[kept] = ready
+            if len(self._scenes) > _MARGINS:
+                del self._scenes[next(iter(self._scenes))]
             return ready
 
     def _measured_or_home(self) -> Array:

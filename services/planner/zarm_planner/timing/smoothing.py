@@ -16,11 +16,11 @@ import numpy as np
 from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.ramps import along, make_ramps
 from zarm_planner.kernels.sampling import sample_average
 from zarm_planner.kernels.smoothing import smooth
-from zarm_planner.motion import Array, Limits, Motion, sample_times, within
-from zarm_planner.stop import Stop
+from zarm_planner.timing.trajectory import Array, Limits, Trajectory, sample_times, within
 
 ATTEMPTS = 1500
 """Shortcuts that are tried for a path, and for each via on top; ten times as many gain 1 % on MotionBenchMaker's problems."""
@@ -66,8 +66,8 @@ class Smoothing:
         """About how long (s) the motion will last."""
         return float(self._ramps.duration[: self._count].sum()) + self._window
 
-    def shortcut(self, attempts: int, seed: int, stop: Stop) -> None:
-        """Try so many shortcuts, as often again for each via, or fewer where `stop` comes first."""
+    def shortcut(self, attempts: int, seed: int, deadline: Deadline) -> None:
+        """Try so many shortcuts, as often again for each via, or fewer where `deadline` comes first."""
         self._count = smooth(
             self._model.arrays,
             self._world.arrays,
@@ -77,23 +77,23 @@ class Smoothing:
             self._bounds,
             attempts * self._stretches,
             np.array([seed], np.uint64),
-            stop.deadline,
+            deadline.at,
         )
 
-    def motion(self) -> Motion:
+    def motion(self) -> Trajectory:
         """The motion as it is now. Raises InvalidRequest where it is longer than `motion.MAX_SAMPLES`."""
         if self._count == 0:
-            return Motion.standing(self._path[0], self._dt)
+            return Trajectory.standing(self._path[0], self._dt)
         return within(self._sample, self._limits)
 
-    def _sample(self, factor: float) -> Motion:
+    def _sample(self, factor: float) -> Trajectory:
         """The motion at `factor` times its shortest duration."""
         t = sample_times(self._knots(), factor, self._dt)
         out = np.empty((3, len(t), self._model.dof))
         sample_average(self._ramps, self._count, self._window, t, out)
         position, velocity, acceleration = out
         velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
-        return Motion(t * factor, position, velocity / factor, acceleration / factor**2)
+        return Trajectory(t * factor, position, velocity / factor, acceleration / factor**2)
 
     def _knots(self) -> Array:
         """Times (k,) in s between which each joint that uses much of its limits moves along one cubic.
@@ -121,22 +121,22 @@ def smooth_path(
     dt: float,
     *,
     seed: int,
-    stop: Stop,
+    deadline: Deadline,
     vias: Sequence[int] = (),
     deviation: float = DEVIATION,
-) -> Motion:
+) -> Trajectory:
     """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s, and in between
     where a strong acceleration changes.
 
     It passes the rows `vias` of the path, in their order, each joint within `deviation` (rad), and stops there only where
     no faster way is found to be free. Where it leaves the path it is free of `world` in spheres, as straight edges
-    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `Motion.load` measures them. The same
-    seed gives the same motion; `stop` only makes the search for a faster one end sooner.
+    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `Trajectory.load` measures them. The same
+    seed gives the same motion; `deadline` only makes the search for a faster one end sooner.
 
     Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
     """
     smoothing = Smoothing(model, world, path, limits, dt, vias=vias, deviation=deviation)
-    smoothing.shortcut(ATTEMPTS, seed, stop)
+    smoothing.shortcut(ATTEMPTS, seed, deadline)
     return smoothing.motion()
 
 

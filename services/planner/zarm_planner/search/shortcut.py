@@ -1,4 +1,4 @@
-"""Shorter paths: along a given one, and the quickest of several."""
+"""Shortcuts: a shorter path along a given one, and the quickest of several."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.kernels import leg as kernel
-from zarm_planner.kernels.shortcut import MOST, shortcut
+from zarm_planner.deadline import Deadline
+from zarm_planner.kernels import leg
+from zarm_planner.kernels import shortcut as kernel
 from zarm_planner.kernels.trees import make_trees
-from zarm_planner.search import sampling_range
-from zarm_planner.stop import Stop
+from zarm_planner.search.rrt_connect import sampling_range
 
 Array = NDArray[np.float64]
 
@@ -23,43 +23,43 @@ _SAME = 1e-6
 """Rows nearer to each other (rad) differ by the rounding of float32."""
 
 
-def shorten(model: RobotModel, world: World, path: Array, *, seed: int, stop: Stop) -> Array:
+def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadline: Deadline) -> Array:
     """A free path (m, dof) between the ends of the free `path` (n, dof) that is no longer, without repeated rows.
 
     Where both ends are one configuration the path can be one row.
-    The same seed gives the same path. `stop` only makes it end sooner: the path so far is a good one.
+    The same seed gives the same path. `deadline` only makes it end sooner: the path so far is a good one.
     """
-    room = np.empty((len(path) + MOST, model.dof), np.float32)
+    room = np.empty((len(path) + kernel.MOST, model.dof), np.float32)
     room[: len(path)] = path
-    rows = shortcut(
+    rows = kernel.shortcut(
         model.arrays,
         world.arrays,
         memory(model.arrays),
         room,
         len(path),
         np.array([seed], np.uint64),
-        stop.deadline,
+        deadline.at,
     )
     return _without_repeats(model, room[:rows], path[0], path[-1])
 
 
 class Quickest(NamedTuple):
-    """A path (n, dof), if there is one, and the seconds that the search for it and its shortening took."""
+    """A path (n, dof), if there is one, and the seconds that the search for it and the shortcuts on it took."""
 
     path: Array | None
     search: float
-    shorten: float
+    shortcut: float
 
 
 def quickest_of(
-    model: RobotModel, world: World, start: Array, goal: Array, *, seeds: Sequence[int], stop: Stop, most: int
+    model: RobotModel, world: World, start: Array, goal: Array, *, seeds: Sequence[int], deadline: Deadline, most: int
 ) -> Quickest:
-    """The quickest of the shortened paths from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
+    """The quickest of the paths, shortcuts taken, from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
 
-    The path is None where a search came to `most` samples, or `stop` came first, before there was one.
+    The path is None where a search came to `most` samples, or `deadline` came first, before there was one.
     """
     spent = np.zeros(2)
-    rows = kernel.quickest_of(
+    rows = leg.quickest_of(
         model.arrays,
         world.arrays,
         memory(model.arrays),
@@ -70,7 +70,7 @@ def quickest_of(
         model.velocity.astype(np.float32),
         np.array(seeds, np.uint64),
         most,
-        stop.deadline,
+        deadline.at,
         spent,
     )
     path = _without_repeats(model, rows, start, goal) if len(rows) else None

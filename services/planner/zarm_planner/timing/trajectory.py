@@ -10,8 +10,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_contract import messages
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Trajectory
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.kernels import quintic
 
@@ -39,7 +39,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Motion:
+class Trajectory:
     """Samples of a motion: `time` (n,) in s from 0, the rest (n, dof) in rad, rad/s, rad/s^2.
 
     Between samples it is the quintic that meets all three at both ends, as `zarm_contract.messages.Trajectory` says.
@@ -93,16 +93,16 @@ class Motion:
         velocity, acceleration, jerk = quintic.load(self._samples, most)
         return float(np.max((velocity, math.sqrt(acceleration), math.cbrt(jerk))))
 
-    def slower(self, factor: float) -> Motion:
+    def slower(self, factor: float) -> Trajectory:
         """The same motion, taking `factor` times as long."""
-        return Motion(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)
+        return Trajectory(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)
 
-    def trajectory(self, joint_names: tuple[str, ...]) -> Trajectory:
-        """The motion as a message."""
+    def message(self, joint_names: tuple[str, ...]) -> messages.Trajectory:
+        """As a message."""
         position, velocity, acceleration = (
             tuple(map(tuple, rows.tolist())) for rows in (self.position, self.velocity, self.acceleration)
         )
-        return Trajectory(
+        return messages.Trajectory(
             joint_names=joint_names,
             time=tuple(self.time.tolist()),
             position=position,
@@ -132,7 +132,7 @@ def sample_times(knots: Array, factor: float, dt: float) -> Array:
     return np.interp(np.arange(int(count) + 1), np.insert(np.cumsum(pieces), 0, 0.0), knots)
 
 
-def within(sample: Callable[[float], Motion], limits: Limits) -> Motion:
+def within(sample: Callable[[float], Trajectory], limits: Limits) -> Trajectory:
     """A motion that can be sampled at any factor of its shortest duration, as much slower as the limits demand."""
     factor = 1.0
     for _ in range(8):  # one or two rounds are the rule: sampled elsewhere, the motion has its extremes elsewhere

@@ -36,7 +36,7 @@ from zarm_contract.messages import (
 from zarm_contract.state_file import StateFile
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import check_reach, voxels_of
-from zarm_planner.carrying import attach, detach, refuse_carried, set_links
+from zarm_planner.scene.attached_objects import attach, detach, refuse_carried, set_links
 
 log = logging.getLogger(__name__)
 

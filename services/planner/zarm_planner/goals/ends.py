@@ -9,19 +9,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import JointGoal, PoseGoal, SceneRevision
+from zarm_contract.messages import JointGoal, PoseGoal
 from zarm_geometry.collision import is_free
-from zarm_geometry.exact import RESOLUTION, ExactScene, Nearest
+from zarm_geometry.exact import RESOLUTION, Nearest
 from zarm_geometry.frames import matrix
-from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.world import World
-from zarm_planner.held import Held
-from zarm_planner.ik import solve_ik
-from zarm_planner.joints import within_range
-from zarm_planner.motion import Array
-from zarm_planner.stop import Stop
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.joints import within_range
+from zarm_planner.kinematics.ik import solve_ik
+
+Array = NDArray[np.float64]
 
 _GOALS = 16
 """At most so many ways to reach a pose are considered."""
@@ -29,16 +29,6 @@ _TRIES = 40
 """Directions tried at each distance to get away from an obstacle."""
 _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Rad, Euclidean."""
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """One scene as plans use it: the robot as it is in it, the obstacles with their margin, and exact geometry."""
-
-    revision: SceneRevision
-    model: RobotModel
-    world: World
-    exact: ExactScene
 
 
 @dataclass(frozen=True)
@@ -54,16 +44,16 @@ class End:
         return self.asked[None][: 0 if self.free is self.asked else 1]
 
 
-def start_end(snapshot: Snapshot, q: Array, held: Held | None, seed: int, stop: Stop) -> End:
+def start_end(context: PlanningContext, q: Array, constraint: PathConstraint | None) -> End:
     """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
-    nearest = snapshot.exact.nearest(q)
+    nearest = context.exact.nearest(q)
     if nearest.distance <= 0.0:
         raise PlanningFailed(
             f"the start is in collision: {_overlap(nearest)}; move the robot away by hand, or correct the scene",
             code="start_in_collision",
             field="start",
         )
-    if (end := _end(snapshot, q, held, seed, stop)) is None:
+    if (end := _end(context, q, constraint)) is None:
         raise PlanningFailed(
             f"there is no way out of the start, where {_gap(nearest)}; move the robot away by hand, or lower margin",
             code="start_in_collision",
@@ -73,23 +63,31 @@ def start_end(snapshot: Snapshot, q: Array, held: Held | None, seed: int, stop: 
 
 
 def goal_ends(
-    snapshot: Snapshot, start: Array, goal: PoseGoal | JointGoal, field: str, held: Held | None, seed: int, stop: Stop
-) -> list[End]:
+    context: PlanningContext, start: Array, goal: PoseGoal | JointGoal, field: str, constraint: PathConstraint | None
+) -> tuple[End, ...]:
     """The configurations that reach a goal, which is the request's `field`; the one nearest to `start` first.
 
     Raises PlanningFailed (`unreachable`, `goal_in_collision`), InvalidRequest for joints out of their range, and what
-    `stop` raises.
+    the deadline raises.
     """
-    model = snapshot.model
+    model = context.model
     match goal:
         case JointGoal():
             candidates = np.array([within_range(model, goal.position, f"{field}.position")])
         case PoseGoal():
             pose = matrix(goal.position, goal.orientation)
-            found = solve_ik(model, pose, start, world=snapshot.world, max_solutions=_GOALS, seed=seed, stop=stop)
-            stop.check()
+            found = solve_ik(
+                model,
+                pose,
+                start,
+                world=context.world,
+                max_solutions=_GOALS,
+                seed=context.seed,
+                deadline=context.deadline,
+            )
+            context.deadline.check()
             if len(found.solutions):
-                return [End(q, q) for q in found.solutions]
+                return tuple(End(q, q) for q in found.solutions)
             candidates = found.colliding[:_GOALS]
             if not len(candidates):
                 raise PlanningFailed(
@@ -101,8 +99,8 @@ def goal_ends(
     ends: list[End] = []
     obstacles = []
     for q in candidates:
-        nearest = snapshot.exact.nearest(q)
-        if nearest.distance > 0.0 and (end := _end(snapshot, q, held, seed, stop)):
+        nearest = context.exact.nearest(q)
+        if nearest.distance > 0.0 and (end := _end(context, q, constraint)):
             ends.append(end)
         else:
             obstacles.append(nearest)
@@ -115,26 +113,28 @@ def goal_ends(
             code="goal_in_collision",
             field=field,
         )
-    return ends
+    return tuple(ends)
 
 
-def _end(snapshot: Snapshot, q: Array, held: Held | None, seed: int, stop: Stop) -> End | None:
-    """The end at `q`, which is free of collision; None where no way that keeps what is held leads to what is free in spheres."""
-    if is_free(snapshot.model, snapshot.world, q):
+def _end(context: PlanningContext, q: Array, constraint: PathConstraint | None) -> End | None:
+    """The end at `q`, which is free of collision; None where no way that keeps the constraint leads to what is free in spheres."""
+    if is_free(context.model, context.world, q):
         return End(q, q)
-    model, random = snapshot.model, np.random.default_rng(seed)
+    model, random = context.model, np.random.default_rng(context.seed)
     for distance in _DISTANCES:
         for direction in random.normal(size=(_TRIES, model.dof)):
-            stop.check()
+            context.deadline.check()
             near = np.clip(q + distance * direction / np.linalg.norm(direction), model.lower, model.upper)
-            if held is not None:
-                if (kept := held.projected(near)) is None:
+            if constraint is not None:
+                if (kept := constraint.projected(near)) is None:
                     continue
                 near = kept[0]
-            if is_free(model, snapshot.world, near):
-                steps = int(np.abs(near - q) @ snapshot.exact.reach / RESOLUTION) + 2
+            if is_free(model, context.world, near):
+                steps = int(np.abs(near - q) @ context.exact.reach / RESOLUTION) + 2
                 way = np.linspace(q, near, steps)
-                if (held is None or held.use(way).max() <= 1.0) and snapshot.exact.nearest(way).distance > 0.0:
+                if (constraint is None or constraint.use(way).max() <= 1.0) and context.exact.nearest(
+                    way
+                ).distance > 0.0:
                     return End(q, near)
     return None
 

@@ -21,9 +21,9 @@ from zarm_contract.messages import Device
 from zarm_geometry.collision import is_free
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.ik import solve_ik, with_turns
+from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.inverse import DISTINCT, TOLERANCE, TURN
-from zarm_planner.stop import Stop
+from zarm_planner.kinematics.ik import solve_ik, with_turns
 
 if TYPE_CHECKING:
     from pytorch_kinematics import SerialChain
@@ -73,12 +73,12 @@ def batch_ik(
     max_solutions: int,
     seed: int,
     device: Device,
-    stop: Stop,
+    deadline: Deadline,
 ) -> list[Array]:
     """For each pose (n, 4, 4) of the tip the solutions (m, dof) that `ik.solve_ik` promises, on any device.
 
     What is solved on torch is accepted by the kernels' own forward kinematics; poses without a solution there are solved
-    by kernels. Raises InvalidRequest for the device, and what `stop` raises.
+    by kernels. Raises InvalidRequest for the device, and what `deadline` raises.
     """
     if device == "auto":
         device = "cuda" if len(poses) * max_solutions >= WORTH_A_GPU and _has_gpu() else "kernels"
@@ -88,13 +88,13 @@ def batch_ik(
         together = max(1, _ROWS[device] // (_STARTS * max_solutions))
         for first in range(0, len(poses), together):
             some = slice(first, first + together)
-            solutions[some] = _in_step(model, poses[some], near, world, max_solutions, seed, device, stop)
+            solutions[some] = _in_step(model, poses[some], near, world, max_solutions, seed, device, deadline)
     for i, pose in enumerate(poses):
         if not len(solutions[i]):
             solutions[i] = solve_ik(
-                model, pose, near, world=world, max_solutions=max_solutions, seed=seed, stop=stop
+                model, pose, near, world=world, max_solutions=max_solutions, seed=seed, deadline=deadline
             ).solutions
-            stop.check()
+            deadline.check()
     return solutions
 
 
@@ -106,7 +106,7 @@ def _in_step(
     max_solutions: int,
     seed: int,
     device: Device,
-    stop: Stop,
+    deadline: Deadline,
 ) -> list[Array]:
     """Solutions of poses from a few rounds of descents; poses that have enough of them take no part in the next round."""
     import pytorch_kinematics as pk
@@ -119,7 +119,7 @@ def _in_step(
         lacking = [i for i, rows in enumerate(solutions) if len(rows) < max_solutions]
         if not lacking:
             break
-        stop.check()
+        deadline.check()
         starts = random.uniform(model.lower, model.upper, (_STARTS * max_solutions, model.dof))
         if len(lacking) == len(poses):
             starts[0] = np.clip(near, model.lower, model.upper)

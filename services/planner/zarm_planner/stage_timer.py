@@ -14,7 +14,7 @@ Stage = Literal["ik", "search", "shorten", "timing", "verify", "optimize"]
 
 
 @dataclass
-class Watch:
+class StageTimer:
     """Seconds per stage, since it was made."""
 
     began: float = field(default_factory=time.perf_counter)

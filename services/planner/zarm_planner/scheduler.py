@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from zarm_contract.errors import Cancelled, Unavailable
 from zarm_contract.messages import Asker
-from zarm_planner.stop import Stop
+from zarm_planner.deadline import Deadline
 
 T = TypeVar("T")
 
@@ -23,7 +23,7 @@ WITHDRAWN = 1000
 """How many of them are remembered, and how many clients that have left."""
 
 _POLL = 0.02
-"""Seconds between looks of what waits for its turn: at its stop, and at what it waits for."""
+"""Seconds between looks of what waits for its turn: at its deadline, and at what it waits for."""
 
 
 @dataclass(eq=False)
@@ -32,13 +32,13 @@ class _Job:
 
     client: str
     request_id: str | None
-    stop: Stop
+    deadline: Deadline
     since: float = field(default_factory=time.monotonic)
     began: float | None = None
     turn: threading.Event = field(default_factory=threading.Event)
 
 
-class Running:
+class Scheduler:
     """Runs as much work at a time as there are `slots`, each in the thread that asks for it.
 
     The next turn is that of the client with the least work that runs, and among those of the one that has waited longest for
@@ -56,17 +56,17 @@ class Running:
         self._left: dict[str, None] = {}
         self._closed = False
 
-    def run(self, work: Callable[[Stop], T], asker: Asker, timeout: float, request_id: str | None = None) -> T:
-        """The result of `work(stop)`, which must look at its stop. Raises Unavailable once the service ends.
+    def run(self, work: Callable[[Deadline], T], asker: Asker, timeout: float, request_id: str | None = None) -> T:
+        """The result of `work(deadline)`, which must look at it. Raises Unavailable once the service ends.
 
         The deadline is `timeout` s from now, or when the asker does not wait any longer.
         """
-        job = _Job(asker.client, request_id, Stop(min(timeout, asker.patience)))
+        job = _Job(asker.client, request_id, Deadline(min(timeout, asker.patience)))
         with self._changed:
             if self._closed:
                 raise _ending()
             if self._was_withdrawn(request_id):
-                job.stop.cancel()
+                job.deadline.cancel()
             has_left = job.client in self._left
             self._jobs.append(job)
             self._start_next()
@@ -74,12 +74,12 @@ class Running:
             if has_left and self._is_there(job.client):
                 self._left.pop(job.client, None)
             elif has_left:  # word of its end came before the last of its requests
-                job.stop.cancel()
+                job.deadline.cancel()
             while not job.turn.wait(_POLL):
-                job.stop.check()
+                job.deadline.check()
                 self._press(job)
-            job.stop.check()
-            return work(job.stop)
+            job.deadline.check()
+            return work(job.deadline)
         except Cancelled as error:
             if self._closed:
                 raise _ending() from error
@@ -97,7 +97,7 @@ class Running:
             if not jobs:
                 self._withdrawn.append((request_id, time.monotonic()))
             for job in jobs:
-                job.stop.cancel()
+                job.deadline.cancel()
             return bool(jobs)
 
     def leave(self, client: str) -> None:
@@ -108,14 +108,14 @@ class Running:
                 del self._left[next(iter(self._left))]
             for job in self._jobs:
                 if job.client == client:
-                    job.stop.cancel()
+                    job.deadline.cancel()
 
     def close(self) -> None:
         """Refuse new work, end all that is in hand, and wait until it has ended."""
         with self._changed:
             self._closed = True
             for job in self._jobs:
-                job.stop.cancel()
+                job.deadline.cancel()
             self._changed.wait_for(lambda: not self._jobs)
 
     def _was_withdrawn(self, request_id: str | None) -> bool:
@@ -135,11 +135,11 @@ class Running:
             running = [job.began for job in self._jobs if job.began is not None]
             if sum(began > now - LONG for began in running) >= self._slots:
                 return
-            held = self._held()
-            waiting = [job for job in self._jobs if job.began is None and held[job.client] < self._slots]
+            running_of = self._running_by_client()
+            waiting = [job for job in self._jobs if job.began is None and running_of[job.client] < self._slots]
             if not waiting:
                 return
-            chosen = min(waiting, key=lambda job: (held[job.client], job.since))
+            chosen = min(waiting, key=lambda job: (running_of[job.client], job.since))
             chosen.began = now
             chosen.turn.set()
             for job in waiting:
@@ -149,13 +149,15 @@ class Running:
     def _press(self, waiting: _Job) -> None:
         """Have others look for faster motions no longer while this waits: what its own client runs, and who runs more."""
         with self._changed:
-            held = self._held()
+            running_of = self._running_by_client()
             for job in self._jobs:
-                if job.began is not None and (job.client == waiting.client or held[job.client] > held[waiting.client]):
-                    job.stop.give_way()
+                if job.began is not None and (
+                    job.client == waiting.client or running_of[job.client] > running_of[waiting.client]
+                ):
+                    job.deadline.give_way()
             self._start_next()  # some of what runs may just have become long
 
-    def _held(self) -> Counter[str]:
+    def _running_by_client(self) -> Counter[str]:
         """How much runs of each client."""
         return Counter(job.client for job in self._jobs if job.began is not None)
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.kernels.connect import connect
+from zarm_planner.deadline import Deadline
+from zarm_planner.kernels.rrt_connect import connect
 from zarm_planner.kernels.trees import make_trees
-from zarm_planner.stop import Stop
 
 Array = NDArray[np.float64]
 
@@ -19,9 +19,9 @@ ENDLESS = 2**62
 
 
 def search(
-    model: RobotModel, world: World, start: Array, goals: Array, *, seed: int, stop: Stop, most: int = ENDLESS
+    model: RobotModel, world: World, start: Array, goals: Array, *, seed: int, deadline: Deadline, most: int = ENDLESS
 ) -> Array | None:
-    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `most` samples or `stop` came first.
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `most` samples or `deadline` came first.
 
     Start and goals are free and within the limits, the nearest goal stands first; straight lines are tried in that
     order. The same seed gives the same path. Consecutive rows are joined by straight edges that are free to
@@ -39,7 +39,7 @@ def search(
         np.array(goals, np.float32, order="C"),
         np.array([seed], np.uint64),
         most,
-        stop.deadline,
+        deadline.at,
     )
     if len(found) == 0:
         return None
