@@ -120,7 +120,9 @@ def plan_held(
     if path is None:
         return None
     path = shortcut_constrained(world, held, path, seed=seed, deadline=deadline)
-    return time_constrained(held, path, limits, DT, free=lambda rows: is_free(held.model, world, rows), deadline=deadline)
+    return time_constrained(
+        held, path, limits, DT, free=lambda rows: is_free(held.model, world, rows), deadline=deadline
+    )
 
 
 def problem(
