@@ -68,7 +68,7 @@ def load(rng: np.random.Generator) -> Attached:
 def test_what_is_carried_collides_where_it_is_carried(arm: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
     attached, objects = (load(rng),), random_objects(2, 0.3, rng)
-    scene = ExactScene(arm.carrying(attached, ()), World(objects, 0.0))
+    scene = ExactScene(arm.with_attached(attached, ()), World(objects, 0.0))
     collisions = Collisions(arm.robot, objects, attached)
     answers = [(scene.nearest(q).distance <= 0.0, collisions.at(q)) for q in random_joints(arm, 60, rng)]
     assert all(found == expected for found, expected in answers)
@@ -79,7 +79,7 @@ def test_what_is_carried_collides_where_it_is_carried(arm: RobotModel, seed: int
 def test_what_is_free_in_spheres_is_free_exactly(arm: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
     attached, objects = (load(rng),), random_objects(3, 0.2, rng)
-    model = arm.carrying(attached, ())
+    model = arm.with_attached(attached, ())
     collisions, world = Collisions(arm.robot, objects, attached), World(objects, 0.0)
     free = [q for q in random_joints(arm, 100, rng) if is_free(model, world, q)]
     assert len(free) > 3
@@ -93,14 +93,14 @@ def test_along_an_edge_too_nothing_is_hit_by_what_is_carried(arm: RobotModel) ->
     x, y, z = (tip @ [0.0, 0.0, 0.4, 1.0])[:3].tolist()
     world = World((Sphere(kind="sphere", name="fly", position=(x, y, z), radius=0.005),), 0.0)
     assert is_free(arm, world, bend)
-    assert not is_free(arm.carrying((Attached(object=ROD),), ()), world, bend)
+    assert not is_free(arm.with_attached((Attached(object=ROD),), ()), world, bend)
 
 
 def test_a_collision_names_the_carried_object(arm: RobotModel) -> None:
     tip = link_pose(arm.robot, "rod", UP)
     x, y, z = (tip @ [0.0, 0.0, 0.4, 1.0])[:3].tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.05)
-    nearest = ExactScene(arm.carrying((Attached(object=ROD),), ()), World((ball,), 0.0)).nearest(UP)
+    nearest = ExactScene(arm.with_attached((Attached(object=ROD),), ()), World((ball,), 0.0)).nearest(UP)
     assert nearest.pair == ("pole", "ball")
     assert nearest.distance == pytest.approx(-0.07, abs=1e-3)
 
@@ -108,13 +108,13 @@ def test_a_collision_names_the_carried_object(arm: RobotModel) -> None:
 def test_a_carried_object_may_touch_its_own_body_and_its_touch_links_and_nothing_else(arm: RobotModel) -> None:
     long = Capsule(kind="capsule", name="pole", position=(0.0, 0.0, -0.2), radius=0.02, length=0.6)
     folded = np.array([0.0, 0.0, 0.0, 0.0])  # the pole runs back through cover, fore and upper
-    hit = ExactScene(arm.carrying((Attached(object=long),), ()), World((), 0.0)).nearest(folded)
+    hit = ExactScene(arm.with_attached((Attached(object=long),), ()), World((), 0.0)).nearest(folded)
     assert hit.pair is not None
     assert hit.distance < 0.0
     assert "pole" in hit.pair
     assert "rod" not in hit.pair
     touching = Attached(object=long, touch_links=("fore", "upper", "cover", "turret"))
-    model = arm.carrying((touching,), ())
+    model = arm.with_attached((touching,), ())
     assert ExactScene(model, World((), 0.0)).nearest(folded).distance > 0.0
     others = {model.links[a] for a, b in model.pairs.tolist() if model.links[b] == "pole"}
     assert others == {"stand"}
@@ -126,14 +126,17 @@ def test_an_ignored_link_collides_with_nothing(arm: RobotModel) -> None:
     world = World((ball,), 0.0)
     assert ExactScene(arm, World((ball,), 0.0)).nearest(UP).pair == ("rod", "ball")
     assert not is_free(arm, world, UP)
-    model = arm.carrying((), ("rod", "cover"))
+    model = arm.with_attached((), ("rod", "cover"))
     assert model.links == ("stand", "turret", "upper", "fore")
     assert ExactScene(model, World((ball,), 0.0)).nearest(UP).distance > 0.0
     assert is_free(model, world, UP)
 
 
 def test_the_tip_is_where_it_was(arm: RobotModel) -> None:
-    model, joints = arm.carrying((Attached(object=ROD),), ("cover",)), random_joints(arm, 5, np.random.default_rng(0))
+    model, joints = (
+        arm.with_attached((Attached(object=ROD),), ("cover",)),
+        random_joints(arm, 5, np.random.default_rng(0)),
+    )
     np.testing.assert_array_equal(model.fk_tip(joints), arm.fk_tip(joints))
 
 

@@ -9,7 +9,7 @@ from sphere_model import distance, random_object
 
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import obstacle_shape
-from zarm_geometry.sphere_cover import MOST, STANDS_OUT, cover
+from zarm_geometry.sphere_cover import MOST, STANDS_OUT, sphere_cover
 
 KINDS = ("cuboid", "sphere", "capsule", "cylinder")
 
@@ -19,7 +19,7 @@ KINDS = ("cuboid", "sphere", "capsule", "cylinder")
 def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     item = random_object(kind, "thing", rng.normal(size=3), size, rng)
-    balls = cover(obstacle_shape(item.name, primitives([item])[0]))
+    balls = sphere_cover(obstacle_shape(item.name, primitives([item])[0]))
     around = rng.uniform(-size, size, (20_000, 3)) + item.position
     inside = around[distance(item, around) == 0.0]
     deepest = (np.linalg.norm(inside[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1)
@@ -33,7 +33,7 @@ def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> N
 def test_the_balls_stand_out_by_little(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     item = random_object(kind, "thing", np.zeros(3), size, rng)
-    balls = cover(obstacle_shape(item.name, primitives([item])[0]))
+    balls = sphere_cover(obstacle_shape(item.name, primitives([item])[0]))
     directions = rng.normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     surface = balls[:, :3] + balls[:, 3:] * directions[:, None]

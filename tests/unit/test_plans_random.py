@@ -76,7 +76,7 @@ def test_every_motion_is_free_and_within_limits(name: str, changed: str, tmp_pat
         ]
         collisions = Collisions(robot, objects, attached, ignored)
         start, goal = free_near_home(robot, collisions, rng)
-        model = bare.carrying(attached, ignored)
+        model = bare.with_attached(attached, ignored)
         world = World(objects, 0.005)
         snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
         context = PlanningContext(snapshot, Limits.of(model), Deadline(3.0), seed=seed)

@@ -162,7 +162,7 @@ def test_vias_along_the_way_cost_little(model: RobotModel) -> None:
     line = LEFT + np.linspace(0.0, 1.0, 6)[:, None] * (RIGHT - LEFT)
     direct = smooth_path(model, world, line[[0, -1]], limits, 0.01, seed=1, deadline=Deadline(60))
     through = smooth_path(model, world, line, limits, 0.01, seed=1, deadline=Deadline(60), vias=range(1, 5))
-    stopping = Smoothing(model, world, line, limits, 0.01, vias=range(1, 5)).motion()
+    stopping = Smoothing(model, world, line, limits, 0.01, vias=range(1, 5)).trajectory()
     assert through.duration < 1.2 * direct.duration
     assert through.duration < 0.7 * stopping.duration
 
@@ -215,7 +215,7 @@ def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops
     assert_inside(motion, model, limits)
     _, off = passings(motion, path[1:-1])
     assert np.all(off <= DEVIATION + 2e-4 * limits.velocity.max())
-    stopping = Smoothing(model, world, path, limits, dt, vias=vias).motion()
+    stopping = Smoothing(model, world, path, limits, dt, vias=vias).trajectory()
     assert motion.duration <= stopping.duration * (1 + 1e-5)
 
 

@@ -14,7 +14,7 @@ from zarm_contract.urdf import Joint
 from zarm_geometry.frames import rotation_to
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
-from zarm_geometry.sphere_cover import cover
+from zarm_geometry.sphere_cover import sphere_cover
 
 Array = NDArray[np.float64]
 
@@ -55,10 +55,10 @@ def link_body(robot: Robot, link: str) -> Body:
     )
 
 
-def carried_body(item: Attached, dof: int, tip: Array) -> Body:
+def attached_body(item: Attached, dof: int, tip: Array) -> Body:
     """An object that the robot carries as a body, named as in the scene and fixed to the tip (4, 4) in the last joint."""
     shape = obstacle_shape(item.object.name, primitives([item.object])[0])
-    return Body(shape.name, dof - 1, tip, cover(shape), (shape,), touches=frozenset(item.touch_links))
+    return Body(shape.name, dof - 1, tip, sphere_cover(shape), (shape,), touches=frozenset(item.touch_links))
 
 
 def along(chain: tuple[Joint, ...]) -> tuple[list[Array], Array]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_geometry.kernels.clearance import Body, Obstacles, course, look
+from zarm_geometry.kernels.clearance import Obstacles, RobotParts, course, look
 from zarm_geometry.kernels.convex import PRECISION
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import distance, obstacle_shape
@@ -110,7 +110,7 @@ class ExactScene:
         return (shape.name, other_shape.name), measured
 
 
-def _body(model: RobotModel) -> tuple[Body, Array]:
+def _body(model: RobotModel) -> tuple[RobotParts, Array]:
     """The model's parts for the kernel, and `ExactScene.reach`."""
     link = np.array([link for link, _ in model.parts], np.intp)
     first = np.searchsorted(link, np.arange(len(model.links) + 1)).astype(np.int32)
@@ -128,7 +128,7 @@ def _body(model: RobotModel) -> tuple[Body, Array]:
     # Both links of a pair are moved as one by the joints up to that of the first.
     first_link, second_link = model.pairs.T
     of_pair = of_link[second_link] * (np.arange(model.dof) > model.link_joint[first_link, None])
-    body = Body(
+    body = RobotParts(
         origin=model.origin,
         revolute=model.revolute,
         link_joint=model.link_joint,

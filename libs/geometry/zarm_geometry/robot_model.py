@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached
 from zarm_contract.robot import Robot
-from zarm_geometry.body import Body, along, carried_body, link_body
+from zarm_geometry.body import Body, along, attached_body, link_body
 from zarm_geometry.kernels.arrays import RobotArrays
 from zarm_geometry.kernels.kinematics import frames
 from zarm_geometry.kernels.simd import LANES
@@ -60,7 +60,7 @@ class RobotModel:
         bodies = [link_body(robot, link) for link in descriptor.spheres]
         return cls._packed(robot, np.array(origins), tip, bodies)
 
-    def carrying(self, attached: Sequence[Attached], ignored_links: Sequence[str]) -> Self:
+    def with_attached(self, attached: Sequence[Attached], ignored_links: Sequence[str]) -> Self:
         """This robot with one more body for each object that it carries, and without the links that are ignored.
 
         A carried object is fixed to the tip and named as in the scene; it may touch its `touch_links`.
@@ -69,7 +69,7 @@ class RobotModel:
             return self
         tip = self.offset[-1]
         bodies = [body for body in self.bodies if body.name not in ignored_links]
-        bodies += [carried_body(item, self.dof, tip) for item in attached]
+        bodies += [attached_body(item, self.dof, tip) for item in attached]
         return self._packed(self.robot, self.origin, tip, bodies)
 
     @classmethod

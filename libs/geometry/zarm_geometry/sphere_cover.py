@@ -18,7 +18,7 @@ STANDS_OUT = 0.005
 """No more balls are taken once they stand out of the shape by no more than this (m): as much as the default margin."""
 
 
-def cover(shape: Shape) -> Array:
+def sphere_cover(shape: Shape) -> Array:
     """Balls (n, 4), x, y, z and radius (m), in the frame that the shape's pose is given in; n <= MOST.
 
     Every point of the shape is in one of them. They stand out of it by at most STANDS_OUT, or where that takes too many by

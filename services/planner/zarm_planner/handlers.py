@@ -29,8 +29,10 @@ from zarm_contract.messages import (
     Plan,
     PlannerSettings,
     PlanRequest,
+    PlanTimings,
     Scene,
     SceneEdit,
+    SceneRevision,
     SetLinkCollision,
     SettingsChange,
 )
@@ -108,7 +110,7 @@ class Handlers:
             raise Unavailable(self._store.lost)
         planner = self._choose(request)
 
-        def work(deadline: Deadline) -> tuple[PlanningContext, Verified]:
+        def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
             start = within_range(model, self._measured() if request.start is None else request.start, "start")
             context = PlanningContext(
                 scene=self._look(request.margin),
@@ -123,22 +125,25 @@ class Handlers:
                 optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
                 seed=request.seed,
             )
-            return context, plan(planner, context, start, request.goal)
+            verified = plan(planner, context, start, request.goal)
+            return context.scene.revision, verified, context.timer.timings()
 
-        context, verified = self._scheduler.run(work, asker(), request.timeout or settings.timeout, request.request_id)
+        revision, verified, timings = self._scheduler.run(
+            work, asker(), request.timeout or settings.timeout, request.request_id
+        )
         trajectory = verified.trajectory
         return Plan(
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
             robot_hash=model.robot.hash,
-            scene_revision=context.scene.revision,
+            scene_revision=revision,
             trajectory=trajectory.message(model.robot.descriptor.joints),
             tip=pose_of(model.fk_tip(trajectory.position[-1])),
             clearance=verified.clearance,
             resolution=RESOLUTION,
             waypoint_times=verified.waypoint_times,
             path_length=trajectory.length,
-            timings=context.timer.timings(),
+            timings=timings,
         )
 
     def planner_name(self, request: PlanRequest) -> str:
@@ -281,7 +286,7 @@ class Handlers:
             scene, kept = self._store.scene, self._settings.margin if margin is None else margin
             ready = self._scenes.pop(kept, None)
             if ready is None or ready.revision != scene.revision:
-                model = self._model.carrying(scene.attached, scene.ignored_links)
+                model = self._model.with_attached(scene.attached, scene.ignored_links)
                 world = World(scene.objects, kept, self._store.meshes)
                 ready = PlanningScene(scene.revision, model, world, ExactScene(model, world))
                 self._scenes = {other: old for other, old in self._scenes.items() if old.revision == scene.revision}

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 
 
-class Body(NamedTuple):
+class RobotParts(NamedTuple):
     """A robot's exact shapes.
 
     `origin` (dof, 3, 4), `revolute` (dof,): as in `kinematics.joint_frames`. By link: `link_joint` (links,) is the joint
@@ -79,7 +79,7 @@ class Course(NamedTuple):
     centers: Array
 
 
-def course(body: Body, q: Array, asked: NDArray[np.bool_]) -> Course:
+def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
     """The motion `q` (n, dof), not looked at yet; `asked` (subjects,) are looked at."""
     samples, count = len(q), np.count_nonzero(asked)
     moved = np.zeros_like(q)
@@ -141,7 +141,7 @@ def _drop_top(course: Course) -> None:
 
 
 @inlined
-def _travel(body: Body, course: Course, subject: int, low: int, high: int) -> float:
+def _travel(body: RobotParts, course: Course, subject: int, low: int, high: int) -> float:
     """How far (m) a subject moves at most from sample `low` to sample `high`."""
     travel = 0.0
     for joint in range(body.reach.shape[1]):
@@ -150,7 +150,7 @@ def _travel(body: Body, course: Course, subject: int, low: int, high: int) -> fl
 
 
 @inlined
-def _place(body: Body, course: Course, k: int) -> None:
+def _place(body: RobotParts, course: Course, k: int) -> None:
     """The frames of all links at sample `k`."""
     if course.known[k]:
         return
@@ -180,7 +180,7 @@ def _at(frames: Array, k: int, link: int, x: float, y: float, z: float) -> Vecto
 
 
 @inlined
-def _place_parts(body: Body, course: Course, k: int, link: int) -> None:
+def _place_parts(body: RobotParts, course: Course, k: int, link: int) -> None:
     """The centres of a link's parts."""
     for i in range(body.first[link], body.first[link + 1]):
         x, y, z = _at(course.frames, k, link, body.pose[i, 0, 3], body.pose[i, 1, 3], body.pose[i, 2, 3])
@@ -188,7 +188,7 @@ def _place_parts(body: Body, course: Course, k: int, link: int) -> None:
 
 
 @inlined
-def _part_turn(body: Body, course: Course, k: int, link: int, i: int) -> Turn:
+def _part_turn(body: RobotParts, course: Course, k: int, link: int, i: int) -> Turn:
     """The axes of a part in the base frame."""
     f = course.frames
     turn = (
@@ -228,7 +228,7 @@ def _note(found: Array, lower: float, upper: float, part: int, other: int, k: in
 
 @inlined
 def _to_world(
-    body: Body, world: Obstacles, course: Course, found: Array, link: int, k: int, enough: float, best: float
+    body: RobotParts, world: Obstacles, course: Course, found: Array, link: int, k: int, enough: float, best: float
 ) -> tuple[float, Array, float]:
     """The distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted."""
     lowest = enough
@@ -282,7 +282,7 @@ def _to_world(
 
 @inlined
 def _to_each_other(
-    body: Body, course: Course, found: Array, one: int, other: int, k: int, enough: float, best: float
+    body: RobotParts, course: Course, found: Array, one: int, other: int, k: int, enough: float, best: float
 ) -> tuple[float, Array, float]:
     """The same of two links; a part of `other` is noted as -1 minus its index."""
     a = body.around
@@ -329,7 +329,7 @@ def _to_each_other(
 
 
 @kernel
-def look(body: Body, world: Obstacles, course: Course, best: float, most: int) -> tuple[Array, float, bool]:
+def look(body: RobotParts, world: Obstacles, course: Course, best: float, most: int) -> tuple[Array, float, bool]:
     """Look at up to `most` stretches for a distance below `best` (m).
 
     Returns what may be the smallest one, rows of: lower and upper bound (m), part, row of the world (or -1 minus another

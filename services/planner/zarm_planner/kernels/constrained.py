@@ -16,7 +16,7 @@ from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.manifold import ConstraintArrays, Desk, advance, make_desk, project
+from zarm_planner.kernels.manifold import ConstraintArrays, Workspace, advance, make_workspace, project
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
 
@@ -33,7 +33,7 @@ GAIN = 0.01
 
 
 @kernel
-def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, rows: Single, desk: Desk) -> int:
+def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, rows: Single, workspace: Workspace) -> int:
     """Write the configurations after `a` on the way along the manifold to `b` into `rows`; returns how many they are.
 
     0 where the way does not get there, or is longer than `longest`.
@@ -41,7 +41,7 @@ def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, row
     count, length = 0, 0.0
     here = a
     while count < rows.shape[0]:
-        if not advance(constraint, here, b, rows[count], desk):
+        if not advance(constraint, here, b, rows[count], workspace):
             return 0
         length += apart(here, rows[count])
         if length + apart(rows[count], b) > longest:
@@ -85,11 +85,11 @@ def connect_constrained(
     are drawn; `weight` (dof,) scales the joints in distances.
     """
     checks, dof = space(robot, world, memory), start.shape[0]
-    desk = make_desk(dof)
+    workspace = make_workspace(dof)
     now = np.empty(2, np.int64)
     rows = np.empty((ROWS, dof), np.float32)
     for goal in range(goals.shape[0]):
-        count = walk(constraint, start, goals[goal], 1e9, rows, desk)
+        count = walk(constraint, start, goals[goal], 1e9, rows, workspace)
         if count > 0 and walk_free(checks, start, rows, count):
             path = np.empty((count + 1, dof), np.float32)
             copy(start, path[0])
@@ -109,13 +109,17 @@ def connect_constrained(
                 add(trees, 1, goals[goal], -1)
         for k in range(dof):
             sample[k] = limits[0, k] + (limits[1, k] - limits[0, k]) * uniform(random)
-        if not project(constraint, sample, desk):
+        if not project(constraint, sample, workspace):
             continue
         copy(sample, target)
         new, _ = nearest_node(trees, grown, target, weight)
         read(trees, grown, new, here)
         length, moved = 0.0, False
-        while length < EXTENSION and advance(constraint, here, target, there, desk) and edge_free(checks, here, there):
+        while (
+            length < EXTENSION
+            and advance(constraint, here, target, there, workspace)
+            and edge_free(checks, here, there)
+        ):
             new, moved = add(trees, grown, there, new), True
             length += apart(here, there)
             copy(there, here)
@@ -130,7 +134,7 @@ def connect_constrained(
         read(trees, other, near, here)
         while (
             trees.size[other] < CAPACITY
-            and advance(constraint, here, target, there, desk)
+            and advance(constraint, here, target, there, workspace)
             and edge_free(checks, here, there)
         ):
             if apart(there, target) == 0.0:
@@ -155,7 +159,7 @@ def shortcut_constrained(
 ) -> int:
     """Shorten the path in the first `count` rows of `path` (ROWS, dof) in place; returns how many rows it has then."""
     checks, dof = space(robot, world, memory), path.shape[1]
-    desk = make_desk(dof)
+    workspace = make_workspace(dof)
     now = np.empty(2, np.int64)
     rows = np.empty((ROWS, dof), np.float32)
     failed = tried = 0
@@ -172,7 +176,7 @@ def shortcut_constrained(
         longest = (1.0 - GAIN) * piece
         if apart(path[i], path[j]) > longest:
             continue
-        new = walk(constraint, path[i], path[j], longest, rows, desk)
+        new = walk(constraint, path[i], path[j], longest, rows, workspace)
         moved = new - (j - i)  # what comes after `i` up to `j` gives way to the new rows
         if new == 0 or count + moved > path.shape[0] or not walk_free(checks, path[i], rows, new):
             continue

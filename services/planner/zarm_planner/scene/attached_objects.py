@@ -69,7 +69,7 @@ def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
     return scene.model_copy(update={"ignored_links": ignored})
 
 
-def refuse_carried(scene: Scene, names: Sequence[str], field: str) -> None:
+def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:
     """Raises InvalidRequest where one of `names` is that of a carried object; its index goes into `field`."""
     carried = {one.object.name for one in scene.attached}
     for index, name in enumerate(names):

@@ -36,7 +36,7 @@ from zarm_contract.messages import (
 from zarm_contract.state_file import StateFile
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import check_reach, voxels_of
-from zarm_planner.scene.attached_objects import attach, detach, refuse_carried, set_links
+from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links
 
 log = logging.getLogger(__name__)
 
@@ -147,7 +147,7 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
         case ClearScene():
             objects = {}
         case RemoveObjects(names=names):
-            refuse_carried(scene, names, "edit.names.{}")
+            refuse_attached(scene, names, "edit.names.{}")
             for index, name in enumerate(names):
                 if name not in objects:
                     raise InvalidRequest(
@@ -156,10 +156,10 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
                     )
             objects = {name: item for name, item in objects.items() if name not in names}
         case LoadScene(objects=items):
-            refuse_carried(scene, [item.name for item in items], "edit.objects.{}.name")
+            refuse_attached(scene, [item.name for item in items], "edit.objects.{}.name")
             objects = _added({}, items, False, meshes)
         case AddObjects(objects=items, replace=replace):
-            refuse_carried(scene, [item.name for item in items], "edit.objects.{}.name")
+            refuse_attached(scene, [item.name for item in items], "edit.objects.{}.name")
             objects = _added(objects, items, replace, meshes)
         case unknown:
             assert_never(unknown)

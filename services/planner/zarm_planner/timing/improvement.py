@@ -27,7 +27,7 @@ there is none. The same k gives the same route."""
 class Improvement:
     """The search for a faster motion. What it tries is the same for the same seed; how much of it, time decides.
 
-    Every motion is one of `smooth.smooth_path`, along one of `routes`.
+    Every motion is one of `smoothing.smooth_path`, along one of `routes`.
     """
 
     model: RobotModel
@@ -45,7 +45,7 @@ class Improvement:
         """A motion that lasts at most `(1 - GAIN) * duration` s; None where `deadline` came before one was found.
 
         To ask again for one that is faster than before is to say that the last answer was of no use: it is not developed
-        further. Raises what `routes` raises, and InvalidRequest where a motion is longer than `motion.MAX_SAMPLES`.
+        further. Raises what `routes` raises, and InvalidRequest where a motion is longer than `trajectory.MAX_SAMPLES`.
         """
         wanted = (1.0 - GAIN) * duration
         if self._given is not None and self._given[1] < duration:
@@ -54,10 +54,10 @@ class Improvement:
         while not deadline.passed:
             self._develop(deadline)
             if self._best and self._best[0].duration <= wanted:
-                motion = self._best[0].motion()
-                if motion.duration <= wanted:
-                    self._given = self._best[0], motion.duration
-                    return motion
+                trajectory = self._best[0].trajectory()
+                if trajectory.duration <= wanted:
+                    self._given = self._best[0], trajectory.duration
+                    return trajectory
         return None
 
     def _develop(self, deadline: Deadline) -> None:

@@ -1,4 +1,4 @@
-"""Path -> motion that arrives soon: shortcuts in time at bounded acceleration, then bounded jerk.
+"""Path -> trajectory that arrives soon: shortcuts in time at bounded acceleration, then bounded jerk.
 
 A motion that stops at every corner of the path is made faster by replacing pieces of it with the fastest ramps between
 their ends, straight or bent (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of
@@ -80,8 +80,8 @@ class Smoothing:
             deadline.at,
         )
 
-    def motion(self) -> Trajectory:
-        """The motion as it is now. Raises InvalidRequest where it is longer than `motion.MAX_SAMPLES`."""
+    def trajectory(self) -> Trajectory:
+        """The motion as it is now. Raises InvalidRequest where it is longer than `trajectory.MAX_SAMPLES`."""
         if self._count == 0:
             return Trajectory.standing(self._path[0], self._dt)
         return within(self._sample, self._limits)
@@ -133,11 +133,11 @@ def smooth_path(
     between its configurations every `kernels.smoothing.STEP` s. The limits hold as `Trajectory.load` measures them. The same
     seed gives the same motion; `deadline` only makes the search for a faster one end sooner.
 
-    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
+    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     smoothing = Smoothing(model, world, path, limits, dt, vias=vias, deviation=deviation)
     smoothing.shortcut(ATTEMPTS, seed, deadline)
-    return smoothing.motion()
+    return smoothing.trajectory()
 
 
 def least_duration(start: Array, goals: Array, limits: Limits, dt: float) -> float:

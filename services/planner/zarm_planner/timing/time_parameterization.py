@@ -1,4 +1,4 @@
-"""Path -> motion: when the joints are where, inside the limits on velocity, acceleration and jerk.
+"""Path -> trajectory: when the joints are where, inside the limits on velocity, acceleration and jerk.
 
 Corners of the path are rounded by quintic curves that leave it by at most a stated distance; TOPPRA (Pham and Pham, "A New
 Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018) finds the fastest way along; a moving
@@ -42,7 +42,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Traje
     Corners of the polyline `path` are rounded and left by at most `deviation` (rad, Euclidean). With `deviation` 0, and
     where that is faster, the motion stops at every corner. Limits are held within 0.1 %.
 
-    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
+    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     path = _distinct(path)
     if len(path) == 1:
@@ -54,9 +54,9 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Traje
         and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
     ):
         with suppress(InvalidRequest):  # round a corner of next to no size it may be longer than stopping there ever is
-            motion = within(partial(fastest.sample, dt=dt), limits)
-            if motion.duration < sum(edge.duration for edge in edges):
-                return motion
+            trajectory = within(partial(fastest.sample, dt=dt), limits)
+            if trajectory.duration < sum(edge.duration for edge in edges):
+                return trajectory
     return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
 
 
@@ -100,7 +100,7 @@ def time_curve(curve: Trajectory, limits: Limits, dt: float) -> Trajectory | Non
 
     Limits are held within 0.1 %. None where TOPPRA's numbers fail.
 
-    Raises InvalidRequest where the limits make the motion longer than `motion.MAX_SAMPLES`.
+    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     fastest = _fastest(curve, limits, dt, _CURVE_STEP, 1)
     return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
@@ -199,10 +199,10 @@ def _fastest(curve: Trajectory, limits: Limits, dt: float, step: float, least: i
     return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
 
 
-def _join(motions: list[Trajectory]) -> Trajectory:
+def _join(trajectories: list[Trajectory]) -> Trajectory:
     """Motions from rest to rest, one after the other."""
-    starts = np.cumsum([0.0, *(motion.duration for motion in motions[:-1])])
-    first, *rest = motions
+    starts = np.cumsum([0.0, *(trajectory.duration for trajectory in trajectories[:-1])])
+    first, *rest = trajectories
     return Trajectory(
         np.concatenate([first.time, *(m.time[1:] + start for m, start in zip(rest, starts[1:], strict=True))]),
         *(

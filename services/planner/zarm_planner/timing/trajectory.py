@@ -1,4 +1,4 @@
-"""A timed motion of the joints, and the limits that it has to hold."""
+"""A trajectory of the joints, and the limits that it has to hold."""
 
 from __future__ import annotations
 
@@ -136,9 +136,9 @@ def within(sample: Callable[[float], Trajectory], limits: Limits) -> Trajectory:
     """A motion that can be sampled at any factor of its shortest duration, as much slower as the limits demand."""
     factor = 1.0
     for _ in range(8):  # one or two rounds are the rule: sampled elsewhere, the motion has its extremes elsewhere
-        motion = sample(factor)
-        load = motion.load(limits)
+        trajectory = sample(factor)
+        load = trajectory.load(limits)
         if load <= 1 + TOLERANCE:
-            return motion
+            return trajectory
         factor *= load
-    return motion.slower(load)
+    return trajectory.slower(load)

@@ -1,4 +1,4 @@
-"""The last gate: a timed motion leaves the planner only if all that was asked of it holds, between its samples too."""
+"""The last gate: a trajectory leaves the planner only if all that was asked of it holds, between its samples too."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _RANGE = 1e-4
 
 
 class VerificationFailed(Exception):
-    """A timed motion breaks a promise; the message says which, where and by how much."""
+    """A trajectory breaks a promise; the message says which, where and by how much."""
 
 
 def verify(
-    motion: Trajectory,
+    trajectory: Trajectory,
     start: Array,
     goal: Array,
     limits: Limits,
@@ -37,37 +37,37 @@ def verify(
     """
     model, joints = scene.model, scene.model.robot.descriptor.joints
     for values, wanted, what in (
-        (motion.position[0], start, "starts away from the start"),
-        (motion.position[-1], goal, "ends away from the goal"),
-        (motion.velocity[0], 0.0, "does not start at rest"),
-        (motion.velocity[-1], 0.0, "does not end at rest"),
+        (trajectory.position[0], start, "starts away from the start"),
+        (trajectory.position[-1], goal, "ends away from the goal"),
+        (trajectory.velocity[0], 0.0, "does not start at rest"),
+        (trajectory.velocity[-1], 0.0, "does not end at rest"),
     ):
         if not np.all(np.abs(values - wanted) <= _POSITION):
-            raise VerificationFailed(f"the timed motion {what}")
-    if not (load := motion.load(limits)) <= 1 + 1.5 * TOLERANCE:  # and some rounding
-        raise VerificationFailed(f"the timed motion needs {load:.2f} times the allowed speed")
+            raise VerificationFailed(f"the trajectory {what}")
+    if not (load := trajectory.load(limits)) <= 1 + 1.5 * TOLERANCE:  # and some rounding
+        raise VerificationFailed(f"the trajectory needs {load:.2f} times the allowed speed")
 
-    times = _moments(motion, scene.reach)
-    position, _, _ = motion.at(times)
+    times = _moments(trajectory, scene.reach)
+    position, _, _ = trajectory.at(times)
     outside = np.maximum(model.lower - position, position - model.upper)
     if not np.all(outside <= _RANGE):
         sample, joint = np.unravel_index(int(np.argmax(outside)), outside.shape)
         raise VerificationFailed(
-            f"the timed motion takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "
+            f"the trajectory takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "
             f"{times[sample]:.2f} s"
         )
     if constraint is not None and (lost := constraint.violation(position)):
-        raise VerificationFailed(f"{lost[1]} at {times[lost[0]]:.2f} s of the timed motion")
+        raise VerificationFailed(f"{lost[1]} at {times[lost[0]]:.2f} s of the trajectory")
     nearest = scene.nearest(position, check)
     if nearest.distance <= 0.0 and nearest.pair:
         raise VerificationFailed(
             f"{nearest.pair[0]} would be {-1e3 * nearest.distance:.1f} mm inside {nearest.pair[1]} at "
-            f"{times[nearest.sample]:.2f} s of the timed motion"
+            f"{times[nearest.sample]:.2f} s of the trajectory"
         )
     return nearest.distance
 
 
-def _moments(motion: Trajectory, reach: Array) -> Array:
+def _moments(trajectory: Trajectory, reach: Array) -> Array:
     """Times (k,) between which no point of the robot moves further than RESOLUTION, the samples' own among them."""
-    pieces = np.maximum(1, np.ceil(motion.travel(reach) / RESOLUTION)).astype(int)
-    return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), motion.time)
+    pieces = np.maximum(1, np.ceil(trajectory.travel(reach) / RESOLUTION)).astype(int)
+    return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), trajectory.time)

@@ -1,4 +1,4 @@
-"""When a timed motion passes its waypoints, and whether it comes near enough."""
+"""When a trajectory passes its waypoints, and whether it comes near enough."""
 
 from __future__ import annotations
 
@@ -15,14 +15,18 @@ _STEP = 0.001
 
 
 def passing_times(
-    model: RobotModel, motion: Trajectory, waypoints: Sequence[Array], position_tolerance: float, angle_tolerance: float
+    model: RobotModel,
+    trajectory: Trajectory,
+    waypoints: Sequence[Array],
+    position_tolerance: float,
+    angle_tolerance: float,
 ) -> tuple[float, ...]:
     """The times (s) at which the tip is nearest to its poses at `waypoints` (dof,), which are passed in this order.
 
     Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad).
     """
-    t = np.linspace(0.0, motion.duration, int(motion.duration / _STEP) + 2)
-    tips = model.fk_tip(motion.at(t)[0])
+    t = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
+    tips = model.fk_tip(trajectory.at(t)[0])
     times: list[float] = []
     begin = 0
     for number, wanted in enumerate(model.fk_tip(np.array(waypoints).reshape(-1, model.dof))):
@@ -34,7 +38,7 @@ def passing_times(
         if use.min() > 1.0:
             k = int(np.argmin(use))
             raise VerificationFailed(
-                f"the timed motion passes waypoint {number} at a distance of {1e3 * distance[k]:.1f} mm and "
+                f"the trajectory passes waypoint {number} at a distance of {1e3 * distance[k]:.1f} mm and "
                 f"{np.rad2deg(angle[k]):.2f} deg"
             )
         first = int(np.argmax(use <= 1.0))
