@@ -1,4 +1,4 @@
-"""What collides as one body and where on the robot it is fixed: links of the descriptor, and objects that are carried."""
+"""What collides as one body and where on the robot it is fixed: links of the descriptor, and attached objects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Body:
-    """What collides as one: a link, or an object that the robot carries.
+    """What collides as one: a link, or an attached object.
 
     It is fixed at `pose` (4, 4) to the moving joint `joint`, or to the base where that is -1. In its own frame `balls`
     (n, 4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies that `touches` names.
@@ -56,7 +56,7 @@ def link_body(robot: Robot, link: str) -> Body:
 
 
 def attached_body(item: Attached, dof: int, tip: Array) -> Body:
-    """An object that the robot carries as a body, named as in the scene and fixed to the tip (4, 4) in the last joint."""
+    """An attached object as a body, named as in the scene and fixed to the tip (4, 4) in the last joint."""
     shape = obstacle_shape(item.object.name, primitives([item.object])[0])
     return Body(shape.name, dof - 1, tip, sphere_cover(shape), (shape,), touches=frozenset(item.touch_links))
 

@@ -54,16 +54,16 @@ class RobotModel:
 
     @classmethod
     def of(cls, robot: Robot) -> Self:
-        """Pack a robot that carries nothing."""
+        """Pack a robot without attached objects."""
         descriptor = robot.descriptor
         origins, tip = along(robot.urdf.chain(descriptor.base_link, descriptor.tip_link))
         bodies = [link_body(robot, link) for link in descriptor.spheres]
         return cls._packed(robot, np.array(origins), tip, bodies)
 
     def with_attached(self, attached: Sequence[Attached], ignored_links: Sequence[str]) -> Self:
-        """This robot with one more body for each object that it carries, and without the links that are ignored.
+        """This robot with one more body for each attached object, and without the links that are ignored.
 
-        A carried object is fixed to the tip and named as in the scene; it may touch its `touch_links`.
+        It is fixed to the tip and named as in the scene; it may touch its `touch_links`.
         """
         if not attached and not ignored_links:
             return self

@@ -1,4 +1,4 @@
-"""Balls that cover a convex shape whole: what the kernels know of an object that the robot carries."""
+"""Balls that cover a convex shape whole: what the kernels know of an attached object."""
 
 from __future__ import annotations
 

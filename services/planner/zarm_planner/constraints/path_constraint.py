@@ -83,8 +83,8 @@ class PathConstraint:
         """Raises InvalidRequest for `field` unless the pose (4, 4) keeps the constraint."""
         if self._used(pose).max(initial=0.0) > 1.0:
             raise InvalidRequest(
-                f"the goal cannot be reached with what is to be held: there, {self._phrase(pose)} as seen from the start; "
-                "choose a goal that agrees with the start in these components, or hold fewer",
+                f"the goal breaks the path constraint: there, {self._phrase(pose)} as seen from the start; "
+                "choose a goal that agrees with the start in these components, or constrain fewer",
                 field=field,
             )
 

@@ -1,4 +1,4 @@
-"""What edits do to the part of the scene that is the robot's: objects that it carries, links that are not looked at."""
+"""What edits do to the part of the scene that is the robot's: attached objects, and links that are not looked at."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def attach(scene: Scene, edit: AttachObject, tip: Array) -> Scene:
-    """The scene with an object carried by the tip, whose pose is `tip` (4, 4). Raises InvalidRequest."""
+    """The scene with an object attached to the tip, whose pose is `tip` (4, 4). Raises InvalidRequest."""
     objects = {item.name: item for item in scene.objects}
     if any(edit.name == one.object.name for one in scene.attached):
         raise InvalidRequest(f"the robot carries {edit.name} already; detach it first", field="edit.name")
@@ -40,24 +40,24 @@ def attach(scene: Scene, edit: AttachObject, tip: Array) -> Scene:
     item = objects.pop(edit.name)
     if isinstance(item, Mesh | Voxels):
         raise InvalidRequest(
-            f"{edit.name} is a {item.kind} and cannot be carried; attach a cuboid or capsule around it instead",
+            f"{edit.name} is a {item.kind} and cannot be attached; attach a cuboid or capsule around it instead",
             field="edit.name",
         )
-    carried = Attached(object=_moved(item, np.asarray(np.linalg.inv(tip), np.float64)), touch_links=edit.touch_links)
-    return scene.model_copy(update={"objects": tuple(objects.values()), "attached": (*scene.attached, carried)})
+    attached = Attached(object=_moved(item, np.asarray(np.linalg.inv(tip), np.float64)), touch_links=edit.touch_links)
+    return scene.model_copy(update={"objects": tuple(objects.values()), "attached": (*scene.attached, attached)})
 
 
 def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
-    """The scene with a carried object put down where it is with the tip at `tip` (4, 4). Raises InvalidRequest."""
-    carried = {one.object.name: one for one in scene.attached}
-    if edit.name not in carried:
+    """The scene with an attached object put down where it is with the tip at `tip` (4, 4). Raises InvalidRequest."""
+    attached = {one.object.name: one for one in scene.attached}
+    if edit.name not in attached:
         raise InvalidRequest(
             f"the robot does not carry {edit.name}; it carries {', '.join(carried) or 'nothing'}", field="edit.name"
         )
     if len(scene.objects) == MAX_OBJECTS:
         raise InvalidRequest(f"the scene holds {MAX_OBJECTS} objects already; remove some first", field="edit.name")
-    item = _moved(carried.pop(edit.name).object, tip)
-    return scene.model_copy(update={"objects": (*scene.objects, item), "attached": tuple(carried.values())})
+    item = _moved(attached.pop(edit.name).object, tip)
+    return scene.model_copy(update={"objects": (*scene.objects, item), "attached": tuple(attached.values())})
 
 
 def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
@@ -70,10 +70,10 @@ def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
 
 
 def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:
-    """Raises InvalidRequest where one of `names` is that of a carried object; its index goes into `field`."""
-    carried = {one.object.name for one in scene.attached}
+    """Raises InvalidRequest where one of `names` is that of an attached object; its index goes into `field`."""
+    attached = {one.object.name for one in scene.attached}
     for index, name in enumerate(names):
-        if name in carried:
+        if name in attached:
             raise InvalidRequest(f"the robot carries {name}; detach it first", field=field.format(index))
 
 
