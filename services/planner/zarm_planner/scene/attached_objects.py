@@ -52,7 +52,7 @@ def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
     attached = {one.object.name: one for one in scene.attached}
     if edit.name not in attached:
         raise InvalidRequest(
-            f"the robot does not carry {edit.name}; it carries {', '.join(carried) or 'nothing'}", field="edit.name"
+            f"the robot does not carry {edit.name}; it carries {', '.join(attached) or 'nothing'}", field="edit.name"
         )
     if len(scene.objects) == MAX_OBJECTS:
         raise InvalidRequest(f"the scene holds {MAX_OBJECTS} objects already; remove some first", field="edit.name")
