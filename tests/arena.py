@@ -17,11 +17,11 @@ from motions import HOME, plan, rest_to_rest
 from router_process import router_process
 from wall_clock import WallClock
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ExecutorState, JointState, Plan, Trajectory
-from zarm_contract.session import open_router
 from zarm_leeloo_sim.player import Kind
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
 
 STEP = 0.01
 """Period of the simulated arm, s: what counts samples of it counts time as the arm has it."""

@@ -12,7 +12,7 @@ from hypothesis import settings
 from motions import KEYS
 from workers import ByTime, give_way
 
-from zarm_contract.bus import Bus
+from zarm_runtime.bus import Bus
 
 settings.register_profile("untimed", deadline=None)  # nothing timed is asserted: machines differ
 settings.load_profile("untimed")

@@ -14,7 +14,7 @@ from multiprocessing.sharedctypes import Synchronized
 import zenoh
 from harness import PATIENCE, eventually
 
-from zarm_contract.session import open_client, router_config, run_router
+from zarm_runtime.session import open_client, router_config, run_router
 
 SPAWN = multiprocessing.get_context("spawn")
 

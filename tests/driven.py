@@ -12,10 +12,10 @@ from executor_client import Client
 from harness import ServiceProcess, eventually
 from motions import HOME, ROBOT, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState, Nothing
 from zarm_contract.robot import Robot
+from zarm_runtime.bus import Bus
 
 FAR = moved(1.0, -0.5, 0.3)
 THERE = rest_to_rest(FAR, slower=1.5)

@@ -16,17 +16,17 @@ from harness import eventually
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 from waves import chunk
 
-from zarm_contract.expiry import Expiry
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
 from zarm_contract.robot import Robot, StrategyParams
 from zarm_executor.goal import Chunk, Goal
-from zarm_executor.limits import Limits
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
-from zarm_executor.path import Array, Path
-from zarm_executor.splice import spliced
 from zarm_executor.strategies import build_strategies
 from zarm_leeloo_sim.player import CEILING, STEP, Player
+from zarm_runtime.expiry import Expiry
+from zarm_trajectory.blending import blended
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
 TOLD = tuple(JOINTS[index] for index in (0, 1, 3, 4, 2, 5))
@@ -197,10 +197,10 @@ class DriverBench:
 
     def execute(
         self, goal: Array | None = None, start: Array = HOME, timed: Callable[[Array, Array], Trajectory] = rest_to_rest
-    ) -> Path:
+    ) -> TimedTrajectory:
         """Start a motion along a path to `goal`."""
         trajectory = timed(moved(1.0, -0.5, 0.3) if goal is None else goal, start)
-        path = Path.of(trajectory, JOINTS).approached_from(
+        path = TimedTrajectory.of(trajectory, JOINTS).approached_from(
             self.positions[-1], np.full(6, 1.2), np.full(6, 1.0), np.full(6, 500.0)
         )
         monitor = Monitor(path, self.robot.descriptor)
@@ -214,7 +214,7 @@ class DriverBench:
             at = self.now - start
             piece = Chunk(index + 1, at, chunk(at), self.now, 0.1, False)
             if index == 0:
-                path = spliced(Path.standing(self.positions[-1]), 0.0, piece.path, 0.0, limits)
+                path = blended(TimedTrajectory.standing(self.positions[-1]), 0.0, piece.path, 0.0, limits)
                 goal = Goal("stream", None, path, Monitor(path, self.robot.descriptor), chunk=piece)
                 self.machine.start(goal, arrival())
             else:
@@ -259,6 +259,6 @@ class DriverBench:
         return bool(np.allclose(self.positions[-1], where, atol=1e-5))
 
 
-def distance_from(path: Path, position: Array) -> float:
+def distance_from(path: TimedTrajectory, position: Array) -> float:
     """How far (rad, the worst joint) a position is from a path."""
     return float(np.abs(path.sample(np.linspace(0.0, path.duration, 5000))[0] - position).max(axis=1).min())

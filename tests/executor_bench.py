@@ -11,14 +11,14 @@ from motions import HOME, ROBOT, moved, rest_to_rest
 
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
-from zarm_executor.follower import TICK, Follower
 from zarm_executor.goal import Chunk, Goal
-from zarm_executor.limits import Limits
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
-from zarm_executor.path import Array, Path
-from zarm_executor.splice import spliced
 from zarm_executor.strategies.base import Measured, Progress, Steerable
+from zarm_trajectory.blending import blended
+from zarm_trajectory.follower import TICK, Follower
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 LIMITS = Limits(ROBOT)
@@ -34,7 +34,7 @@ class Arm(Steerable):
 
     def __init__(self) -> None:
         self.calls: list[str] = []
-        self.follower = Follower(Path.standing(HOME), LIMIT)
+        self.follower = Follower(TimedTrajectory.standing(HOME), LIMIT)
         self.exact = Measured(HOME, np.zeros(6), 0.0)
         self.disturb: Disturbance = lambda measured: measured
         self.played = 1.0
@@ -55,7 +55,7 @@ class Arm(Steerable):
     def admit(self) -> None:
         pass
 
-    def start(self, path: Path, speed: float) -> None:
+    def start(self, path: TimedTrajectory, speed: float) -> None:
         self.follower = Follower(path, LIMIT, speed=speed, target=speed)
 
     def stop(self) -> None:
@@ -69,7 +69,7 @@ class Arm(Steerable):
     def commanded(self) -> float:
         return self.follower.time
 
-    def steer(self, path: Path) -> None:
+    def steer(self, path: TimedTrajectory) -> None:
         self.follower.join(path)
 
     def tick(self, now: float, dt: float) -> None:
@@ -114,21 +114,25 @@ class Bench:
             self.tick()
         raise AssertionError(f"{self.machine.state()} does not become {mode}")
 
-    def execute(self, goal_id: str = "goal-1", asked: int | None = None, scene: str | None = None) -> Path:
+    def execute(self, goal_id: str = "goal-1", asked: int | None = None, scene: str | None = None) -> TimedTrajectory:
         """Start a motion that was asked for at the arrival `asked` (left out: just now)."""
-        path = Path.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
+        path = TimedTrajectory.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
         goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor), scene)
         self.machine.start(goal, arrival() if asked is None else asked)
         return path
 
-    def stream(self, chunk: Path, *, last: bool = False, deadline: float = 0.1, scene: str | None = None) -> None:
+    def stream(
+        self, chunk: TimedTrajectory, *, last: bool = False, deadline: float = 0.1, scene: str | None = None
+    ) -> None:
         """Begin the stream `stream-1` with a chunk that starts where the arm is."""
-        path = spliced(Path.standing(self.arm.exact.position), 0.0, chunk, 0.0, LIMITS)
+        path = blended(TimedTrajectory.standing(self.arm.exact.position), 0.0, chunk, 0.0, LIMITS)
         monitor = Monitor(path, ROBOT.descriptor)
         first = Chunk(1, 0.0, path, self.now, deadline, last, scene)
         self.machine.start(Goal("stream-1", None, path, monitor, scene, chunk=first), arrival())
 
-    def steer(self, sequence: int, start: float, chunk: Path, *, last: bool = False, deadline: float = 0.1) -> None:
+    def steer(
+        self, sequence: int, start: float, chunk: TimedTrajectory, *, last: bool = False, deadline: float = 0.1
+    ) -> None:
         """Send a later chunk."""
         self.machine.steer("stream-1", Chunk(sequence, start, chunk, self.now, deadline, last), LIMITS)
 

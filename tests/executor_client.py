@@ -8,7 +8,6 @@ import numpy as np
 from harness import eventually
 from motions import KEYS, ROBOT
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     Accepted,
@@ -24,8 +23,9 @@ from zarm_contract.messages import (
     StrategyRequest,
     Trajectory,
 )
-from zarm_executor.follower import CATCH_UP
-from zarm_executor.path import Path
+from zarm_runtime.bus import Bus
+from zarm_trajectory.follower import CATCH_UP
+from zarm_trajectory.trajectory import TimedTrajectory
 
 ACCELERATION = np.array(ROBOT.descriptor.cspace.acceleration)
 
@@ -132,6 +132,6 @@ class Client:
         )
 
 
-def distance_from(path: Path, position: np.ndarray) -> float:
+def distance_from(path: TimedTrajectory, position: np.ndarray) -> float:
     """How far (rad, the worst joint) a position is from a path."""
     return min(float(np.max(np.abs(path.at(time)[0] - position))) for time in np.linspace(0.0, path.duration, 5000))

@@ -13,10 +13,10 @@ import threading
 
 from motions import KEYS
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import decode
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest, IkSolutions, Plan, PlanRequest
+from zarm_runtime.bus import Bus
 
 
 def main() -> None:

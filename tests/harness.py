@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self, TypeVar
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
-from zarm_contract.session import open_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
 
 T = TypeVar("T")
 

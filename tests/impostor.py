@@ -12,7 +12,7 @@ import numpy as np
 from arena import STEP, Arena
 from motions import HOME
 
-from zarm_contract.session import open_client
+from zarm_runtime.session import open_client
 
 Told = Callable[[np.ndarray, dict[str, object]], dict[str, object]]
 """From the arm's trace so far and its true joint state, what is told instead."""

@@ -15,10 +15,10 @@ from typing import Any, Self
 import psutil
 from harness import PATIENCE, eventually
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
+from zarm_runtime.bus import Bus
 
 ZARM = str(Path(sys.executable).with_name("zarm"))
 ROBOT = "doosan_m1013"

@@ -7,7 +7,6 @@ from harness import PATIENCE
 from motions import KEYS, ROBOT
 from second_opinion import Collisions
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import (
     Cuboid,
     Cylinder,
@@ -22,6 +21,7 @@ from zarm_contract.messages import (
     SceneObject,
 )
 from zarm_executor.checks import executable
+from zarm_runtime.bus import Bus
 
 HOME = ROBOT.descriptor.home
 

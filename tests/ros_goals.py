@@ -13,10 +13,10 @@ from rclpy.qos import QoSProfile
 from ros_node import answer, on_its_thread
 
 from curobo_msgs.action import SendTrajectory
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, JointGoal, JointState, Nothing, Plan, PlanRequest
 from zarm_contract.robot import load_robot
+from zarm_runtime.bus import Bus
 
 SUCCEEDED, CANCELED, ABORTED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED
 TARGET = Pose(position=Point(x=0.5, y=0.2, z=0.4), orientation=Quaternion(x=0.0, y=1.0, z=0.0, w=0.0))

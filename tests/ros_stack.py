@@ -14,9 +14,9 @@ from harness import PATIENCE, ServiceProcess, router
 from ros_client import RosClient
 from ros_node import running_node
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.robot import Robot
+from zarm_runtime.bus import Bus
 
 KEYS = Keys("arm")
 

@@ -14,7 +14,7 @@ CERTIFICATES = "/certs"
 """Where a container finds them."""
 
 _HEAD = """\
-// Made from router.json5 and the table in services/contract/zarm_contract/access.py by tests/router_file.py.
+// Made from router.json5 and the table in libs/contract/zarm_contract/access.py by tests/router_file.py.
 // The router of a zarm bus with certificates and access control, for Zenoh's own router:
 //     ZENOH_RUNTIME='(rx: (worker_threads: 16))' zenohd -c deploy/router-secure.json5 -l tls/0.0.0.0:7447
 // `ZARM_SECURITY=on ZARM_CERTS=/certs zarm router` sets the same; a test holds the two equal. /certs is what `zarm certs`

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from zarm_contract.session import open_router
+from zarm_runtime.session import open_router
 
 
 class RouterProcess:

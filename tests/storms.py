@@ -21,7 +21,7 @@ from harness import PATIENCE
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import Problem
 from zarm_contract.messages import Message
-from zarm_contract.session import open_client
+from zarm_runtime.session import open_client
 
 
 @dataclass(frozen=True)

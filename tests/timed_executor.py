@@ -19,10 +19,10 @@ import numpy as np
 import zarm_executor.loop
 import zarm_executor.service
 from zarm_contract.messages import DriverCommand
-from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
-from zarm_contract.service import run_service, service_parser
 from zarm_executor.strategies.base import Measured
 from zarm_executor.strategies.driver_link import DriverLink
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_runtime.service import run_service, service_parser
 
 ticks = array("d")
 commands = array("d")

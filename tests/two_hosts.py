@@ -22,8 +22,8 @@ from launched import ZARM, environment
 from link import link
 from wire import Wire, wire
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
+from zarm_runtime.bus import Bus
 
 PORT = 7447
 SECURITY = ("ZARM_SECURITY", "ZARM_CERTS")

@@ -9,7 +9,7 @@ from motions import HOME
 
 from zarm_contract.messages import Trajectory
 from zarm_contract.robot import Robot
-from zarm_executor.path import Array, Path
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 AMPLITUDE, PERIOD = 0.3, 4.0
 STEP = 0.02
@@ -22,7 +22,7 @@ def target(time: float) -> tuple[float, float, float]:
     return half * (1 - math.cos(w * time)), half * w * math.sin(w * time), half * w * w * math.cos(w * time)
 
 
-def chunk(start: float, horizon: float = 0.2, braking: float = 0.8, *, off: float = 0.0) -> Path:
+def chunk(start: float, horizon: float = 0.2, braking: float = 0.8, *, off: float = 0.0) -> TimedTrajectory:
     """The first joint with the target for `horizon` s from `start` on, `off` rad beside it, then to rest in `braking` s."""
     times = [index * STEP for index in range(round(horizon / STEP) + 1)]
     states = [target(start + time) for time in times]
@@ -40,10 +40,10 @@ def chunk(start: float, horizon: float = 0.2, braking: float = 0.8, *, off: floa
     position += HOME
     position[:, 0] += moving[:, 0] + off
     velocity[:, 0], acceleration[:, 0] = moving[:, 1], moving[:, 2]
-    return Path(np.array(times), position, velocity, acceleration)
+    return TimedTrajectory(np.array(times), position, velocity, acceleration)
 
 
-def as_message(path: Path, robot: Robot) -> Trajectory:
+def as_message(path: TimedTrajectory, robot: Robot) -> Trajectory:
     """A path as a message holds it."""
 
     def rows(array: Array) -> tuple[tuple[float, ...], ...]:

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 
 _TUNSETIFF = 0x400454CA
 _IFF_TUN, _IFF_NO_PI = 0x0001, 0x1000

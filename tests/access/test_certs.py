@@ -14,10 +14,10 @@ from launched import the_one_line, zarm
 
 from zarm_cli.authority import hosts_of, load_certificate, today
 from zarm_contract.access import ROLES, Role
-from zarm_contract.certificates import Certificates
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.security import RENEWAL_DAYS
-from zarm_contract.session import open_client, open_router
+from zarm_runtime.certificates import Certificates
+from zarm_runtime.security import RENEWAL_DAYS
+from zarm_runtime.session import open_client, open_router
 
 
 def contents(folder: Path) -> dict[str, bytes]:

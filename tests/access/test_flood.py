@@ -14,14 +14,14 @@ from launched import Router, environment, zarm
 from two_hosts import PORT, Host, obstacle
 from wire import wire
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Nothing
+from zarm_runtime.bus import Bus
 
 KEYS = Keys("some_robot")
 FLOOD = str(Path(__file__).parents[1] / "flood.py")
 FIREWALL = str(Path(__file__).parents[2] / "deploy" / "firewall.nft")
-JOIN = "import sys; from zarm_contract.bus import Bus; Bus(sys.argv[1], timeout=2.0).close()"
+JOIN = "import sys; from zarm_runtime.bus import Bus; Bus(sys.argv[1], timeout=2.0).close()"
 
 
 def joins(endpoint: str, certificates: Path, *prefix: str) -> bool:

@@ -9,12 +9,12 @@ import pytest
 import zenoh
 from harness import eventually, router
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Accepted, ExecuteRequest
-from zarm_contract.session import ROUTER_MAX_BYTES, open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import ROUTER_MAX_BYTES, open_client
 
 KEYS = Keys("some_robot")
 LONGER = (ROUTER_MAX_BYTES + 1, 3 * ROUTER_MAX_BYTES)

@@ -9,11 +9,11 @@ import zenoh
 from harness import eventually, free_endpoint
 from launched import Router
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Nothing
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 KEYS = Keys("some_robot")
 

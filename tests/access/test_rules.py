@@ -12,7 +12,7 @@ from harness import eventually, free_endpoint
 
 from zarm_contract.access import ROLES, Rights, Role, reading, rights
 from zarm_contract.keys import client_token
-from zarm_contract.session import open_client, open_router
+from zarm_runtime.session import open_client, open_router
 
 MEMBERS = tuple(role for role in ROLES if role != "router")
 FORGED, TRUE = b"forged", b"true"

@@ -18,7 +18,6 @@ from launched import HOME, Command, Up, the_one_line, vector, zarm
 
 from zarm_cli.authority import Authority, today
 from zarm_contract.access import Role
-from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -40,7 +39,8 @@ from zarm_contract.messages import (
     Strategies,
     StrategyRequest,
 )
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 DOCUMENTATION = Path(__file__).parents[2] / "deploy" / "access.md"
 EXAMPLES = Path(__file__).parents[2] / "services" / "executor" / "examples"

@@ -12,8 +12,8 @@ import zenoh
 from zarm_contract.access import ROLES, SERVICE_ROLES, TABLE, access_control, require, rights
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
-from zarm_contract.recorded import Recorded
-from zarm_contract.session import router_config
+from zarm_runtime.recorded import Recorded
+from zarm_runtime.session import router_config
 
 KEYS = Keys("any_robot")
 OF_EVERY_SERVICE = {"health", "reread", "alive"}

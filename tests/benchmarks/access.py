@@ -25,8 +25,8 @@ from harness import PATIENCE, ServiceProcess, free_endpoint
 from launched import KEYS, Router, zarm
 from planner_client import BEHIND_POST, HOME, POST, TABLE, load
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import DriverCommand, JointGoal, Plan, PlanRequest
+from zarm_runtime.bus import Bus
 
 POINTS = 8
 """In a command, about as many as `joint_speed` sends at once."""

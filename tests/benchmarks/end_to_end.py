@@ -23,7 +23,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import motion_bench
 from harness import PATIENCE, ServiceProcess, router
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -37,6 +36,7 @@ from zarm_contract.messages import (
     SceneEdit,
     SceneEdited,
 )
+from zarm_runtime.bus import Bus
 
 STAGES = tuple(name for name in PlanTimings.model_fields if name != "total")
 

@@ -34,7 +34,6 @@ from motions import HOME, KEYS, moved, rest_to_rest
 from two_hosts import LOCAL, Host, Hosts, enter, hosts, obstacle
 from wire import Quality
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     Accepted,
@@ -47,6 +46,7 @@ from zarm_contract.messages import (
     Plan,
     PlanRequest,
 )
+from zarm_runtime.bus import Bus
 
 Array = NDArray[np.float64]
 

@@ -34,7 +34,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from motions import HOME, moved
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     Accepted,
@@ -47,8 +46,9 @@ from zarm_contract.messages import (
     Plan,
     PlanRequest,
 )
-from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
-from zarm_contract.session import open_client, open_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_runtime.session import open_client, open_router
 
 Array = NDArray[np.float64]
 

@@ -37,7 +37,7 @@ from ros_node import answer
 from ros_stack import KEYS, stack
 
 from zarm_contract import messages as m
-from zarm_contract.bus import Bus
+from zarm_runtime.bus import Bus
 
 GOALS = [moved(0.6, 0.2), moved(-0.5, 0.3, -0.2), moved(0.2, -0.3, 0.4, 0.5), moved(1.0)]
 

@@ -29,7 +29,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import motion_bench
 from harness import PATIENCE, ServiceProcess, router
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -54,6 +53,7 @@ from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.timing.trajectory import Limits, Trajectory
+from zarm_runtime.bus import Bus
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -26,9 +26,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from harness import PATIENCE, ServiceProcess, router
 from planner_client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, to_joints
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, ZarmError
 from zarm_contract.messages import Plan, PlanRequest, WaypointsGoal
+from zarm_runtime.bus import Bus
 
 SETTLED = 3.0
 """Seconds until greedy clients have all that they can have in hand."""

@@ -37,7 +37,6 @@ from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from motions import KEYS, descriptor_at, moved, rest_to_rest
 from planner_client import BEHIND_POST, HOME, POST, SHELF, TABLE, load, plan, to_joints
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import decode
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import (
@@ -50,8 +49,9 @@ from zarm_contract.messages import (
     PlanRequest,
     Trajectory,
 )
-from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
-from zarm_contract.session import open_client, open_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_runtime.session import open_client, open_router
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

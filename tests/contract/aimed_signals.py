@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 
-from zarm_contract import signals
+from zarm_runtime import signals
 
 WAIT = 0.0005  # s
 SPREAD = 0.0001  # s

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from zarm_contract.bus import Bus
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 _URDF = """<robot name="pendulum">
   <link name="base"/><link name="arm"/><link name="tip"/>

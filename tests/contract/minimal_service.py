@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.service import Service, run_service, service_parser
+from zarm_runtime.service import Service, run_service, service_parser
 
 
 @contextmanager

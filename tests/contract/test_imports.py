@@ -29,7 +29,7 @@ def loaded(*without: str) -> set[str]:
 
 
 def test_the_contract_imports_pydantic_zenoh_and_yaml_and_nothing_else() -> None:
-    assert loaded("zarm_contract.record") == _LIGHT
+    assert loaded("zarm_runtime.record") == _LIGHT
 
 
 def test_whoever_writes_a_record_loads_mcap_too_and_nothing_else() -> None:

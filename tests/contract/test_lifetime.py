@@ -10,10 +10,10 @@ from contract.wire import declared
 from harness import PATIENCE, eventually, free_endpoint
 
 from zarm_contract import messages as m
-from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.session import open_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
 
 KEYS = Keys("arm")
 IDLE = m.ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)

@@ -13,7 +13,7 @@ LINE = re.compile(r"planner   \| \d\d:\d\d:\d\d level=[A-Z]+ \S.*")
 
 def logged(program: str, **environment: str) -> list[str]:
     """What a process writes to standard error that logs as the planner does."""
-    prelude = "import logging; from zarm_contract.logs import setup_logging; setup_logging('planner'); log = logging.getLogger('x')\n"
+    prelude = "import logging; from zarm_runtime.logs import setup_logging; setup_logging('planner'); log = logging.getLogger('x')\n"
     clean = {name: value for name, value in os.environ.items() if not name.startswith("ZARM_")}
     done = subprocess.run(
         [sys.executable, "-c", prelude + program], env=clean | environment, capture_output=True, text=True, check=True
@@ -82,7 +82,7 @@ def objects(program: str) -> list[dict[str, object]]:
 def test_an_event_is_one_json_object_with_its_values_as_they_were() -> None:
     (plain, named) = objects(
         "log.info('planned goal_id=%s seconds=%.2f count=%d remedy=add_%s_GB', 'g1', 0.256, 3, 4)\n"
-        "from zarm_contract.logs import name_robot; name_robot('arm')\n"
+        "from zarm_runtime.logs import name_robot; name_robot('arm')\n"
         "log.warning('the loop %s failed; 100%% reason=%s', 'control', 'left by 0.2 rad (a=1); \\n see \"why\"')"
     )
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00", str(plain.pop("time")))

@@ -16,12 +16,12 @@ from harness import PATIENCE, eventually, free_endpoint
 from link import link
 
 from zarm_contract import messages as m
-from zarm_contract.bus import Bus
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InternalError, Problem
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
-from zarm_contract.session import listens_at, router_config, run_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import listens_at, router_config, run_router
 
 KEYS = Keys("arm")
 (JOINTS,) = by_class()[m.JointState]

@@ -18,8 +18,6 @@ from contract.wire import declared
 from harness import PATIENCE, eventually
 
 from zarm_contract import messages as m
-from zarm_contract.asking import ANYONE, asker
-from zarm_contract.bus import Bus
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.errors import (
     Busy,
@@ -32,6 +30,8 @@ from zarm_contract.errors import (
 )
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
+from zarm_runtime.asking import ANYONE, asker
+from zarm_runtime.bus import Bus
 
 KEYS = Keys("arm")
 REQUEST = m.FkRequest(joints=((0.1, 0.2),))
@@ -307,7 +307,7 @@ def test_a_client_that_leaves_or_dies_is_told_of(bus: Bus, endpoint: str, signum
     serve(bus, handler)
     bus.watch_clients(gone.append)
     script = f"""
-from zarm_contract.bus import Bus
+from zarm_runtime.bus import Bus
 from zarm_contract.messages import FkPoses, FkRequest
 with Bus({endpoint!r}) as bus:
     bus.call({KEYS.fk!r}, FkRequest(joints=((0.1, 0.2),)), FkPoses, timeout={PATIENCE})
@@ -339,7 +339,7 @@ def test_an_answer_that_cannot_be_sent_is_logged_with_its_trace_and_counted(
     bus.watch_answers(lambda _, outcome: outcomes.append(outcome))
     serve(bus, lambda _: ANSWER)
     with monkeypatch.context() as patch:
-        patch.setattr("zarm_contract.bus.encoding_of", fail)
+        patch.setattr("zarm_runtime.bus.encoding_of", fail)
         assert reply_to(plain, KEYS.fk, encode(REQUEST)) == []
         (record,) = eventually(lambda: [one for one in caplog.records if KEYS.fk in one.getMessage()], "it is logged")
     assert record.exc_info is not None

@@ -10,7 +10,7 @@ import pytest
 from harness import free_endpoint
 
 ALLOWED = (
-    "from zarm_contract.realtime import *\n"
+    "from zarm_runtime.realtime import *\n"
     "import os, sys\n"
     "def of_threads():\n"
     "    return {int(tid): os.sched_getscheduler(int(tid)) for tid in os.listdir('/proc/self/task')}\n"
@@ -41,7 +41,7 @@ def test_where_priority_is_not_allowed_nothing_changes_and_nothing_fails() -> No
 def test_the_threads_of_a_router_have_priority_and_whoever_opened_it_has_none() -> None:
     program = (
         f"{ALLOWED}"
-        "from zarm_contract.session import open_router\n"
+        "from zarm_runtime.session import open_router\n"
         "before = of_threads()\n"
         "with open_router(sys.argv[1]):\n"
         "    threads = of_threads()\n"

@@ -17,8 +17,8 @@ from zarm_contract.codec import decode, encode, schema
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
-from zarm_contract.record import Entry, RecordFile, plain_schema, read_record
-from zarm_contract.recorded import Recorded
+from zarm_runtime.record import Entry, RecordFile, plain_schema, read_record
+from zarm_runtime.recorded import Recorded
 
 KEYS = Keys("arm")
 RECORDED = Recorded(KEYS)
@@ -126,7 +126,7 @@ _FULL_DISK = """
 import os, sys
 from pathlib import Path
 from zarm_contract.keys import Keys
-from zarm_contract.record import RecordFile
+from zarm_runtime.record import RecordFile
 file = RecordFile(Path(sys.argv[1]), Keys("arm"))
 try:
     for at in range(200):

@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 from harness import PATIENCE, eventually, free_endpoint
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
 from zarm_contract.robot import load_robot
-from zarm_contract.service import CONTRACT, Service, default_state, service_parser, version
+from zarm_runtime.bus import Bus
+from zarm_runtime.service import CONTRACT, Service, default_state, service_parser, version
 
 PROGRAM = Path(__file__).with_name("minimal_service.py")
 KEYS = Keys("pendulum")

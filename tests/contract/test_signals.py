@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from zarm_contract import signals
+from zarm_runtime import signals
 
 PROGRAM = Path(__file__).with_name("aimed_signals.py")
 COUNT = os.environ.get("ZARM_TEST_SIGNALS", "3000")

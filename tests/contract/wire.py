@@ -6,9 +6,9 @@ from contextlib import suppress
 
 from harness import PATIENCE
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Nothing
+from zarm_runtime.bus import Bus
 
 
 def declared(bus: Bus) -> None:

@@ -17,10 +17,10 @@ from composition import SERVICES, Composition, docker
 from executor_client import Client
 from motions import HOME, KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, JointState, Nothing, Scene, Strategies
 from zarm_contract.robot import ROBOTS
+from zarm_runtime.bus import Bus
 
 pytestmark = pytest.mark.timeout(400)
 

@@ -15,7 +15,6 @@ from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually
 from motions import HOME, KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     AddObjects,
@@ -30,7 +29,8 @@ from zarm_contract.messages import (
     SceneEdit,
     SceneEdited,
 )
-from zarm_contract.state_file import StateFile
+from zarm_runtime.bus import Bus
+from zarm_runtime.state_file import StateFile
 
 NO_SPACE = "No space left on device"
 SLOW = rest_to_rest(moved(0.8), slower=3.0)

@@ -12,9 +12,9 @@ from driven import FAR, LIMIT, THERE, Driven, driven
 from harness import eventually, free_endpoint
 from motions import KEYS, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import DriverFault
-from zarm_contract.session import open_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
 
 STREAMED, WHOLE = "joint_speed", "joint_trajectory"
 

@@ -16,18 +16,18 @@ from executor_client import Client, distance_from
 from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Unavailable
 from zarm_contract.messages import Accepted, ExecuteRequest, ExecutorState, Nothing
-from zarm_contract.session import open_router
-from zarm_executor.follower import CATCH_UP
 from zarm_executor.machine import STALL_LIMIT
-from zarm_executor.path import Path as Motion
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
+from zarm_trajectory.follower import CATCH_UP
+from zarm_trajectory.trajectory import TimedTrajectory
 
 GIVEN_UP = 6.0
 """Seconds after which a client asks no longer, and the router has given up the link."""
 SLOW = rest_to_rest(moved(1.5, -0.5), slower=2.0)
-PATH = Motion.of(SLOW, ROBOT.descriptor.joints)
+PATH = TimedTrajectory.of(SLOW, ROBOT.descriptor.joints)
 SPEED = float(np.max(ROBOT.descriptor.cspace.velocity))
 
 

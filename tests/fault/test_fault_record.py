@@ -14,10 +14,10 @@ from harness import eventually
 from launched import zarm
 from motions import KEYS, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.messages import DriverFault
-from zarm_contract.record import Entry, read_record
+from zarm_runtime.bus import Bus
+from zarm_runtime.record import Entry, read_record
 
 SLOWLY = rest_to_rest(FAR, slower=4.0)
 """So slow that an executor beside other work is not behind it by what makes a fault."""

@@ -22,11 +22,11 @@ from motions import HOME, ROBOT, rest_to_rest
 from ordeal import Fault, Promise, endure
 from wall_clock import STEPPABLE
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import DriverFault, ExecuteRequest, JointGoal, JointState, Plan, PlanRequest
-from zarm_executor.follower import CATCH_UP
 from zarm_executor.machine import STALL_LIMIT
 from zarm_leeloo_sim.player import CEILING
+from zarm_runtime.bus import Bus
+from zarm_trajectory.follower import CATCH_UP
 
 STREAMED, WHOLE = "joint_speed", "joint_trajectory"
 
@@ -85,7 +85,7 @@ def planner_killed(place: Arena) -> Iterator[str | None]:
 
 CLIENT = """
 import sys
-from zarm_contract.bus import Bus
+from zarm_runtime.bus import Bus
 from zarm_contract.messages import Accepted, ExecuteRequest
 
 with Bus(sys.argv[1]) as bus:

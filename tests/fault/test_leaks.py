@@ -10,8 +10,8 @@ from executor_client import Client
 from harness import ServiceProcess, eventually
 from motions import HOME, KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import ExecutorState, JointState, Nothing
+from zarm_runtime.bus import Bus
 
 THERE, BACK = rest_to_rest(moved(0.005)), rest_to_rest(HOME, moved(0.005))
 GROWTH = 4 * 2**20

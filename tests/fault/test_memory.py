@@ -13,8 +13,8 @@ from burden import burden
 from harness import PATIENCE, ServiceProcess
 from motions import KEYS
 
-from zarm_contract.bus import Bus
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 BOUND = 320 * 2**20
 """Bytes of memory that the executor has at most."""

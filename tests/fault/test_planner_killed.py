@@ -10,7 +10,6 @@ import psutil
 import pytest
 from harness import ServiceProcess, eventually
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -22,6 +21,7 @@ from zarm_contract.messages import (
     SceneEdit,
     SceneEdited,
 )
+from zarm_runtime.bus import Bus
 
 KEYS = Keys("doosan_m1013")
 HOME = (0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0)

@@ -9,8 +9,8 @@ from executor_client import Client
 from harness import ServiceProcess, eventually
 from motions import KEYS, moved, plan, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import Health, JointState, Nothing, Plan
+from zarm_runtime.bus import Bus
 
 SCRIPT = str(Path(__file__).parents[1] / "failing_preview.py")
 BAD, GOOD = plan("plan-bad", rest_to_rest(moved(0.4))), plan("plan-good", rest_to_rest(moved(0.0, -0.3)))

@@ -24,11 +24,11 @@ from harness import PATIENCE, ServiceProcess
 from motions import HOME, KEYS, ROBOT, moved, plan, rest_to_rest, rows
 
 from zarm_contract import messages as m
-from zarm_contract.bus import Bus
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Problem
 from zarm_contract.messages import Message
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 COUNT = int(os.environ.get("ZARM_FUZZ", "2000"))
 SEED = 1

@@ -15,7 +15,6 @@ from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from motions import HOME, KEYS, moved, rest_to_rest
 from planner_client import BEHIND_POST, POST, TABLE, load, plan, to_joints
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import (
     FkPoses,
@@ -30,7 +29,8 @@ from zarm_contract.messages import (
     Strategies,
     StrategyRequest,
 )
-from zarm_contract.session import open_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
 
 SLOW = rest_to_rest(moved(0.8), slower=6.0)
 

@@ -17,9 +17,9 @@ from executor_client import Client
 from harness import ServiceProcess
 from motions import KEYS, ROBOT, moved
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
 from zarm_contract.robot import ROBOTS
+from zarm_runtime.bus import Bus
 
 SECONDS = float(os.environ.get("ZARM_SOAK_SECONDS", "20"))
 RATE = 250

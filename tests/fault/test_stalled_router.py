@@ -15,8 +15,8 @@ from harness import eventually
 from motions import ROBOT
 from ordeal import STILL, WINDOW, nothing_moves
 
-from zarm_executor.path import Path
 from zarm_leeloo_sim.player import CEILING, STIFFNESS, TICK, Kind
+from zarm_trajectory.trajectory import TimedTrajectory
 
 RUNS = int(os.environ.get("STALL_RUNS", "2"))
 """How often the router stalls under each strategy."""
@@ -28,7 +28,7 @@ JOINTS = ROBOT.descriptor.joints
 def stall(place: Arena, moment: float, seconds: float) -> tuple[float, float]:
     """Let the router stall for `seconds` at this `moment` (s) of a motion; how far (rad) the arm left its path, and rad/s^2."""
     motion = place.motion()
-    path = Path.of(motion, JOINTS)
+    path = TimedTrajectory.of(motion, JOINTS)
     goal_id = place.client.execute(motion)
     begin = place.samples()
     eventually(lambda: (place.samples() - begin) * STEP >= moment, "the moment has come")

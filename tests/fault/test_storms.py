@@ -15,7 +15,6 @@ from harness import eventually
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 from storms import Storm, storm
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import decode
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
@@ -28,6 +27,7 @@ from zarm_contract.messages import (
     Strategies,
     StrategyRequest,
 )
+from zarm_runtime.bus import Bus
 
 THERE = rest_to_rest(FAR, slower=2.0)
 SPEED = float(np.max(np.abs(THERE.velocity)))

@@ -14,8 +14,8 @@ import pytest
 from harness import eventually, free_endpoint
 from launched import KEYS, Command, Up, pid, wait_replaced, zarm
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing, Scene
+from zarm_runtime.bus import Bus
 
 
 @pytest.fixture(scope="module")

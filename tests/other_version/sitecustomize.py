@@ -6,6 +6,6 @@ import zarm_contract.codec
 
 zarm_contract.codec.CONTRACT = os.environ.get("ZARM_TEST_CONTRACT", zarm_contract.codec.CONTRACT)
 
-import zarm_contract.version  # noqa: E402 - after the contract
+import zarm_runtime.version  # noqa: E402 - after the contract
 
-zarm_contract.version.version = lambda: os.environ["ZARM_TEST_VERSION"]
+zarm_runtime.version.version = lambda: os.environ["ZARM_TEST_VERSION"]

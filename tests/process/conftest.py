@@ -9,9 +9,9 @@ import zenoh
 from harness import ServiceProcess, free_endpoint, router
 from launched import KEYS, Up
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 
 @pytest.fixture(scope="module")

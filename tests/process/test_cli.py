@@ -30,8 +30,8 @@ from launched import (
     zarm,
 )
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing
+from zarm_runtime.bus import Bus
 
 DOWN = "0,1,0,0"
 """The orientation (x, y, z, w) of a tool that points down."""

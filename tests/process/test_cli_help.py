@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from zarm_cli.commands import MODULES, command_line
 from zarm_contract.codec import CONTRACT
-from zarm_contract.version import version
+from zarm_runtime.version import version
 
 ALL = command_line()
 

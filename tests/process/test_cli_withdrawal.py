@@ -15,10 +15,10 @@ from harness import PATIENCE, ServiceProcess, eventually
 from launched import KEYS, ROBOT, Command, the_one_line
 from motions import SCENE, moved, plan, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState, SceneEdited
+from zarm_runtime.bus import Bus
 
 IDLE = ExecutorState(mode="idle", strategy="emulator", speed_scale=1.0, missed_ticks=0)
 

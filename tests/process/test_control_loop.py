@@ -11,9 +11,9 @@ from driven import THERE, Driven
 from harness import PATIENCE, ServiceProcess, eventually
 from motions import KEYS
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Health, Nothing
+from zarm_runtime.bus import Bus
 
 HANGING = str(Path(__file__).parents[1] / "hanging_executor.py")
 

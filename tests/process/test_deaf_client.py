@@ -11,7 +11,7 @@ from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from motions import KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
+from zarm_runtime.bus import Bus
 
 FAR = rest_to_rest(moved(1.0, -0.5, 0.3), slower=4.0)
 

@@ -15,11 +15,11 @@ from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually
 from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_contract.robot import find_robot, load_robot
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "zenoh_driver.py"
 

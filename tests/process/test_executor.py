@@ -10,13 +10,13 @@ from executor_client import Client, distance_from
 from harness import PATIENCE, ServiceProcess, eventually
 from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Accepted, ExecuteRequest, GoalState, Speed, SpeedRequest, Strategies, Trajectory
-from zarm_executor.path import Path as Motion
 from zarm_executor.reporter import FINISHED_GOALS
 from zarm_executor.service import JOINT_STATES_PERIOD
+from zarm_runtime.bus import Bus
+from zarm_trajectory.trajectory import TimedTrajectory
 
 FAR = rest_to_rest(moved(1.5, -0.5))
 SHORT = rest_to_rest(moved(0.01))
@@ -82,7 +82,7 @@ def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(client: Client, key: s
     assert end.problem.code == "cancelled"
     assert client.stands()
     np.testing.assert_allclose(client.position(), end.joint_command, atol=1e-9)
-    assert distance_from(Motion.of(FAR, ROBOT.descriptor.joints), client.position()) < 1e-3
+    assert distance_from(TimedTrajectory.of(FAR, ROBOT.descriptor.joints), client.position()) < 1e-3
     assert 0.3 < end.progress < 1.0
     assert client.greatest_acceleration() <= 1.02
     assert client.state().mode == "idle"

@@ -9,7 +9,7 @@ from motions import KEYS, moved, rest_to_rest
 
 from zarm_contract.codec import MAX_BYTES, decode
 from zarm_contract.errors import InvalidRequest, Problem
-from zarm_contract.session import open_client
+from zarm_runtime.session import open_client
 
 SHORT = rest_to_rest(moved(0.01))
 

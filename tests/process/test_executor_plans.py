@@ -10,7 +10,6 @@ from executor_client import Client
 from harness import ServiceProcess, eventually
 from motions import HOME, KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 
-from zarm_contract.bus import Bus, Latched
 from zarm_contract.errors import (
     ExecutionRefused,
     InvalidRequest,
@@ -23,6 +22,7 @@ from zarm_contract.messages import (
     SceneEdited,
     Trajectory,
 )
+from zarm_runtime.bus import Bus, Latched
 
 SHORT = rest_to_rest(moved(0.01))
 

@@ -11,16 +11,16 @@ from arrivals import arrival
 from executor_bench import Bench
 from motions import KEYS, ROBOT, SCENE, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
-from zarm_contract.metrics import Metrics
-from zarm_contract.state_file import StateFile
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
+from zarm_runtime.bus import Bus
+from zarm_runtime.metrics import Metrics
+from zarm_runtime.state_file import StateFile
 
 
 def unanswered() -> Plan:

@@ -12,16 +12,16 @@ from executor_bench import Bench
 from harness import PATIENCE
 from motions import KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
-from zarm_contract.metrics import Metrics
-from zarm_contract.state_file import StateFile
 from zarm_executor.admission import Admission
 from zarm_executor.executor import Executor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
+from zarm_runtime.bus import Bus
+from zarm_runtime.metrics import Metrics
+from zarm_runtime.state_file import StateFile
 
 
 def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus: Bus, tmp_path: Path) -> None:

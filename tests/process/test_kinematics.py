@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from harness import ServiceProcess
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import FkPoses, FkRequest, IkRequest, IkSolutions
 from zarm_contract.robot import load_robot
+from zarm_runtime.bus import Bus
 
 ROBOT = load_robot("ur5e")
 KEYS = Keys("ur5e")

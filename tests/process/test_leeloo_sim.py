@@ -11,9 +11,9 @@ import pytest
 from harness import ServiceProcess
 from motions import KEYS
 
-from zarm_contract.bus import Bus
+from zarm_runtime.bus import Bus
 
-ASK = "from zarm_contract.realtime import *; print(ask_for_realtime(PROCESS_PRIORITY))"
+ASK = "from zarm_runtime.realtime import *; print(ask_for_realtime(PROCESS_PRIORITY))"
 WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None; from zarm_leeloo_sim.service import main; sys.exit(main())"
 
 

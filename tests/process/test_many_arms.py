@@ -12,10 +12,10 @@ from executor_client import Client
 from harness import PATIENCE, ServiceProcess, eventually, router
 from motions import moved
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
 from zarm_contract.robot import Robot, load_robot
+from zarm_runtime.bus import Bus
 
 
 @dataclass

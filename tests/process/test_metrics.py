@@ -17,10 +17,10 @@ from launched import Up, refused
 from motions import HOME, KEYS, moved, rest_to_rest
 from prometheus_client.parser import text_string_to_metric_families
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
-from zarm_contract.metrics import serve_metrics
+from zarm_runtime.bus import Bus
+from zarm_runtime.metrics import serve_metrics
 
 ROBOT = KEYS.robot
 SLOW = rest_to_rest(moved(0.8), slower=3.0)
@@ -148,7 +148,7 @@ def test_several_robots_of_one_process_are_told_apart_by_their_label() -> None:
 def test_the_library_is_loaded_only_where_metrics_are_asked_for() -> None:
     program = (
         "import sys, zarm_planner.service, zarm_executor.service\n"
-        "from zarm_contract.metrics import serve_metrics\n"
+        "from zarm_runtime.metrics import serve_metrics\n"
         "with serve_metrics({}) as of: of('arm').count('a', 'b')\n"
         "print('prometheus_client' in sys.modules)"
     )

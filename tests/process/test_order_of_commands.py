@@ -23,7 +23,7 @@ from zarm_contract.messages import (
     StrategyRequest,
     StreamChunk,
 )
-from zarm_contract.session import open_client
+from zarm_runtime.session import open_client
 
 ROUNDS = int(os.environ.get("ORDER_ROUNDS", "4"))
 """How often each is tried."""

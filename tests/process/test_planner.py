@@ -23,7 +23,6 @@ from planner_client import (
 )
 from second_opinion import Collisions, link_pose, tip_error
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     CheckRequest,
@@ -36,6 +35,7 @@ from zarm_contract.messages import (
     WaypointsGoal,
 )
 from zarm_executor.checks import executable
+from zarm_runtime.bus import Bus
 
 
 def test_a_joint_goal_behind_an_obstacle_is_reached_around_it(planner: Bus) -> None:

@@ -12,7 +12,6 @@ import zenoh
 from harness import PATIENCE
 from planner_client import HOME, KEYS
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Problem
 from zarm_contract.messages import (
     MAX_OBJECTS,
@@ -26,6 +25,7 @@ from zarm_contract.messages import (
     SceneEdited,
     Sphere,
 )
+from zarm_runtime.bus import Bus
 
 GOOD = PlanRequest(start=HOME, goal=JointGoal(kind="joints", position=(0.5, *HOME[1:])))
 TO_HOME = {"kind": "joints", "position": HOME}

@@ -10,7 +10,6 @@ from harness import PATIENCE, ServiceProcess, eventually
 from planner_client import HOME, KEYS, ROBOT
 from second_opinion import Collisions, link_pose
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed, Unavailable
 from zarm_contract.messages import (
     AddObjects,
@@ -36,6 +35,7 @@ from zarm_contract.messages import (
     SetLinkCollision,
 )
 from zarm_executor.checks import executable
+from zarm_runtime.bus import Bus
 
 SWUNG = (1.2, *HOME[1:])
 

@@ -28,7 +28,6 @@ from planner_client import (
     to_joints,
 )
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Cancelled, DeadlineExceeded, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -46,6 +45,7 @@ from zarm_contract.messages import (
     SceneEdited,
     WaypointsGoal,
 )
+from zarm_runtime.bus import Bus
 
 
 def test_a_deadline_ends_a_search_that_finds_nothing(planner: Bus) -> None:

@@ -13,7 +13,6 @@ from harness import PATIENCE, eventually
 from planner_client import BEHIND_POST, HOME, KEYS, POST, ROBOT, TABLE, assert_sound, is_alive, load, plan, to_joints
 from second_opinion import Collisions, link_pose, tip_error
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Problem
 from zarm_contract.messages import (
     CheckRequest,
@@ -28,6 +27,7 @@ from zarm_contract.messages import (
     SettingsChange,
     Sphere,
 )
+from zarm_runtime.bus import Bus
 
 BAD = {
     "unreachable": (

@@ -14,10 +14,10 @@ import pytest
 from harness import PATIENCE, ServiceProcess, eventually
 from planner_client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, plan, to_joints
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.messages import IkRequest, IkSolutions, Message, PlanRequest, Pose, WaypointsGoal
 from zarm_planner.service import ROOM
+from zarm_runtime.bus import Bus
 
 CORES = os.cpu_count() or 1
 SHARE = ROOM // 2

@@ -15,7 +15,6 @@ from launched import zarm
 from planner_client import HOME, KEYS, ROBOT
 from second_opinion import Collisions
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import (
     AddObjects,
@@ -38,8 +37,9 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
-from zarm_contract.session import open_client
 from zarm_executor.checks import executable
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
 
 POST = Cylinder(kind="cylinder", name="post", position=(0.38, 0.38, 0.4), radius=0.039, length=0.9)
 BEHIND_POST = (1.6, *HOME[1:])

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from harness import ServiceProcess
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
+from zarm_runtime.bus import Bus
 
 README = Path(__file__).parents[2] / "README.md"
 KEYS = Keys("doosan_m1013")

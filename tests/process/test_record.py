@@ -14,12 +14,12 @@ from harness import ServiceProcess, eventually, free_endpoint
 from launched import Command, the_one_line, zarm
 from motions import KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import encode
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Speed
-from zarm_contract.record import RecordFile, read_record
-from zarm_contract.session import open_router
+from zarm_runtime.bus import Bus
+from zarm_runtime.record import RecordFile, read_record
+from zarm_runtime.session import open_router
 
 OTHER = Keys("replayed")
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from harness import PATIENCE, ServiceProcess, eventually
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Busy, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -23,6 +22,7 @@ from zarm_contract.messages import (
     PlanRequest,
 )
 from zarm_contract.robot import ROBOTS, load_robot
+from zarm_runtime.bus import Bus
 
 KEYS = Keys("doosan_m1013")
 HOME = load_robot("doosan_m1013").descriptor.home

@@ -10,10 +10,10 @@ import pytest
 from harness import eventually, free_endpoint
 from launched import Router, the_one_line, zarm
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Nothing
-from zarm_contract.session import router_config
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import router_config
 
 FILE = Path(__file__).parents[2] / "deploy" / "router.json5"
 KEYS = Keys("small_arm")

@@ -12,9 +12,9 @@ from launched import Command, zarm
 from motions import KEYS
 from planner_client import BEHIND_POST, HOME, POST, load, plan, to_joints
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import Plan, PlanRequest
+from zarm_runtime.bus import Bus
 
 SLOWLY = 0.15
 CHANGED = "the scene has changed since this motion was checked"

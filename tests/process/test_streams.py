@@ -16,11 +16,11 @@ from harness import PATIENCE, ServiceProcess, eventually
 from motions import HOME, KEYS, ROBOT, SCENE, moved, rest_to_rest
 from waves import as_message, chunk
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import GoalState, SceneEdited, StreamChunk
-from zarm_contract.session import open_client
-from zarm_executor.path import Path as Motion
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
+from zarm_trajectory.trajectory import TimedTrajectory
 
 EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
 
@@ -36,7 +36,9 @@ def send(client: Client) -> Callable[..., None]:
     """Sends one chunk; the publisher is known to the executor."""
     publisher = client.bus.publisher(KEYS.stream, StreamChunk)
 
-    def put(goal_id: str, sequence: int, start: float = 0.0, path: Motion | None = None, **others: object) -> None:
+    def put(
+        goal_id: str, sequence: int, start: float = 0.0, path: TimedTrajectory | None = None, **others: object
+    ) -> None:
         trajectory = as_message(chunk(start) if path is None else path, ROBOT)
         publisher.put(
             StreamChunk.model_validate(
@@ -123,7 +125,10 @@ def test_example_is_short() -> None:
     ("chunks", "code"),
     [
         ([(1, 0.0, chunk(0.0, off=0.5))], "start_state_mismatch"),
-        ([(1, 0.0, Motion.of(rest_to_rest(moved(1.0), slower=0.7), ROBOT.descriptor.joints))], "limit_violated"),
+        (
+            [(1, 0.0, TimedTrajectory.of(rest_to_rest(moved(1.0), slower=0.7), ROBOT.descriptor.joints))],
+            "limit_violated",
+        ),
         ([(1, 0.3, chunk(0.0))], "invalid_request"),
         ([(1, 0.0, chunk(0.0)), (2, 0.0, chunk(0.0, off=0.9))], "limit_violated"),
         ([(1, 0.0, chunk(0.0)), (1, 0.0, chunk(0.0)), (3, 0.0, chunk(0.0)), (2, 0.0, chunk(0.0, off=0.9))], "timeout"),
@@ -131,7 +136,7 @@ def test_example_is_short() -> None:
     ids=["starts elsewhere", "too fast", "starts late", "out of reach", "out of order, and no more"],
 )
 def test_what_becomes_of_a_stream_is_told_under_its_goal_and_is_no_fault(
-    client: Client, send: Callable[..., None], chunks: list[tuple[int, float, Motion]], code: str
+    client: Client, send: Callable[..., None], chunks: list[tuple[int, float, TimedTrajectory]], code: str
 ) -> None:
     for sequence, start, path in chunks:
         send("stream-a", sequence, start, path)

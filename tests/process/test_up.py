@@ -13,8 +13,8 @@ import pytest
 from harness import eventually, free_endpoint
 from launched import ROBOT, SERVICES, Command, Up, the_one_line, zarm
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import ALL_ALIVE
+from zarm_runtime.bus import Bus
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from harness import PATIENCE, ServiceProcess, eventually
 from launched import KEYS, zarm
 from motions import descriptor_at, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import ExecutionRefused, InternalError, InvalidRequest
 from zarm_contract.messages import (
@@ -27,8 +26,9 @@ from zarm_contract.messages import (
     Plan,
     PlanRequest,
 )
-from zarm_contract.service import version
-from zarm_contract.session import open_client
+from zarm_runtime.bus import Bus
+from zarm_runtime.service import version
+from zarm_runtime.session import open_client
 
 GOAL = tuple(moved(0.3).tolist())
 

@@ -31,7 +31,6 @@ from zarm_contract.messages import (
     Trajectory,
     WaypointsGoal,
 )
-from zarm_executor.path import Path
 from zarm_ros_bridge.convert.colours import colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import is_empty, positions_of, ros_joint_state, ros_positions
@@ -40,6 +39,7 @@ from zarm_ros_bridge.convert.poses import is_given, pose_of, ros_pose
 from zarm_ros_bridge.convert.scene import object_of, ros_cloud
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.convert.trajectories import ros_joint_states
+from zarm_trajectory.trajectory import TimedTrajectory
 
 
 def promised(*values: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -297,7 +297,7 @@ def test_a_trajectory_is_sampled_along_its_quintics_at_equal_steps(step: list[fl
         acceleration=tuple(map(tuple, acceleration.tolist())),
     )
     states = ros_joint_states(trajectory, dt)
-    path = Path.of(trajectory, JOINTS)
+    path = TimedTrajectory.of(trajectory, JOINTS)
     assert trajectory.duration <= (len(states) - 1) * dt + 1e-9 < trajectory.duration + dt + 1e-8
     for k, state in enumerate(states):
         there = path.at(k * dt)

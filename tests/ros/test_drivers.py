@@ -20,9 +20,9 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract import messages as m
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.robot import load_robot
+from zarm_runtime.bus import Bus
 
 UR5E, M1013 = load_robot("ur5e"), load_robot("doosan_m1013")
 

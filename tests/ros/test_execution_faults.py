@@ -22,10 +22,10 @@ from ros_node import answer, running_node
 from ros_stack import KEYS, RosClient
 from std_srvs.srv import Trigger
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import GoalState, Nothing, Strategies, StrategyRequest
-from zarm_contract.session import open_router
 from zarm_ros_bridge.goals import SILENCE
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
 
 CLIENT = """
 import sys

@@ -18,11 +18,11 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from zarm_contract import messages
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverFault, Nothing
 from zarm_contract.robot import load_robot
+from zarm_runtime.bus import Bus
 
 HUMBLE = ["joint_1", "joint_2", "joint_4", "joint_5", "joint_3", "joint_6"]
 EVERY_MESSAGE = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)

@@ -24,10 +24,10 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from curobo_msgs.srv import AddObject, SetRobotStrategy, TrajectoryGeneration
-from zarm_contract.bus import Bus
 from zarm_contract.messages import AddObjects, Cylinder, Plan, SceneEdit, SceneEdited
-from zarm_contract.session import open_router
 from zarm_ros_bridge.goals import SILENCE
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_router
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ASIDE = [HOME[0] + 0.3, *HOME[1:]]

@@ -19,8 +19,8 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
 from zarm_contract import messages as m
-from zarm_contract.session import open_client
 from zarm_ros_bridge.description import shown_description
+from zarm_runtime.session import open_client
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

@@ -16,8 +16,8 @@ import yaml
 from harness import PATIENCE, ServiceProcess, eventually, router
 from ros_stack import KEYS
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import JointState
+from zarm_runtime.bus import Bus
 
 TUTORIALS = Path(__file__).parents[3] / "shared" / "reference"
 NODE = "/unified_planner"

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from ros_stack import RosClient
 from std_srvs.srv import Trigger
 
-from zarm_contract.bus import Bus
+from zarm_runtime.bus import Bus
 
 
 @pytest.fixture(scope="module")

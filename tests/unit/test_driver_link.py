@@ -13,11 +13,11 @@ from driver_bench import robot_with
 from harness import eventually
 from motions import HOME, KEYS, moved, rest_to_rest
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
-from zarm_executor.follower import Follower
-from zarm_executor.path import Path
 from zarm_executor.strategies.driver_link import DriverLink
+from zarm_runtime.bus import Bus
+from zarm_trajectory.follower import Follower
+from zarm_trajectory.trajectory import TimedTrajectory
 
 ORDER = ("joint_6", "joint_1", "joint_3", "joint_2", "joint_4", "joint_5")
 ROBOT = robot_with(joint_order=ORDER)
@@ -105,7 +105,7 @@ def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: B
     driver = bus.publisher(KEYS.driver_joint_states, JointState)
     driver.put(state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
     eventually(link.measured, "the joints arrive")
-    path = Path.of(rest_to_rest(moved(0.1, 0.2, 0.3)), JOINTS)
+    path = TimedTrajectory.of(rest_to_rest(moved(0.1, 0.2, 0.3)), JOINTS)
     points = Follower(path, link.acceleration_limit).ahead(0.02)
 
     def sent() -> bool:  # a real-time publication may be dropped until the router knows the subscriber
@@ -136,7 +136,7 @@ def test_progress_counts_for_the_command_that_it_names(link: DriverLink, bus: Bu
 
 
 def test_what_lies_ahead_is_what_the_follower_then_does() -> None:
-    path = Path.of(rest_to_rest(moved(1.0, -0.5)), JOINTS)
+    path = TimedTrajectory.of(rest_to_rest(moved(1.0, -0.5)), JOINTS)
     limit = np.array(ROBOT.descriptor.cspace.acceleration)
     for target, time_, speed in ((1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, 1.0, 0.0), (1.0, 0.5, 0.4)):
         follower = Follower(path, limit, time=time_, speed=speed, target=target)
@@ -153,7 +153,7 @@ def test_what_lies_ahead_is_what_the_follower_then_does() -> None:
 
 
 def test_a_chunk_has_as_many_points_as_asked_for_and_stays_at_the_end() -> None:
-    path = Path.of(rest_to_rest(moved(0.05)), JOINTS)
+    path = TimedTrajectory.of(rest_to_rest(moved(0.05)), JOINTS)
     ahead = Follower(path, np.ones(6)).ahead(0.02, 100)
     assert ahead.position.shape == (100, 6)
     np.testing.assert_allclose(ahead.position[-1], path.end)

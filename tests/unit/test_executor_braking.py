@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import HOME, ROBOT, trapezoid
 
-from zarm_executor.braking import braking
-from zarm_executor.follower import Follower
-from zarm_executor.path import Path
+from zarm_trajectory.braking import braking
+from zarm_trajectory.follower import Follower
+from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 DT = 0.02
@@ -17,10 +17,10 @@ BEND = 1.02
 """A path at its limits may be above them by a hundredth, and bends within a point."""
 
 
-def planned_path(seed: int) -> Path:
+def planned_path(seed: int) -> TimedTrajectory:
     random = np.random.default_rng(seed)
     goal = HOME + random.uniform(-1.5, 1.5, len(HOME))
-    return Path.of(trapezoid(goal), ROBOT.descriptor.joints)
+    return TimedTrajectory.of(trapezoid(goal), ROBOT.descriptor.joints)
 
 
 @settings(max_examples=200)

@@ -12,9 +12,9 @@ from motions import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_executor.checks import executable, startable
-from zarm_executor.limits import LIMIT_TOLERANCE
-from zarm_executor.path import Path
 from zarm_executor.strategies.base import Measured
+from zarm_trajectory.limits import LIMIT_TOLERANCE
+from zarm_trajectory.trajectory import TimedTrajectory
 
 NOW = 1000.0
 STILL = np.zeros(6)
@@ -31,7 +31,7 @@ def measured_at(position: np.ndarray, *, velocity: np.ndarray = STILL, age: floa
     return Measured(position, velocity, NOW - age)
 
 
-def start_from(measured: Measured | None, path: Path | None = None) -> Path:
+def start_from(measured: Measured | None, path: TimedTrajectory | None = None) -> TimedTrajectory:
     return startable(path or executable(rest_to_rest(moved(0.5)), ROBOT), measured, NOW, ROBOT)
 
 
@@ -79,7 +79,7 @@ def test_the_verdict_agrees_with_looking_at_every_moment(
         velocity=tuple(map(tuple, rows[1].tolist())),
         acceleration=tuple(map(tuple, rows[2].tolist())),
     )
-    path = Path.of(trajectory, ROBOT.descriptor.joints)
+    path = TimedTrajectory.of(trajectory, ROBOT.descriptor.joints)
     moments = np.array([path.at(time)[:, 0] for time in np.linspace(0.0, path.duration, 3000)])
     limits = ROBOT.descriptor.cspace
     allowed = np.array([ROBOT.upper[0], limits.velocity[0] * LIMIT_TOLERANCE, limits.acceleration[0] * LIMIT_TOLERANCE])

@@ -11,10 +11,10 @@ from motions import HOME, ROBOT, moved, rest_to_rest
 
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
-from zarm_contract.state_file import StateFile
-from zarm_executor.follower import TICK
-from zarm_executor.path import Path
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
+from zarm_runtime.state_file import StateFile
+from zarm_trajectory.follower import TICK
+from zarm_trajectory.trajectory import TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
 
@@ -50,7 +50,7 @@ def test_a_new_robot_is_at_home_and_at_rest(tmp_path: Folder) -> None:
 
 def test_it_is_measured_anew_with_every_tick_also_when_nothing_moves(tmp_path: Folder) -> None:
     emulator = emulator_in(tmp_path)
-    emulator.start(Path.of(rest_to_rest(moved(0.1)), JOINTS), 1.0)
+    emulator.start(TimedTrajectory.of(rest_to_rest(moved(0.1)), JOINTS), 1.0)
     play(emulator, 2.0)
     for now in (5.0, 6.0, 7.0):
         emulator.tick(now, TICK)
@@ -62,7 +62,7 @@ def test_it_is_measured_anew_with_every_tick_also_when_nothing_moves(tmp_path: F
 def test_it_stops_where_it_is_told_and_stays_there_from_one_process_to_the_next(tmp_path: Folder) -> None:
     first = emulator_in(tmp_path)
     first.open()
-    first.start(Path.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
+    first.start(TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
     play(first, 0.7)
     first.stop()
     play(first, 3.0)
@@ -75,7 +75,7 @@ def test_the_position_is_saved_while_it_moves(tmp_path: Folder) -> None:
     emulator = emulator_in(tmp_path)
     emulator.open()
     try:
-        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
+        emulator.start(TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
         play(emulator, 0.7)
         eventually(lambda: np.array_equal(position(emulator_in(tmp_path)), position(emulator)), "the position is saved")
     finally:
@@ -114,7 +114,7 @@ def test_losing_the_folder_in_motion_costs_a_warning_and_not_the_motion(
         (tmp_path / "state" / "emulated_robot.json").unlink()
         (tmp_path / "state").rmdir()
         (tmp_path / "state").write_text("a file where the folder should be")
-        emulator.start(Path.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
+        emulator.start(TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
         play(emulator, 4.0)
         eventually(lambda: "not saved" in caplog.text, "a warning is logged")
         np.testing.assert_allclose(position(emulator), moved(1.0), atol=1e-9)

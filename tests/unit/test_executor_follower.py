@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import HOME, ROBOT, moved, rest_to_rest, trapezoid
 
-from zarm_executor.follower import CATCH_UP, TICK, Follower
-from zarm_executor.path import Array, Path
+from zarm_trajectory.follower import CATCH_UP, TICK, Follower
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 ROUNDING = 1.005
 """The path bends within a tick; what the follower looks ahead leaves this much at most."""
 
 
-def curved_path(seed: int, samples: int = 200) -> Path:
+def curved_path(seed: int, samples: int = 200) -> TimedTrajectory:
     """Joints that swing to and fro on their way from rest to rest, one of them at its limit at least once."""
     random = np.random.default_rng(seed)
     u = np.polynomial.Polynomial([0.0, 1.0])
@@ -34,7 +34,7 @@ def curved_path(seed: int, samples: int = 200) -> Path:
         np.array([curve.deriv(order)(grid) if order else curve(grid) for curve in curves]).T for order in range(3)
     )
     duration = float(np.sqrt(np.max(np.abs(acceleration) / LIMIT)))
-    return Path(grid * duration, position, velocity / duration, acceleration / duration**2)
+    return TimedTrajectory(grid * duration, position, velocity / duration, acceleration / duration**2)
 
 
 def followed(follower: Follower) -> Array:
@@ -50,7 +50,7 @@ def accelerations(positions: Array) -> Array:
     return np.diff(positions, 2, axis=0) / TICK**2
 
 
-def distance_from(path: Path, positions: Array) -> float:
+def distance_from(path: TimedTrajectory, positions: Array) -> float:
     """Greatest distance (rad, any joint) of positions from the path, found on a fine grid of it."""
     grid = np.array([path.at(time)[0] for time in np.arange(0.0, path.duration, TICK / 10)])
     return max(float(np.min(np.max(np.abs(grid - position), axis=1))) for position in positions)
@@ -86,7 +86,7 @@ def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_pat
 
 
 def test_braking_is_as_strong_as_the_limits_allow() -> None:
-    path = Path.of(rest_to_rest(moved(2.0)), ROBOT.descriptor.joints)
+    path = TimedTrajectory.of(rest_to_rest(moved(2.0)), ROBOT.descriptor.joints)
     follower = Follower(path, LIMIT)
     while follower.time < path.duration / 2:
         follower.advance(TICK)
@@ -134,12 +134,14 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
     np.testing.assert_allclose(positions[-1], path.end, atol=1e-9)
 
 
-def planned_path(seed: int) -> Path:
+def planned_path(seed: int) -> TimedTrajectory:
     """A motion as a planner times it, at the limits from the first milliseconds on."""
     random = np.random.default_rng(seed)
     goal = HOME + random.uniform(-0.2, 0.2, len(HOME))
     share = float(random.uniform(0.98, 1.01))  # checks let a hundredth pass
-    return Path.of(trapezoid(goal, share=share, dt=float(random.uniform(0.01, 0.05))), ROBOT.descriptor.joints)
+    return TimedTrajectory.of(
+        trapezoid(goal, share=share, dt=float(random.uniform(0.01, 0.05))), ROBOT.descriptor.joints
+    )
 
 
 @settings(max_examples=6)

@@ -12,7 +12,7 @@ from harness import PATIENCE
 from motions import HOME
 
 from zarm_contract.errors import Busy, Cancelled, Unavailable
-from zarm_executor.follower import TICK
+from zarm_trajectory.follower import TICK
 
 
 @pytest.fixture

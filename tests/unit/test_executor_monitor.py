@@ -11,10 +11,10 @@ from executor_bench import EXECUTION, Bench, Disturbance
 from motions import HOME, moved
 
 from zarm_contract.errors import Unavailable
-from zarm_executor.follower import TICK
 from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.monitor import BRAKING
 from zarm_executor.strategies.base import Measured
+from zarm_trajectory.follower import TICK
 
 
 @pytest.fixture

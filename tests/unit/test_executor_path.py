@@ -5,7 +5,7 @@ import pytest
 from motions import HOME, ROBOT, moved, rest_to_rest, rows
 
 from zarm_contract.errors import InvalidRequest
-from zarm_executor.path import Path
+from zarm_trajectory.trajectory import TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
 VELOCITY = np.array(ROBOT.descriptor.cspace.velocity)
@@ -15,14 +15,14 @@ JERK = np.array(ROBOT.descriptor.cspace.jerk)
 
 def test_the_path_meets_position_velocity_and_acceleration_of_every_sample() -> None:
     trajectory = rest_to_rest(moved(0.7, -0.3, 0.2))
-    path = Path.of(trajectory, JOINTS)
+    path = TimedTrajectory.of(trajectory, JOINTS)
     for index, time in enumerate(trajectory.time):
         expected = (trajectory.position[index], trajectory.velocity[index], trajectory.acceleration[index])
         np.testing.assert_allclose(path.at(time), expected, atol=1e-9)
 
 
 def test_between_two_samples_the_path_is_the_quintic_through_both() -> None:
-    ends = Path.of(rest_to_rest(moved(0.7, -0.3, 0.2), dt=100.0), JOINTS)  # first and last sample only
+    ends = TimedTrajectory.of(rest_to_rest(moved(0.7, -0.3, 0.2), dt=100.0), JOINTS)  # first and last sample only
     samples = rest_to_rest(moved(0.7, -0.3, 0.2))
     assert len(ends.time) == 2
     for index, time in enumerate(samples.time):
@@ -31,7 +31,7 @@ def test_between_two_samples_the_path_is_the_quintic_through_both() -> None:
 
 
 def test_before_its_start_and_after_its_end_the_path_is_at_that_end() -> None:
-    path = Path.of(rest_to_rest(moved(0.5)), JOINTS)
+    path = TimedTrajectory.of(rest_to_rest(moved(0.5)), JOINTS)
     np.testing.assert_allclose(path.at(-1.0)[0], HOME, atol=1e-12)
     np.testing.assert_allclose(path.at(path.duration + 1.0)[0], moved(0.5), atol=1e-12)
 
@@ -47,7 +47,9 @@ def test_joints_may_come_in_any_order() -> None:
             },
         }
     )
-    np.testing.assert_array_equal(Path.of(backwards, JOINTS).position, Path.of(trajectory, JOINTS).position)
+    np.testing.assert_array_equal(
+        TimedTrajectory.of(backwards, JOINTS).position, TimedTrajectory.of(trajectory, JOINTS).position
+    )
 
 
 @pytest.mark.parametrize(
@@ -58,14 +60,14 @@ def test_joints_may_come_in_any_order() -> None:
 def test_a_trajectory_of_other_joints_is_refused(names: tuple[str, ...]) -> None:
     trajectory = rest_to_rest(moved(0.1)).model_copy(update={"joint_names": names})
     with pytest.raises(InvalidRequest, match="needs each of joint_1") as refusal:
-        Path.of(trajectory, JOINTS)
+        TimedTrajectory.of(trajectory, JOINTS)
     assert refusal.value.problem.field == "trajectory.joint_names"
 
 
 def test_samples_too_close_in_time_to_divide_by_are_refused() -> None:
     trajectory = rest_to_rest(moved(0.1), dt=100.0).model_copy(update={"time": (0.0, 5e-324)})
     with pytest.raises(InvalidRequest) as refusal:
-        Path.of(trajectory, JOINTS)
+        TimedTrajectory.of(trajectory, JOINTS)
     assert refusal.value.problem.field == "trajectory.time"
 
 
@@ -73,7 +75,7 @@ def test_samples_too_close_in_time_to_divide_by_are_refused() -> None:
 @pytest.mark.parametrize("acceleration", [0.0, 1.0, -1.0], ids=["gently", "forwards at once", "backwards at once"])
 def test_a_robot_beside_the_start_is_led_to_it_inside_every_limit(jerk: float, acceleration: float) -> None:
     stands = moved(-0.04, 0.02)
-    path = Path.of(rest_to_rest(moved(1.0)), JOINTS)
+    path = TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS)
     path.acceleration[0] = acceleration * ACCELERATION
     whole = path.approached_from(stands, VELOCITY, ACCELERATION, np.full(6, jerk))
     lead = whole.duration - path.duration
@@ -89,5 +91,5 @@ def test_a_robot_beside_the_start_is_led_to_it_inside_every_limit(jerk: float, a
 
 
 def test_a_robot_at_the_start_is_led_nowhere() -> None:
-    path = Path.of(rest_to_rest(moved(1.0)), JOINTS)
+    path = TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS)
     assert path.approached_from(HOME, VELOCITY, ACCELERATION, JERK) is path

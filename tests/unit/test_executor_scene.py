@@ -14,14 +14,14 @@ from motions import HOME, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import SceneEdited
 from zarm_executor.goal import Chunk
-from zarm_executor.limits import Limits
-from zarm_executor.path import Path
 from zarm_executor.scene import PresentScene
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 NEXT = "2-0123456789ab"
 SAME_NUMBER = "1-0123456789ab"
 OLDER = "0-0123456789ab"
-CHUNK = Path.of(rest_to_rest(moved(0.5)), ROBOT.descriptor.joints)
+CHUNK = TimedTrajectory.of(rest_to_rest(moved(0.5)), ROBOT.descriptor.joints)
 
 
 def unanswered() -> NoReturn:

@@ -12,18 +12,18 @@ from motions import HOME, ROBOT, moved, rest_to_rest
 from waves import chunk
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
-from zarm_executor.follower import TICK, Follower
-from zarm_executor.limits import LIMIT_TOLERANCE, Limits
-from zarm_executor.path import Array, Path
-from zarm_executor.splice import PAST, spliced
+from zarm_trajectory.blending import PAST, blended
+from zarm_trajectory.follower import TICK, Follower
+from zarm_trajectory.limits import LIMIT_TOLERANCE, Limits
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
 LIMITS = Limits(ROBOT)
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 
 
-def swing(*distances: float, start: Array = HOME, slower: float = 1.5) -> Path:
-    return Path.of(rest_to_rest(moved(*distances, start=start), start, slower=slower), JOINTS)
+def swing(*distances: float, start: Array = HOME, slower: float = 1.5) -> TimedTrajectory:
+    return TimedTrajectory.of(rest_to_rest(moved(*distances, start=start), start, slower=slower), JOINTS)
 
 
 @settings(max_examples=40)
@@ -48,7 +48,7 @@ def test_wherever_two_motions_are_joined_the_robot_neither_jumps_nor_breaks_a_li
     follower.target = target
     before = (follower.position, follower.velocity)
     try:
-        joined = spliced(old, follower.time, new, follower.time + begun, LIMITS)
+        joined = blended(old, follower.time, new, follower.time + begun, LIMITS)
     except ExecutionRefused:
         joined = old
     follower.join(joined)
@@ -69,14 +69,14 @@ def test_wherever_two_motions_are_joined_the_robot_neither_jumps_nor_breaks_a_li
 def test_a_chunk_that_agrees_with_the_motion_changes_nothing_but_its_end() -> None:
     path = chunk(0.0)
     for start in (0.05, 0.1, 0.15):
-        path = spliced(path, start, chunk(start), start, LIMITS)
+        path = blended(path, start, chunk(start), start, LIMITS)
     for time in (0.0, 0.04, 0.12, 0.2, 0.3):
         np.testing.assert_allclose(path.at(time)[0], chunk(0.0, 0.5).at(time)[0], atol=1e-5)
     assert path.duration == pytest.approx(0.15 + 0.2 + 0.8)
 
 
 def test_a_chunk_beside_the_motion_is_reached_in_the_shortest_time_that_the_limits_allow() -> None:
-    near, far = (spliced(chunk(0.0), 0.1, chunk(0.1, off=off), 0.1, LIMITS) for off in (0.001, 0.02))
+    near, far = (blended(chunk(0.0), 0.1, chunk(0.1, off=off), 0.1, LIMITS) for off in (0.001, 0.02))
     assert near.at(0.1 + 0.1)[0][0] == pytest.approx(chunk(0.1, off=0.001).at(0.1)[0][0], abs=1e-9)
     assert far.at(0.1 + 0.1)[0][0] < chunk(0.1, off=0.02).at(0.1)[0][0] - 0.005
     LIMITS.check(near)
@@ -87,7 +87,7 @@ def test_a_chunk_beside_the_motion_is_reached_in_the_shortest_time_that_the_limi
 def test_a_chunk_beside_the_motion_is_reached_inside_the_jerk_limit(jerk: float) -> None:
     cspace = ROBOT.descriptor.cspace.model_copy(update={"jerk": (jerk,) * 6})
     descriptor = ROBOT.descriptor.model_copy(update={"cspace": cspace})
-    joined = spliced(chunk(0.0), 0.1, chunk(0.1, off=0.001), 0.1, Limits(replace(ROBOT, descriptor=descriptor)))
+    joined = blended(chunk(0.0), 0.1, chunk(0.1, off=0.001), 0.1, Limits(replace(ROBOT, descriptor=descriptor)))
     times = np.linspace(0.0, 0.8, 8001)
     change = np.abs(np.diff(joined.sample(times)[2], axis=0)).max()
     assert change <= jerk * LIMIT_TOLERANCE * times[1] * 1.001
@@ -95,19 +95,19 @@ def test_a_chunk_beside_the_motion_is_reached_inside_the_jerk_limit(jerk: float)
 
 def test_a_chunk_out_of_reach_is_refused() -> None:
     with pytest.raises(ExecutionRefused, match=r"0\.5000 rad from the motion") as refusal:
-        spliced(chunk(0.0), 0.1, chunk(0.1, off=0.5), 0.1, LIMITS)
+        blended(chunk(0.0), 0.1, chunk(0.1, off=0.5), 0.1, LIMITS)
     assert refusal.value.code == "limit_violated"
 
 
 def test_a_chunk_that_starts_long_after_the_motion_is_refused() -> None:
     with pytest.raises(InvalidRequest) as refusal:
-        spliced(chunk(0.0), 0.1, chunk(0.0), 1e6, LIMITS)
+        blended(chunk(0.0), 0.1, chunk(0.0), 1e6, LIMITS)
     assert refusal.value.problem.field == "start"
 
 
 def test_a_chunk_that_starts_later_is_waited_for_at_rest() -> None:
-    path = Path.standing(HOME)
-    joined = spliced(path, 0.5, chunk(0.0), 3.0, LIMITS)
+    path = TimedTrajectory.standing(HOME)
+    joined = blended(path, 0.5, chunk(0.0), 3.0, LIMITS)
     for time in (0.6, 1.5, 2.9):
         np.testing.assert_allclose(joined.at(time), np.vstack((HOME, np.zeros((2, 6)))), atol=1e-9)
     assert joined.duration == pytest.approx(4.0)
@@ -117,7 +117,7 @@ def test_a_path_forgets_what_is_long_past_and_keeps_what_is_not() -> None:
     path = chunk(0.0)
     for index in range(1, 200):
         start = index * 0.05
-        path = spliced(path, start, chunk(start), start, LIMITS)
+        path = blended(path, start, chunk(start), start, LIMITS)
     assert path.time[0] == pytest.approx(start - PAST, abs=0.06)
     assert len(path.time) < 200
     np.testing.assert_allclose(path.at(start - 1.0)[0][0] - HOME[0], chunk(start - 1.0).start[0] - HOME[0], atol=1e-4)

@@ -10,8 +10,8 @@ from motions import HOME
 from waves import chunk, target
 
 from zarm_contract.errors import Busy, ExecutionRefused
-from zarm_executor.follower import TICK
 from zarm_executor.goal import Chunk
+from zarm_trajectory.follower import TICK
 
 EVERY = 5
 """Ticks from one chunk to the next."""

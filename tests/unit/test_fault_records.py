@@ -10,10 +10,10 @@ from harness import eventually
 
 from zarm_contract.errors import Code, Problem
 from zarm_contract.keys import Keys
-from zarm_contract.record import read_record
 from zarm_executor import fault_records
 from zarm_executor.fault_records import KEPT, FaultRecords
 from zarm_executor.ring import Ring
+from zarm_runtime.record import read_record
 
 KEYS = Keys("arm")
 

@@ -10,7 +10,7 @@ import pytest
 
 from zarm_cli import interrupts
 from zarm_cli.interrupts import Inbox
-from zarm_contract import signals
+from zarm_runtime import signals
 
 BOTH = (signal.SIGINT, signal.SIGTERM)
 

@@ -10,12 +10,12 @@ from contextlib import contextmanager
 import pytest
 from harness import PATIENCE, eventually
 
-from zarm_contract.asking import ANYONE
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Asker
 from zarm_planner import scheduler
 from zarm_planner.deadline import Deadline
 from zarm_planner.scheduler import WITHDRAWN, Scheduler
+from zarm_runtime.asking import ANYONE
 
 
 def client(name: str, patience: float = PATIENCE) -> Asker:

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import HOME, trapezoid
 
-from zarm_contract.expiry import Expiry
 from zarm_contract.messages import DriverCommand
 from zarm_leeloo_sim.player import CEILING
+from zarm_runtime.expiry import Expiry
 
 DRIVEN = [case for case in MOVING if case.strategy != "emulator"]
 STILL = 1e-3

@@ -12,7 +12,7 @@ import pytest
 
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Accepted, GoalState, JointState
-from zarm_contract.state_file import StateFile, owned, unchanged
+from zarm_runtime.state_file import StateFile, owned, unchanged
 
 POSITION = JointState(stamp=1.0, joint_names=("a",), position=(0.1,), velocity=(0.0,))
 OLD = b'{"stamp":1.0,"joint_names":["a"],"position":[0.1],"velocity":[0.0]}'
@@ -92,7 +92,7 @@ def test_what_cannot_be_read_is_put_aside_each_time_and_said(
 
 def test_a_folder_that_one_process_keeps_its_state_in_is_refused_to_another_until_it_is_killed(tmp_path: Path) -> None:
     hold = (
-        "import sys, pathlib, time; from zarm_contract.state_file import owned\n"
+        "import sys, pathlib, time; from zarm_runtime.state_file import owned\n"
         "with owned(pathlib.Path(sys.argv[1]), 'executor'): print('held', flush=True); time.sleep(600)"
     )
     with subprocess.Popen([sys.executable, "-c", hold, str(tmp_path)], stdout=subprocess.PIPE, text=True) as process:

@@ -8,7 +8,7 @@ from typing import Literal
 
 from zarm_contract.codec import CONTRACT
 from zarm_contract.messages import Health
-from zarm_contract.version import version
+from zarm_runtime.version import version
 
 HERE = "this command"
 

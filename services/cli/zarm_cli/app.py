@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from zarm_contract import signals
+from zarm_runtime import signals
 
 INTERRUPTED = 130
 

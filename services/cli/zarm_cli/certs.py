@@ -13,7 +13,7 @@ from rich.table import Table
 from zarm_cli.output import out
 from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.security import RENEWAL_DAYS
+from zarm_runtime.security import RENEWAL_DAYS
 
 if TYPE_CHECKING:
     from datetime import datetime

@@ -11,12 +11,12 @@ from typing import Annotated, TypeVar
 import typer
 
 from zarm_cli.interrupts import attend
-from zarm_contract.bus import Bus
 from zarm_contract.codec import decode
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.keys import ALL_ALIVE, Keys
 from zarm_contract.messages import FkPoses, FkRequest, Joints, JointState, Message, Nothing, Pose
-from zarm_contract.session import spoken
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import spoken
 
 Connect = Annotated[str, typer.Option(envvar="ZARM_CONNECT", help="The router's endpoint.")]
 Name = Annotated[

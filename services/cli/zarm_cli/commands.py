@@ -91,7 +91,7 @@ def command_line(names: Iterable[str] = MODULES) -> typer.Typer:
 def _show_version(wanted: bool) -> None:
     if wanted:
         from zarm_contract.codec import CONTRACT
-        from zarm_contract.version import version
+        from zarm_runtime.version import version
 
         out.print(f"zarm {version()}, contract {CONTRACT}")
         raise typer.Exit

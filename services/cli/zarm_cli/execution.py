@@ -29,7 +29,7 @@ from zarm_contract.messages import (
     Strategies,
     StrategyRequest,
 )
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 _LOOK_SECONDS = 0.5
 _RESTART_SECONDS = 10.0  # within which an executor, started anew or heard again, tells what became of a goal

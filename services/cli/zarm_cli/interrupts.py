@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
-from zarm_contract import signals
+from zarm_runtime import signals
 
 T = TypeVar("T")
 

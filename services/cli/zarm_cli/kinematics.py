@@ -11,7 +11,7 @@ from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_cli.planning import full_pose
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import CheckRequest, CheckResults, FkPoses, FkRequest, IkRequest, IkSolutions
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 At = Annotated[
     str | None,

@@ -17,13 +17,13 @@ from zarm_cli.client import Client, keys_of
 from zarm_cli.interrupts import pause
 from zarm_cli.output import facts, numbers, out
 from zarm_cli.supervision import Supervisor
-from zarm_contract.bus import Bus
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Strategies
 from zarm_contract.robot import Robot, find_robot, load_robot
-from zarm_contract.service import default_state
-from zarm_contract.session import DEFAULT_ENDPOINT, open_router, spoken
+from zarm_runtime.bus import Bus
+from zarm_runtime.service import default_state
+from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
 
 SERVICES = ("planner", "executor")
 """What every robot needs, in the order in which they start; they stop the other way round, so that the robot comes to rest

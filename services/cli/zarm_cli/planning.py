@@ -15,7 +15,7 @@ from zarm_cli.output import degrees, facts, numbers, out, pose_text, print_json
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import CancelledPlan, CancelPlan, Plan, PlanRequest
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 To = Annotated[
     list[str] | None,

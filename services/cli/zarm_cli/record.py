@@ -17,11 +17,11 @@ from zarm_cli.interrupts import Inbox, wait_for
 from zarm_cli.output import counted, err, out
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.recorded import Recorded
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.recorded import Recorded
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
-    from zarm_contract.record import Entry, RecordFile
+    from zarm_runtime.record import Entry, RecordFile
 
 _BACKLOG = 100_000
 """Messages that may wait for a disk that is slow; more are lost, and counted. Minutes of a robot, some 50 MB."""
@@ -103,7 +103,7 @@ class _Recorder:
 
 
 def _open(path: Path, keys: Keys) -> RecordFile:
-    from zarm_contract.record import RecordFile  # no other command needs the libraries behind it
+    from zarm_runtime.record import RecordFile  # no other command needs the libraries behind it
 
     try:
         return RecordFile(path, keys)

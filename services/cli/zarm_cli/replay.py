@@ -17,12 +17,12 @@ from zarm_cli.client import Connect, keys_of
 from zarm_cli.interrupts import check, pause
 from zarm_cli.output import counted, facts, out
 from zarm_cli.story import Story, robot_of, tell
-from zarm_contract.bus import Bus, Publisher
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
-from zarm_contract.recorded import Recorded
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.bus import Bus, Publisher
+from zarm_runtime.recorded import Recorded
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 _LOOK_SECONDS = 1.0
 
@@ -51,7 +51,7 @@ def replay(
 
 
 def _entries(file: Path) -> Iterator[tuple[int, str, bytes]]:
-    from zarm_contract.record import read_record  # no other command needs the libraries behind it
+    from zarm_runtime.record import read_record  # no other command needs the libraries behind it
 
     for entry in read_record(file):
         check()

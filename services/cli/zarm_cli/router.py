@@ -10,7 +10,7 @@ import typer
 
 from zarm_cli.interrupts import pause
 from zarm_cli.output import facts, out
-from zarm_contract.session import DEFAULT_ENDPOINT, listens_at, router_config, run_router, spoken
+from zarm_runtime.session import DEFAULT_ENDPOINT, listens_at, router_config, run_router, spoken
 
 
 def router(

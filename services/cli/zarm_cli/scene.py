@@ -15,7 +15,7 @@ from zarm_cli.output import counted, numbers, out, print_json
 from zarm_cli.planning import read_bytes, write_text
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Scene, SceneEdit, SceneEdited, Voxels
-from zarm_contract.session import DEFAULT_ENDPOINT
+from zarm_runtime.session import DEFAULT_ENDPOINT
 
 app = typer.Typer(no_args_is_help=True, help="Show and change the objects that motions are planned around.")
 

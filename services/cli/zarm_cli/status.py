@@ -25,8 +25,8 @@ from zarm_contract.messages import (
     Pose,
     Scene,
 )
-from zarm_contract.session import DEFAULT_ENDPOINT
-from zarm_contract.version import version
+from zarm_runtime.session import DEFAULT_ENDPOINT
+from zarm_runtime.version import version
 
 if TYPE_CHECKING:
     from rich.table import Table

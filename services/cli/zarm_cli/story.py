@@ -24,7 +24,7 @@ from zarm_contract.messages import (
     Strategies,
     StreamChunk,
 )
-from zarm_contract.recorded import Recorded
+from zarm_runtime.recorded import Recorded
 
 
 @dataclass(frozen=True)

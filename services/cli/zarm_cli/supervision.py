@@ -123,7 +123,7 @@ class Supervisor:
         return [process["name"] for process in self._processes() if process["state"] == ProcessStates.FATAL]
 
     def last_words(self, name: str) -> str:
-        """Why a program ended: the reason in its log (as `zarm_contract.service` writes it), else the last line of all."""
+        """Why a program ended: the reason in its log (as `zarm_runtime.service` writes it), else the last line of all."""
         self._relay.join(0.2)  # what it printed last may still be on its way here
         for line in reversed(list(self._last_lines)):
             if name in line and "reason=" in line:

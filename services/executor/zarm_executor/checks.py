@@ -7,40 +7,40 @@ import numpy as np
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_contract.robot import Execution, Robot
-from zarm_executor.limits import POSITION_TOLERANCE, Limits
-from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured
+from zarm_trajectory.limits import POSITION_TOLERANCE, Limits
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 REST_VELOCITY = 1e-3
 """A motion that starts and ends slower than this (rad/s) starts and ends at rest."""
 
 
-def executable(trajectory: Trajectory, robot: Robot) -> Path:
+def executable(trajectory: Trajectory, robot: Robot) -> TimedTrajectory:
     """The path of a trajectory that this robot can follow.
 
     Raises InvalidRequest (joints, times, rest at both ends) or ExecutionRefused (`limit_violated`, by position,
     velocity or acceleration, between samples too).
     """
-    path = Path.of(trajectory, robot.descriptor.joints)
+    path = TimedTrajectory.of(trajectory, robot.descriptor.joints)
     with np.errstate(all="ignore"):  # absurd numbers overflow to inf and NaN, which no comparison below lets pass
         _rest(path, robot.descriptor.joints, (0, -1))
         Limits(robot).check(path)
     return path
 
 
-def continuation(trajectory: Trajectory, robot: Robot, turns: Array) -> Path:
+def continuation(trajectory: Trajectory, robot: Robot, turns: Array) -> TimedTrajectory:
     """The path of a trajectory, shifted by `turns` (J,) rad, that this robot can follow from a motion; it ends at rest.
 
     Raises what `executable` raises.
     """
-    path = Path.of(trajectory, robot.descriptor.joints).shifted(turns)
+    path = TimedTrajectory.of(trajectory, robot.descriptor.joints).shifted(turns)
     with np.errstate(all="ignore"):
         _rest(path, robot.descriptor.joints, (-1,))
         Limits(robot).check(path)
     return path
 
 
-def startable(path: Path, measured: Measured | None, now: float, robot: Robot) -> Path:
+def startable(path: TimedTrajectory, measured: Measured | None, now: float, robot: Robot) -> TimedTrajectory:
     """The path as it runs from where the robot stands, `measured` on the clock that reads `now`.
 
     A revolute joint may stand whole turns from where the path starts: then the path is shifted by them, where the joint's
@@ -53,7 +53,9 @@ def startable(path: Path, measured: Measured | None, now: float, robot: Robot) -
     return path.approached_from(at.position, *map(np.array, (limits.velocity, limits.acceleration, limits.jerk)))
 
 
-def placed(path: Path, measured: Measured | None, now: float, robot: Robot) -> tuple[Path, Measured]:
+def placed(
+    path: TimedTrajectory, measured: Measured | None, now: float, robot: Robot
+) -> tuple[TimedTrajectory, Measured]:
     """The path, shifted by whole turns so that the robot stands within `start_tolerance` of its start; and where it stands.
 
     Raises what `startable` raises.
@@ -93,7 +95,7 @@ def _fresh(measured: Measured | None, now: float, execution: Execution) -> Measu
     return measured
 
 
-def _turns(path: Path, position: Array, robot: Robot) -> Array:
+def _turns(path: TimedTrajectory, position: Array, robot: Robot) -> Array:
     """Whole turns (J,) in rad, by which the path must be shifted to start nearest to `position` inside the limits."""
     turning = {joint.name for joint in robot.urdf.joint_of_child.values() if joint.type in ("revolute", "continuous")}
     turns = 2 * np.pi * np.round((position - path.start) / (2 * np.pi))
@@ -105,7 +107,7 @@ def _turns(path: Path, position: Array, robot: Robot) -> Array:
     return np.where(allowed, turns, 0.0)
 
 
-def _rest(path: Path, joints: tuple[str, ...], rows: tuple[int, ...]) -> None:
+def _rest(path: TimedTrajectory, joints: tuple[str, ...], rows: tuple[int, ...]) -> None:
     for row in rows:
         end = "start" if row == 0 else "end"
         for joint, speed in zip(joints, np.abs(path.velocity[row]), strict=True):

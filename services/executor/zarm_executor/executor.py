@@ -7,7 +7,6 @@ import secrets
 import threading
 import time
 
-from zarm_contract.bus import Publisher
 from zarm_contract.errors import Busy, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     Accepted,
@@ -21,7 +20,6 @@ from zarm_contract.messages import (
     StrategyRequest,
 )
 from zarm_contract.robot import Robot
-from zarm_contract.state_file import StateFile
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import executable, startable
 from zarm_executor.goal import Goal
@@ -31,6 +29,8 @@ from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
 from zarm_executor.strategies.repertoire import Repertoire
+from zarm_runtime.bus import Publisher
+from zarm_runtime.state_file import StateFile
 
 log = logging.getLogger(__name__)
 

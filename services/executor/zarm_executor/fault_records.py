@@ -12,8 +12,8 @@ from typing import Self
 
 from zarm_contract.errors import Problem
 from zarm_contract.keys import Keys
-from zarm_contract.record import DRAFT, RecordFile
 from zarm_executor.ring import Ring
+from zarm_runtime.record import DRAFT, RecordFile
 
 log = logging.getLogger(__name__)
 

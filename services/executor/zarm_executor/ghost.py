@@ -6,13 +6,13 @@ import logging
 import threading
 import time
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState, Plan, Trajectory
 from zarm_contract.robot import Robot
 from zarm_executor.checks import executable
-from zarm_executor.path import Path
+from zarm_runtime.bus import Bus
+from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ class Ghost:
         self._trajectories = bus.publisher(keys.preview_trajectory, Trajectory)
         self._joint_states = bus.publisher(keys.preview_joint_states, JointState)
         self._newest: Plan | None = None
-        self._path: Path | None = None
+        self._path: TimedTrajectory | None = None
         self._began = 0.0
         self._lock = threading.Lock()
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.messages import GoalState, GoalStatus, SceneRevision
 from zarm_executor.monitor import Monitor
-from zarm_executor.path import Path
 from zarm_executor.strategies.base import Progress
+from zarm_trajectory.trajectory import TimedTrajectory
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Chunk:
 
     sequence: int
     start: float
-    path: Path
+    path: TimedTrajectory
     received: float
     deadline: float
     last: bool
@@ -52,7 +52,7 @@ class Goal:
 
     goal_id: str
     plan_id: str | None
-    path: Path
+    path: TimedTrajectory
     monitor: Monitor
     scene: SceneRevision | None = None
     status: GoalStatus = "accepted"
@@ -72,7 +72,7 @@ class Goal:
         """Whether the end of its path is its goal, rather than where to wait for the next chunk."""
         return self.chunk is None or self.chunk.last
 
-    def steer(self, path: Path, chunk: Chunk) -> None:
+    def steer(self, path: TimedTrajectory, chunk: Chunk) -> None:
         """Go on along `path`, which leads to `chunk`."""
         self.path, self.chunk, self.scene = path, chunk, chunk.scene
         self.monitor.steer(path)

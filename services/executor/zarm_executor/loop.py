@@ -11,7 +11,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from zarm_contract.realtime import CONTROL_PRIORITY, ask_for_realtime
+from zarm_runtime.realtime import CONTROL_PRIORITY, ask_for_realtime
 
 log = logging.getLogger(__name__)
 

@@ -24,9 +24,9 @@ from collections import deque
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
-from zarm_executor.limits import Limits
-from zarm_executor.motion import Motion
+from zarm_executor.goal_execution import GoalExecution
 from zarm_executor.strategies.base import Measured, Strategy
+from zarm_trajectory.limits import Limits
 
 WITHDRAWN = 4096
 """How many goals that were cancelled before they came are remembered."""
@@ -51,7 +51,7 @@ class Machine:
         self._period = period
         self._speed_scale = speed_scale
         self._strategy, self._open = strategy, True
-        self._motion: Motion | None = None
+        self._motion: GoalExecution | None = None
         self._successor: str | None = None
         self._problem: Problem | None = None
         self._switching = False
@@ -99,7 +99,7 @@ class Machine:
             self._successor = None
             self._demand_not_overtaken(arrival, goal.goal_id)
             self.admit()
-            motion = Motion(goal, self._strategy, self.changes)
+            motion = GoalExecution(goal, self._strategy, self.changes)
             motion.start(self._speed_scale)
             self._motion = motion
 
@@ -162,7 +162,7 @@ class Machine:
         if motion is not None and motion.goal.outcome is None:
             motion.end(outcome)
 
-    def _motion_of(self, goal_id: str | None) -> Motion | None:
+    def _motion_of(self, goal_id: str | None) -> GoalExecution | None:
         """The motion of this goal, or of whichever there is."""
         motion = self._motion
         return motion if motion is not None and goal_id in (None, motion.goal.goal_id) else None
@@ -177,7 +177,7 @@ class Machine:
     def resume(self, arrival: float, scene: SceneRevision | None = None) -> None:
         """Go on with a goal that was paused, the scene now being `scene`; not where a stop or a pause arrived later.
 
-        Raises what `Motion.resume` raises.
+        Raises what `GoalExecution.resume` raises.
         """
         with self._lock:
             if self._motion is not None and not self._overtaken(arrival):

@@ -6,9 +6,9 @@ import numpy as np
 
 from zarm_contract.errors import ExecutionFailed
 from zarm_contract.robot import RobotDescriptor
-from zarm_executor.follower import CATCH_UP
-from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured, Progress
+from zarm_trajectory.follower import CATCH_UP
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 SLOWEST_PACE = 0.05
 """A driver may be slower than it was told, as a UR is whose speed slider is down, as far as the slowest speed scale."""
@@ -21,7 +21,7 @@ Measured over random paths at every limit: 1.13."""
 class Monitor:
     """Watches one motion. Times are on the monotonic clock; joints in the descriptor's order."""
 
-    def __init__(self, path: Path, robot: RobotDescriptor) -> None:
+    def __init__(self, path: TimedTrajectory, robot: RobotDescriptor) -> None:
         self._path = path
         self._joints = robot.joints
         self._execution = robot.execution
@@ -35,7 +35,7 @@ class Monitor:
         self._reached_at: float | None = None
         self._listening_until = -np.inf
 
-    def steer(self, path: Path) -> None:
+    def steer(self, path: TimedTrajectory) -> None:
         """The motion goes on along `path`, which is at its present time where the one before is there."""
         self._path = path
 

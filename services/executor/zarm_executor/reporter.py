@@ -8,13 +8,13 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, GoalState
-from zarm_contract.metrics import Metrics
-from zarm_contract.state_file import StateFile
 from zarm_executor.machine import Machine
+from zarm_runtime.bus import Bus
+from zarm_runtime.metrics import Metrics
+from zarm_runtime.state_file import StateFile
 
 log = logging.getLogger(__name__)
 

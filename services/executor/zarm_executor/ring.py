@@ -8,8 +8,8 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from zarm_contract.keys import Keys
-from zarm_contract.record import Entry
-from zarm_contract.recorded import Recorded
+from zarm_runtime.record import Entry
+from zarm_runtime.recorded import Recorded
 
 SECONDS = 60
 """How far back the ring reaches."""

@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from zarm_contract.bus import Bus, Publisher
 from zarm_contract.messages import (
     CancelRequest,
     ExecuteRequest,
@@ -26,11 +25,7 @@ from zarm_contract.messages import (
     StrategyRequest,
     StreamChunk,
 )
-from zarm_contract.metrics import Metrics
-from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_contract.robot import Robot
-from zarm_contract.service import Service, run_service, service_parser
-from zarm_contract.state_file import StateFile, owned
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.clocks import time_of_day
 from zarm_executor.executor import Executor
@@ -48,6 +43,11 @@ from zarm_executor.strategies import build_strategies
 from zarm_executor.strategies.base import Strategy
 from zarm_executor.streams import Streams
 from zarm_executor.watchdog import Watchdog
+from zarm_runtime.bus import Bus, Publisher
+from zarm_runtime.metrics import Metrics
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_runtime.service import Service, run_service, service_parser
+from zarm_runtime.state_file import StateFile, owned
 
 log = logging.getLogger(__name__)
 

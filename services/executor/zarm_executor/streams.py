@@ -14,12 +14,12 @@ from zarm_contract.robot import Robot
 from zarm_executor.admission import Admission
 from zarm_executor.checks import continuation, executable, placed
 from zarm_executor.goal import Chunk, Goal
-from zarm_executor.limits import Limits
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
-from zarm_executor.path import Array, Path
 from zarm_executor.reporter import Reporter
-from zarm_executor.splice import spliced
+from zarm_trajectory.blending import blended
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ class Streams:
                 path, at = placed(planned, self._machine.joint_state(), time.monotonic(), self._robot)
                 self._turns = path.start - planned.start
                 # From where the robot stands, which may be a tolerance away, it is led over as between two chunks.
-                path = spliced(Path.standing(at.position), 0.0, path, 0.0, self._limits)
+                path = blended(TimedTrajectory.standing(at.position), 0.0, path, 0.0, self._limits)
                 monitor = Monitor(path, self._robot.descriptor)
                 piece = self._chunk(chunk, path, received)
                 turn.start(Goal(chunk.goal_id, None, path, monitor, piece.scene, chunk=piece))
@@ -80,7 +80,7 @@ class Streams:
             self._machine.abort(chunk.goal_id, error.problem)
             self._reporter.publish()
 
-    def _chunk(self, chunk: StreamChunk, path: Path, received: float) -> Chunk:
+    def _chunk(self, chunk: StreamChunk, path: TimedTrajectory, received: float) -> Chunk:
         return Chunk(chunk.sequence, chunk.start, path, received, chunk.deadline, chunk.last, scene=self._machine.scene)
 
     def _refuse(self, chunk: StreamChunk, error: ZarmError) -> None:

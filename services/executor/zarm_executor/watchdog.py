@@ -9,8 +9,8 @@ import threading
 from types import TracebackType
 from typing import Self
 
-from zarm_contract.realtime import CONTROL_PRIORITY, ask_for_realtime
 from zarm_executor.loop import Loop
+from zarm_runtime.realtime import CONTROL_PRIORITY, ask_for_realtime
 
 log = logging.getLogger(__name__)
 

@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zarm_contract.bus import Bus
-from zarm_contract.expiry import Expiry
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.driver import Command, Progress
 from zarm_leeloo_sim.player import Array
+from zarm_runtime.bus import Bus
+from zarm_runtime.expiry import Expiry
 
 log = logging.getLogger(__name__)
 

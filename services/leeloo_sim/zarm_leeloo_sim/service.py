@@ -15,12 +15,12 @@ import numpy as np
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import DriverFault
-from zarm_contract.realtime import PROCESS_PRIORITY, ask_for_realtime
-from zarm_contract.service import Service, run_service, service_parser
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.bus_side import BusSide
 from zarm_leeloo_sim.driver import Driver
 from zarm_leeloo_sim.player import Player
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
+from zarm_runtime.service import Service, run_service, service_parser
 
 if TYPE_CHECKING:
     from zarm_leeloo_sim.ros_side import RosSide

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from zarm_contract.asking import asker
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     AttachObject,
@@ -55,6 +54,7 @@ from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
 from zarm_planner.timing.trajectory import Array, Limits
 from zarm_planner.warm_up import warm_up
+from zarm_runtime.asking import asker
 
 log = logging.getLogger(__name__)
 

@@ -29,14 +29,14 @@ from zarm_contract.messages import (
     SceneObject,
     SettingsChange,
 )
-from zarm_contract.metrics import Metrics
-from zarm_contract.service import Service, run_service, service_parser
-from zarm_contract.state_file import owned
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.goals.joints import MeasuredJoints
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
+from zarm_runtime.metrics import Metrics
+from zarm_runtime.service import Service, run_service, service_parser
+from zarm_runtime.state_file import owned
 
 log = logging.getLogger(__name__)
 

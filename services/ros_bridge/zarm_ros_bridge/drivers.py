@@ -15,7 +15,6 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.expiry import Expiry
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
@@ -24,6 +23,7 @@ from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
+from zarm_runtime.expiry import Expiry
 
 log = logging.getLogger(__name__)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, JointState, Message, Nothing, Strategies
 from zarm_contract.robot import Robot
+from zarm_runtime.bus import Bus
 
 ANSWER_SECONDS = 5.0
 """Longest wait for what is answered at once."""

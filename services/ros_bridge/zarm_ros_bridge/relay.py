@@ -9,9 +9,9 @@ from typing import Any, Generic, TypeVar
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
-from zarm_contract.bus import Bus
 from zarm_contract.messages import Message
-from zarm_contract.publications import deliver
+from zarm_runtime.bus import Bus
+from zarm_runtime.publications import deliver
 
 DEPTH = 10
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.service import Service, run_service, service_parser
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
@@ -22,6 +21,7 @@ from zarm_ros_bridge.scene import SceneServices
 from zarm_ros_bridge.strategies import StrategyServices
 from zarm_ros_bridge.topics import Topics
 from zarm_ros_bridge.world_file import WorldFile
+from zarm_runtime.service import Service, run_service, service_parser
 
 NODE = "unified_planner"
 """The name of the node, as clients of the reference know it."""

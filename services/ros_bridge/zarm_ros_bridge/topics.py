@@ -11,7 +11,6 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from zarm_contract.messages import ExecutorState, JointState, Plan, Scene
-from zarm_contract.publications import deliver
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.convert.joints import ros_joint_state
 from zarm_ros_bridge.convert.markers import obstacle_markers, sphere_markers
@@ -20,6 +19,7 @@ from zarm_ros_bridge.description import shown_description
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.relay import DEPTH, Relay
 from zarm_ros_bridge.ros import Ros
+from zarm_runtime.publications import deliver
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The last message is there for whoever comes late."""

@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from zarm_contract.bus import Bus
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
 from zarm_contract.robot import Robot
-from zarm_contract.state_file import StateFile
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
@@ -19,6 +17,8 @@ from zarm_executor.strategies.joint_pose import JointPose
 from zarm_executor.strategies.joint_speed import JointSpeed
 from zarm_executor.strategies.joint_trajectory import JointTrajectory
 from zarm_executor.strategies.repertoire import Repertoire
+from zarm_runtime.bus import Bus
+from zarm_runtime.state_file import StateFile
 
 DRIVER_STRATEGIES: tuple[type[DriverStrategy], ...] = (JointSpeed, JointPose, JointTrajectory)
 """Those that need a driver, which may not be able to play all of them."""

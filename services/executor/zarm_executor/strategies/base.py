@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zarm_executor.path import Array, Path
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class Strategy(ABC):
         """Raise Unavailable, with the remedy, where this strategy could not move the robot now."""
 
     @abstractmethod
-    def start(self, path: Path, speed: float) -> None:
+    def start(self, path: TimedTrajectory, speed: float) -> None:
         """Begin to move along `path`, which starts where the robot stands, at this path speed in (0, 1]."""
 
     @abstractmethod
@@ -98,5 +98,5 @@ class Steerable(Strategy):
         """The path time (s) that is commanded now."""
 
     @abstractmethod
-    def steer(self, path: Path) -> None:
+    def steer(self, path: TimedTrajectory) -> None:
         """Go on along `path`, which is at the commanded path time where the present one is there."""

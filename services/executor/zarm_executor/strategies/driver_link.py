@@ -7,14 +7,14 @@ import time
 
 import numpy as np
 
-from zarm_contract.bus import Bus
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import RobotDescriptor, StrategyParams
-from zarm_executor.path import Array
 from zarm_executor.strategies.base import Measured
-from zarm_executor.stretch import Stretch
+from zarm_runtime.bus import Bus
+from zarm_trajectory.retimed import RetimedTrajectory
+from zarm_trajectory.trajectory import Array
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class DriverLink:
 
     # -- to the driver --
 
-    def send(self, points: Stretch, *, positions_only: bool = False) -> int:
+    def send(self, points: RetimedTrajectory, *, positions_only: bool = False) -> int:
         """Have these points played from now on; returns the command's sequence number.
 
         The driver drops them where they come later than the joints that they are based on are fresh. Raises Unavailable

@@ -10,11 +10,11 @@ import numpy as np
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_contract.robot import RobotDescriptor
-from zarm_contract.state_file import StateFile
-from zarm_executor.follower import Follower
 from zarm_executor.loop import Loop
-from zarm_executor.path import Array, Path
 from zarm_executor.strategies.base import Measured, Progress, Steerable
+from zarm_runtime.state_file import StateFile
+from zarm_trajectory.follower import Follower
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ class Emulator(Steerable):
     def __init__(self, robot: EmulatedRobot, acceleration_limit: Array) -> None:
         self._robot = robot
         self._limit = acceleration_limit
-        self._follower = Follower(Path.standing(robot.measured.position), acceleration_limit)
+        self._follower = Follower(TimedTrajectory.standing(robot.measured.position), acceleration_limit)
         self._saver = Loop("emulated robot", SAVE_PERIOD, self._save)
         self._saving_fails = False
 
@@ -87,7 +87,7 @@ class Emulator(Steerable):
     def admit(self) -> None:
         """An emulated robot can always move."""
 
-    def start(self, path: Path, speed: float) -> None:
+    def start(self, path: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `path`."""
         self._follower = Follower(path, self._limit, speed=speed, target=speed)
 
@@ -103,7 +103,7 @@ class Emulator(Steerable):
         """How far the path is followed, s."""
         return self._follower.time
 
-    def steer(self, path: Path) -> None:
+    def steer(self, path: TimedTrajectory) -> None:
         """Go on along `path`."""
         self._follower.join(path)
 

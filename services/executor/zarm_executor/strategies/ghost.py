@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 
 from zarm_contract.errors import Unavailable
-from zarm_executor.path import Path
 from zarm_executor.strategies.base import Measured, Progress, Strategy
 from zarm_executor.strategies.emulator import EmulatedRobot
+from zarm_trajectory.trajectory import TimedTrajectory
 
 
 class GhostOnly(Strategy):
@@ -32,7 +32,7 @@ class GhostOnly(Strategy):
             '(executor/strategy with {"strategy": "emulator"})'
         )
 
-    def start(self, path: Path, speed: float) -> None:
+    def start(self, path: TimedTrajectory, speed: float) -> None:
         """Refuse: nothing moves."""
         self.admit()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from zarm_executor.strategies.streaming import Streaming
-from zarm_executor.stretch import Stretch
+from zarm_trajectory.retimed import RetimedTrajectory
 
 
 class JointPose(Streaming):
@@ -11,6 +11,6 @@ class JointPose(Streaming):
 
     name = "joint_pose"
 
-    def _send(self, ahead: Stretch, now: float, played: int) -> bool:
+    def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         self.link.send(ahead, positions_only=True)
         return bool((ahead.position == ahead.position[0]).all())

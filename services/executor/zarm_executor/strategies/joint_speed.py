@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_executor.path import Array, Path
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.streaming import Streaming
-from zarm_executor.stretch import Stretch
+from zarm_trajectory.retimed import RetimedTrajectory
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 ARRIVED = 0.002
 """At the end of a path the robot is led on until every joint is this close to it, rad; the promise is 0.005."""
@@ -30,22 +30,22 @@ class JointSpeed(Streaming):
         self._leading_since: float | None = None
         self._led = False
 
-    def start(self, path: Path, speed: float) -> None:
+    def start(self, path: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `path`, from rest."""
         super().start(path, speed)
         self._stands()
         self._leading_since, self._led = None, False
 
-    def steer(self, path: Path) -> None:
+    def steer(self, path: TimedTrajectory) -> None:
         """Go on along `path`, at whose end the robot is to be led anew."""
         super().steer(path)
         self._leading_since, self._led = None, False
 
-    def _send(self, ahead: Stretch, now: float, played: int) -> bool:
+    def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         base = self._playing(played)
         velocity = self._clamped(ahead.velocity + self._correction(ahead, now), base)
         acceleration = np.diff(velocity, axis=0, prepend=base[None]) / self._dt
-        self.link.send(Stretch(ahead.dt, ahead.time, ahead.speed, ahead.position, velocity, acceleration))
+        self.link.send(RetimedTrajectory(ahead.dt, ahead.time, ahead.speed, ahead.position, velocity, acceleration))
         self._before, self._sent = base, velocity
         return not velocity.any()
 
@@ -64,7 +64,7 @@ class JointSpeed(Streaming):
             return velocity
         return self.link.velocity()
 
-    def _correction(self, ahead: Stretch, now: float) -> Array:
+    def _correction(self, ahead: RetimedTrajectory, now: float) -> Array:
         """What is added to the velocities (N, J); it dies away over the chunk as the error does."""
         error = self._error(now)
         self._lead(now, error)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_executor.follower import Follower
-from zarm_executor.path import Path
 from zarm_executor.strategies.base import Progress
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
-from zarm_executor.stretch import Stretch
+from zarm_trajectory.follower import Follower
+from zarm_trajectory.retimed import RetimedTrajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 _WINDOW = 0.5
 """How far (s of the command) around where it was last the robot is looked for on its path."""
@@ -40,8 +40,8 @@ class JointTrajectory(DriverStrategy):
 
     def __init__(self, link: DriverLink) -> None:
         super().__init__(link)
-        self._path: Path | None = None
-        self._command: Stretch | None = None
+        self._path: TimedTrajectory | None = None
+        self._command: RetimedTrajectory | None = None
         self._sequence: int | None = None
         self._sent_at = 0.0
         self._index = 0.0
@@ -57,7 +57,7 @@ class JointTrajectory(DriverStrategy):
         self._resuming = False
         self._unheard = False
 
-    def start(self, path: Path, speed: float) -> None:
+    def start(self, path: TimedTrajectory, speed: float) -> None:
         """Have the whole of `path` played from the next tick on."""
         self._path, self._speed = path, speed
         self._braking = self._stopping = self._resuming = self._unheard = False
@@ -144,7 +144,7 @@ class JointTrajectory(DriverStrategy):
             and self.link.standing()
         )
 
-    def _brake(self, command: Stretch, now: float, dt: float) -> None:
+    def _brake(self, command: RetimedTrajectory, now: float, dt: float) -> None:
         """Brake from where the driver will be when it learns of it."""
         index = self._index if self._unsent else self._brakes_from(command, now, dt)
         if index is None:
@@ -156,7 +156,7 @@ class JointTrajectory(DriverStrategy):
         if self._path is not None:
             self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
 
-    def _brakes_from(self, command: Stretch, now: float, dt: float) -> float | None:
+    def _brakes_from(self, command: RetimedTrajectory, now: float, dt: float) -> float | None:
         """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
         if not self._late(command) and self.link.params.stop != "empty":
             known = self._next(command, dt)
@@ -165,7 +165,7 @@ class JointTrajectory(DriverStrategy):
         index = self._playing(command)
         return index - _UNTOLD if self.link.params.state_topic is None else index
 
-    def _resume(self, command: Stretch, dt: float) -> None:
+    def _resume(self, command: RetimedTrajectory, dt: float) -> None:
         """Have the rest of the path played, from where the robot came to rest or is in its braking."""
         path = self._path
         if path is None:
@@ -187,7 +187,7 @@ class JointTrajectory(DriverStrategy):
             self._play(self._along(path, time, speed))
         self._braking = self._resuming = False
 
-    def _repace(self, command: Stretch, now: float, dt: float) -> None:
+    def _repace(self, command: RetimedTrajectory, now: float, dt: float) -> None:
         """Have the rest played at the new path speed, from where the driver will be when it has it."""
         if self._path is None or (not self._unsent and now - self._sent_at < _PACE_PERIOD):
             return
@@ -199,7 +199,7 @@ class JointTrajectory(DriverStrategy):
         if time < self._path.duration:
             self._play(self._along(self._path, time, self._speed if self._unsent else speed))
 
-    def _next(self, command: Stretch, dt: float, encoded: float = 0.0) -> float | None:
+    def _next(self, command: RetimedTrajectory, dt: float, encoded: float = 0.0) -> float | None:
         """The index of the point that comes next when the driver has what is sent in this tick; None where that is not known.
 
         A driver plays whole points, at times of its own. One that tells them has the time of a point from when it has told of one,
@@ -215,7 +215,7 @@ class JointTrajectory(DriverStrategy):
         due = self._clock + encoding - _ENCODING * len(command.time) / command.dt
         return float(round(due)) if abs(due - round(due)) * command.dt <= dt / 2 else None
 
-    def _playing(self, command: Stretch) -> float:
+    def _playing(self, command: RetimedTrajectory) -> float:
         """The index of the point that the driver plays when it learns of something.
 
         It is one beyond that which it told of. Where it tells nothing it is on time, unless the robot is further behind than
@@ -225,12 +225,12 @@ class JointTrajectory(DriverStrategy):
             return self._index + 1.0
         return self._index + self.link.params.delay / command.dt if self._late(command) else self._clock + 1.0
 
-    def _late(self, command: Stretch) -> bool:
+    def _late(self, command: RetimedTrajectory) -> bool:
         """Whether a driver that tells nothing does not keep time: the robot is further behind than a robot is."""
         behind = (self._clock - self._index) * command.dt
         return self.link.params.state_topic is None and behind > self.link.params.delay + _ON_TIME
 
-    def _along(self, path: Path, time: float, speed: float) -> Follower:
+    def _along(self, path: TimedTrajectory, time: float, speed: float) -> Follower:
         return Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=self._speed)
 
     def _transmit(self, now: float) -> None:
@@ -249,7 +249,7 @@ class JointTrajectory(DriverStrategy):
         self._unsent = True
         self._repacing = self._repacing and follower.target != self._speed
 
-    def _reached(self, command: Stretch, dt: float) -> float:
+    def _reached(self, command: RetimedTrajectory, dt: float) -> float:
         """The index of the point that the robot has reached."""
         if self._braking:
             return self._clock - self.link.params.delay / command.dt
@@ -258,7 +258,7 @@ class JointTrajectory(DriverStrategy):
             return self._nearest(self._index - window, min(self._index + window, self._clock))
         return self._told
 
-    def _told_of(self, command: Stretch) -> float:
+    def _told_of(self, command: RetimedTrajectory) -> float:
         """The index of the point that the driver has told of last; 0 before it has told of any."""
         fraction = None if self._sequence is None else self.link.fraction(self._sequence)
         return 0.0 if fraction is None else fraction * len(command.time) - 1.0
@@ -282,11 +282,11 @@ class JointTrajectory(DriverStrategy):
         if measured is None or command is None:
             return
         limits = self.link.velocity_clamp, self.link.acceleration_limit, self.link.jerk_limit
-        way = Path.standing(command.position[0]).approached_from(measured.position, *limits)
+        way = TimedTrajectory.standing(command.position[0]).approached_from(measured.position, *limits)
         times = np.arange(0.0, way.duration - 1.0, command.dt)  # without the second of rest
         position, velocity, acceleration = way.sample(times)
         held = np.zeros_like(times)
-        self._command = Stretch(
+        self._command = RetimedTrajectory(
             command.dt,
             np.concatenate((held + command.time[0], command.time)),
             np.concatenate((held, command.speed)),

@@ -12,14 +12,14 @@ from abc import abstractmethod
 
 import numpy as np
 
-from zarm_executor.braking import braking
-from zarm_executor.follower import CATCH_UP, TICK, Follower
-from zarm_executor.path import Path
 from zarm_executor.strategies.base import Progress, Steerable
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.reference import Commanded, Reference
-from zarm_executor.stretch import Stretch
+from zarm_trajectory.braking import braking
+from zarm_trajectory.follower import CATCH_UP, TICK, Follower
+from zarm_trajectory.retimed import RetimedTrajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 _BEHIND = 1.0
 """How far (s of the path) behind the commanded motion a robot that stands is looked for."""
@@ -54,13 +54,13 @@ class Streaming(DriverStrategy, Steerable):
         self._over = True
         self._away: tuple[float, float] | None = None
         self._lost_at: float | None = None
-        self._chunk: Stretch | None = None
+        self._chunk: RetimedTrajectory | None = None
         self._played_at = -np.inf
 
     # -- what a streaming strategy decides --
 
     @abstractmethod
-    def _send(self, ahead: Stretch, now: float, played: int) -> bool:
+    def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         """Send a chunk of which the driver has played `played` points of the one before; whether it is all at rest."""
 
     def _arrived(self) -> bool:
@@ -75,7 +75,7 @@ class Streaming(DriverStrategy, Steerable):
 
     # -- what the state machine asks --
 
-    def start(self, path: Path, speed: float) -> None:
+    def start(self, path: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `path`."""
         self._follower = Follower(path, self.link.acceleration_limit, speed=speed, target=speed)
         self._reference = Reference(self._memory)
@@ -100,7 +100,7 @@ class Streaming(DriverStrategy, Steerable):
         """How far the path is commanded, s; the robot is `delay` behind."""
         return 0.0 if self._follower is None else self._follower.time
 
-    def steer(self, path: Path) -> None:
+    def steer(self, path: TimedTrajectory) -> None:
         """Go on along `path` with the next chunk, which does not wait for its turn."""
         if self._follower is not None:
             self._follower.join(path)
@@ -246,7 +246,7 @@ class Streaming(DriverStrategy, Steerable):
         urgent = self._urgent and round(points) > 0 and abs(points - round(points)) < _OFF_GRID
         return now if urgent else None
 
-    def _ahead(self, follower: Follower, seconds: float) -> Stretch:
+    def _ahead(self, follower: Follower, seconds: float) -> RetimedTrajectory:
         """The points of a chunk that begins in so many seconds; until then the driver plays what it has."""
         scout = copy.copy(follower)
         scout.advance(seconds)

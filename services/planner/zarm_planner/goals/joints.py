@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zarm_contract.bus import Latest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import JointState
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.timing.trajectory import Array
+from zarm_runtime.bus import Latest
 
 MEASURED_AGE = 0.5
 """Seconds after which a measured state is too old to plan from."""

@@ -33,10 +33,10 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
-from zarm_contract.state_file import StateFile
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import check_reach, voxels_of
 from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links
+from zarm_runtime.state_file import StateFile
 
 log = logging.getLogger(__name__)
 

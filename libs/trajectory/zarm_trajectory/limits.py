@@ -10,7 +10,7 @@ import numpy as np
 
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.robot import Robot
-from zarm_executor.path import Array, Path
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 LIMIT_TOLERANCE = 1.01
 """Velocity and acceleration may be above their limits by this factor: what interpolation adds between samples."""
@@ -57,7 +57,7 @@ class Limits:
         self._acceleration = np.array(robot.descriptor.cspace.acceleration)
         self._jerk = np.array(robot.descriptor.cspace.jerk)
 
-    def check(self, path: Path) -> None:
+    def check(self, path: TimedTrajectory) -> None:
         """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not looked at."""
         if _inside(self._curves(path.coefficients, path.steps, _hull)).all():
             return

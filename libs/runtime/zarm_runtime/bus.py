@@ -16,14 +16,14 @@ from zenoh.handlers import FifoChannel
 
 from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
-from zarm_contract.arrivals import Arrivals
-from zarm_contract.asking import asked_by, asker_of
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
-from zarm_contract.following import Following
 from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
 from zarm_contract.messages import Asker
-from zarm_contract.publications import (
+from zarm_runtime.arrivals import Arrivals
+from zarm_runtime.asking import asked_by, asker_of
+from zarm_runtime.following import Following
+from zarm_runtime.publications import (
     Latched,
     Latest,
     Observer,
@@ -33,9 +33,9 @@ from zarm_contract.publications import (
     understood,
     unobserved,
 )
-from zarm_contract.room import Room
-from zarm_contract.security import client_role, security_on
-from zarm_contract.session import DEFAULT_ENDPOINT, open_client
+from zarm_runtime.room import Room
+from zarm_runtime.security import client_role, security_on
+from zarm_runtime.session import DEFAULT_ENDPOINT, open_client
 
 __all__ = ["Bus", "Latched", "Latest", "Publisher"]
 

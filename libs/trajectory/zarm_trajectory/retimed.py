@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zarm_executor.path import Array
+from zarm_trajectory.trajectory import Array
 
 
 @dataclass(frozen=True)
-class Stretch:
+class RetimedTrajectory:
     """N points of a motion of J joints, one every `dt` s.
 
     `time` (N,) is the path time in s and `speed` (N,) the path speed in [0, 1] of each point; `position`, `velocity`,
@@ -29,13 +29,13 @@ class Stretch:
         """The index of the last point."""
         return float(len(self.time) - 1)
 
-    def followed_by(self, other: Stretch) -> Stretch:
+    def followed_by(self, other: RetimedTrajectory) -> RetimedTrajectory:
         """These points, then those of `other`, whose first is the last of these."""
         mine, others = ((one.time, one.speed, one.position, one.velocity, one.acceleration) for one in (self, other))
-        return Stretch(self.dt, *(np.concatenate((a, b[1:])) for a, b in zip(mine, others, strict=True)))
+        return RetimedTrajectory(self.dt, *(np.concatenate((a, b[1:])) for a, b in zip(mine, others, strict=True)))
 
     def at(self, index: float) -> tuple[float, float, Array]:
-        """Path time, path speed and position (J,) at a point, or between two; the nearest end beyond them."""
+        """TimedTrajectory time, path speed and position (J,) at a point, or between two; the nearest end beyond them."""
         index = min(max(index, 0.0), self.last)
         before = int(index)
         after, share = min(before + 1, len(self.time) - 1), index - before

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import zenoh
 
 from zarm_contract.access import reading
-from zarm_contract.publications import Observer, understood
+from zarm_runtime.publications import Observer, understood
 
 log = logging.getLogger(__name__)
 

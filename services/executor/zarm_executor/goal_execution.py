@@ -7,12 +7,12 @@ from collections import deque
 from zarm_contract.errors import ExecutionFailed, ExecutionRefused, Unavailable
 from zarm_contract.messages import GoalState, GoalStatus, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
-from zarm_executor.limits import Limits
-from zarm_executor.splice import spliced
 from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
+from zarm_trajectory.blending import blended
+from zarm_trajectory.limits import Limits
 
 
-class Motion:
+class GoalExecution:
     """`strategy` moves the robot along the goal's path; every state that the goal comes to is added to `changes`.
 
     One call at a time. Raises Unavailable for a stream under a strategy that cannot follow one.
@@ -68,12 +68,12 @@ class Motion:
     def steer(self, chunk: Chunk, limits: Limits) -> None:
         """Lead the robot over to this chunk; nothing where the goal is no stream, has its last one, or ends.
 
-        Raises what `spliced` raises.
+        Raises what `blended` raises.
         """
         goal = self.goal
         if goal.outcome is None and not goal.complete:
             strategy = self._steerable()
-            path = spliced(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
+            path = blended(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
             goal.steer(path, chunk)
             strategy.steer(path)
 

@@ -39,7 +39,7 @@ def quintics(begin: Array, end: Array, step: Array) -> Array:
     return coefficients
 
 
-class Path:
+class TimedTrajectory:
     """A motion of J joints sampled at N times.
 
     `time` (N,) in s, strictly increasing, from 0 except for a motion whose past was forgotten; `position`, `velocity`, `acceleration` (N, J) in rad, rad/s, rad/s^2.
@@ -58,7 +58,7 @@ class Path:
         self._knots: list[float] = time.tolist()
 
     @classmethod
-    def of(cls, trajectory: Trajectory, joints: tuple[str, ...]) -> Path:
+    def of(cls, trajectory: Trajectory, joints: tuple[str, ...]) -> TimedTrajectory:
         """The motion of `joints`, in this order, whatever the order in the trajectory.
 
         Raises InvalidRequest where the trajectory does not name exactly these joints, or has samples too close in time
@@ -84,7 +84,7 @@ class Path:
         )
 
     @classmethod
-    def standing(cls, position: Array) -> Path:
+    def standing(cls, position: Array) -> TimedTrajectory:
         """A second of rest at `position` (J,)."""
         still = np.zeros((2, len(position)))
         return cls(np.array([0.0, 1.0]), np.vstack((position, position)), still, still)
@@ -145,13 +145,13 @@ class Path:
         distance = np.abs(self.sample(times)[0] - position).max(axis=1)
         return float(times[distance.argmin()])
 
-    def shifted(self, offset: Array) -> Path:
+    def shifted(self, offset: Array) -> TimedTrajectory:
         """The same motion with `offset` (J,) rad added to every position."""
-        return Path(self.time, self.position + offset, self.velocity, self.acceleration)
+        return TimedTrajectory(self.time, self.position + offset, self.velocity, self.acceleration)
 
     def approached_from(
         self, position: Array, velocity_limit: Array, acceleration_limit: Array, jerk_limit: Array
-    ) -> Path:
+    ) -> TimedTrajectory:
         """This path with a motion from rest at `position` (J,) to its start before it, inside these limits (J,).
 
         The robot may stand a tolerance away from where the path starts; jumping there would break every limit. The
@@ -168,7 +168,7 @@ class Path:
             float(np.max(np.cbrt(60 * distance / jerk_limit))),
         )
         rest = np.zeros((1, len(position)))
-        return Path(
+        return TimedTrajectory(
             np.concatenate(([0.0], self.time + time)),
             np.vstack((position, self.position)),
             np.vstack((rest, self.velocity)),

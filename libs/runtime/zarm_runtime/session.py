@@ -15,11 +15,11 @@ import zenoh
 from zarm_contract.access import Role, access_control
 from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.realtime import PROCESS_PRIORITY, realtime_offspring
-from zarm_contract.security import client_role, security_on
+from zarm_runtime.realtime import PROCESS_PRIORITY, realtime_offspring
+from zarm_runtime.security import client_role, security_on
 
 if TYPE_CHECKING:
-    from zarm_contract.certificates import Certificates
+    from zarm_runtime.certificates import Certificates
 
 log = logging.getLogger(__name__)
 
@@ -186,14 +186,14 @@ def _address(endpoint: str) -> tuple[str, int]:
 
 
 def _certificates(role: Role) -> Certificates:
-    from zarm_contract.certificates import Certificates
+    from zarm_runtime.certificates import Certificates
 
     return Certificates(role)
 
 
 def _why_not(place: str) -> str:
     """Why there is no session with a router at this endpoint."""
-    from zarm_contract.probe import what_listens  # needed here alone
+    from zarm_runtime.probe import what_listens  # needed here alone
 
     listener = what_listens(*_address(place)) if place.startswith(("tcp/", "tls/")) else "nobody"
     if listener == "silent":

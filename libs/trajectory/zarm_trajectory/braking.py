@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_executor.path import Array, Path
-from zarm_executor.stretch import Stretch
+from zarm_trajectory.retimed import RetimedTrajectory
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 _FINENESS = 8
 """Samples of the path for each point at full path speed."""
@@ -23,7 +23,7 @@ _STANDING = 1e-9
 """Slope of a path, rad/s, below which a joint says nothing about the path speed."""
 
 
-def braking(path: Path, time: float, speed: float, limit: Array, dt: float) -> Stretch:
+def braking(path: TimedTrajectory, time: float, speed: float, limit: Array, dt: float) -> RetimedTrajectory:
     """Points every `dt` s from path time `time` (s) with path speed `speed` to rest, as hard as the limits (J,) rad/s^2 allow.
 
     The last point is at rest. A path that decelerates to its end at its limits is followed to its end.
@@ -48,7 +48,7 @@ def braking(path: Path, time: float, speed: float, limit: Array, dt: float) -> S
     rates.append(0.0)
     sigma, rate_column = np.array(speeds)[:, None], np.array(rates)[:, None]
     position, slope, bend = path.sample(np.array(times))
-    return Stretch(
+    return RetimedTrajectory(
         dt, np.array(times), np.array(speeds), position, slope * sigma, bend * sigma**2 + slope * rate_column
     )
 
@@ -56,7 +56,7 @@ def braking(path: Path, time: float, speed: float, limit: Array, dt: float) -> S
 class _Table:
     """The strongest braking on `_SPAN` s of a path from `begin` on, sampled every `step` s."""
 
-    def __init__(self, path: Path, begin: float, limit: Array, step: float) -> None:
+    def __init__(self, path: TimedTrajectory, begin: float, limit: Array, step: float) -> None:
         self._begin, self._step = begin, step
         grid = np.arange(begin, begin + _SPAN + step, step)
         _, slope, bend = path.sample(np.minimum(grid, path.duration))

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
-from zarm_executor.limits import Limits
-from zarm_executor.path import Array, Path, quintics
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import Array, TimedTrajectory, quintics
 
 BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
 """Blending times that are tried, s of the path."""
@@ -20,10 +20,10 @@ PAST = 2.0
 LONGEST_REST = 10.0
 """How long (s) a robot that is at the end of its path may wait there for the start of a chunk."""
 _APART = 1e-4
-"""Samples of a spliced path are at least this far apart, s."""
+"""Samples of a blended path are at least this far apart, s."""
 
 
-def spliced(path: Path, now: float, chunk: Path, start: float, limits: Limits) -> Path:
+def blended(path: TimedTrajectory, now: float, chunk: TimedTrajectory, start: float, limits: Limits) -> TimedTrajectory:
     """`path` until the path time `now` (s), or until `start` where that is later, then over to `chunk`.
 
     `chunk` has its own time 0 at the path time `start`; where `now` is later, what it holds before is passed over. Both
@@ -62,10 +62,10 @@ def spliced(path: Path, now: float, chunk: Path, start: float, limits: Limits) -
         states.append(_states(path, times[-1]))
     times += [np.array([begin, join]), chunk.time[new] + start]
     states += [before[:, :1], after[:, first : first + 1], chunk.states[:, new]]
-    return Path(np.concatenate(times), *np.concatenate(states, axis=1))
+    return TimedTrajectory(np.concatenate(times), *np.concatenate(states, axis=1))
 
 
-def _states(path: Path, times: Array) -> Array:
+def _states(path: TimedTrajectory, times: Array) -> Array:
     """Position, velocity and acceleration (3, N, J) at N times (N,); at and beyond its end a path is at rest."""
     states = path.sample(times.clip(path.time[0], path.duration))
     states[1:, times >= path.duration] = 0.0

@@ -14,8 +14,8 @@ import math
 import numpy as np
 
 from zarm_contract.errors import InternalError
-from zarm_executor.path import Array, Path
-from zarm_executor.stretch import Stretch
+from zarm_trajectory.retimed import RetimedTrajectory
+from zarm_trajectory.trajectory import Array, TimedTrajectory
 
 TICK = 0.01
 """Longest step, s, in which time passes for a follower: the longest period of the control loop (100 Hz)."""
@@ -36,7 +36,13 @@ class Follower:
     """
 
     def __init__(
-        self, path: Path, acceleration_limit: Array, *, time: float = 0.0, speed: float = 1.0, target: float = 1.0
+        self,
+        path: TimedTrajectory,
+        acceleration_limit: Array,
+        *,
+        time: float = 0.0,
+        speed: float = 1.0,
+        target: float = 1.0,
     ) -> None:
         self.path = path
         self.time = time
@@ -71,12 +77,12 @@ class Follower:
             self._step(step)
             dt -= step
 
-    def join(self, path: Path) -> None:
+    def join(self, path: TimedTrajectory) -> None:
         """Go on along `path`, which is at `time` where the present one is there."""
         self.path = path
         self._reach()
 
-    def ahead(self, dt: float, count: int | None = None) -> Stretch:
+    def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
         """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more.
 
         Raises InternalError where that is without end.
@@ -102,7 +108,9 @@ class Follower:
         position, slope, bend = states
         rate = np.append(np.diff(speed), 0.0)[:, None] / dt
         speed[time >= self.path.duration] = 0.0
-        return Stretch(dt, time, speed, position, slope * speed[:, None], bend * speed[:, None] ** 2 + slope * rate)
+        return RetimedTrajectory(
+            dt, time, speed, position, slope * speed[:, None], bend * speed[:, None] ** 2 + slope * rate
+        )
 
     def _reach(self) -> None:
         self._state = self.path.at(self.time)

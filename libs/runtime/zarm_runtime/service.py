@@ -14,19 +14,19 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from zarm_contract import signals
 from zarm_contract.access import SERVICE_ROLES, Role
-from zarm_contract.bus import Bus
 from zarm_contract.codec import CONTRACT as CONTRACT
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
-from zarm_contract.logs import name_robot, setup_logging
 from zarm_contract.messages import Health, Nothing
-from zarm_contract.metrics import Metrics, serve_metrics
 from zarm_contract.robot import Robot, load_robot
-from zarm_contract.security import RENEWAL_DAYS, security_on
-from zarm_contract.session import DEFAULT_ENDPOINT
-from zarm_contract.version import version as version
+from zarm_runtime import signals
+from zarm_runtime.bus import Bus
+from zarm_runtime.logs import name_robot, setup_logging
+from zarm_runtime.metrics import Metrics, serve_metrics
+from zarm_runtime.security import RENEWAL_DAYS, security_on
+from zarm_runtime.session import DEFAULT_ENDPOINT
+from zarm_runtime.version import version as version
 
 log = logging.getLogger(__name__)
 
@@ -235,7 +235,7 @@ def run_service(
 
 
 def _warn_of_end(role: Role) -> None:
-    from zarm_contract.certificates import Certificates
+    from zarm_runtime.certificates import Certificates
 
     certificates = Certificates(role)
     if certificates.days_left < RENEWAL_DAYS:

@@ -25,7 +25,7 @@ from zarm_contract._model import Message
 from zarm_contract.codec import CONTRACT, other_contract, schema
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
-from zarm_contract.recorded import Recorded
+from zarm_runtime.recorded import Recorded
 
 Entry = tuple[int, str, bytes]
 """When (ns since 1970), on which key, and the payload. A plain tuple: the garbage collector does not look into those."""
