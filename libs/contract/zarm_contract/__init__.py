@@ -1,1 +1,1 @@
-"""What crosses the wire between zarm's processes, and nothing else."""
+"""The wire: keys, messages, errors, codec, access, robot descriptors."""

@@ -1,4 +1,4 @@
-"""The base of everything on the wire; to others it is `zarm_contract.messages.Message`."""
+"""The base of everything on the wire, which others find as `zarm_contract.messages.Message`."""
 
 from __future__ import annotations
 

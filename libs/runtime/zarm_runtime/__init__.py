@@ -1,0 +1,1 @@
+"""What every process needs to live on the bus: sessions, queries and publications, the frame of a service, state, logs, records."""

@@ -14,12 +14,11 @@ from typing import Any, NoReturn, Self, TypeVar
 import zenoh
 from zenoh.handlers import FifoChannel
 
-from zarm_contract._model import Message
 from zarm_contract.access import Role, Verb, reading, require
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
-from zarm_contract.messages import Asker
+from zarm_contract.messages import Asker, Message
 from zarm_runtime.arrivals import Arrivals
 from zarm_runtime.asking import asked_by, asker_of
 from zarm_runtime.following import Following

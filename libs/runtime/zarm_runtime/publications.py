@@ -10,9 +10,9 @@ from typing import Generic, TypeVar
 
 import zenoh
 
-from zarm_contract._model import Message
 from zarm_contract.codec import CONTRACT, decode, encode, other_contract, schema
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Message
 
 log = logging.getLogger(__name__)
 

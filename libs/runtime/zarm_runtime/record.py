@@ -21,10 +21,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from zstandard import ZstdError
 
-from zarm_contract._model import Message
 from zarm_contract.codec import CONTRACT, other_contract, schema
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
+from zarm_contract.messages import Message
 from zarm_runtime.recorded import Recorded
 
 Entry = tuple[int, str, bytes]

@@ -18,9 +18,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from zarm_contract._model import Message
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import Message
 
 log = logging.getLogger(__name__)
 

@@ -1,0 +1,1 @@
+"""Timed trajectories of joints: quintic samples, limits, blending, retiming."""
