@@ -26,7 +26,8 @@ from zarm_leeloo_sim.player import CEILING, STEP, Player
 from zarm_runtime.expiry import Expiry
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
 TOLD = tuple(JOINTS[index] for index in (0, 1, 3, 4, 2, 5))
@@ -209,7 +210,7 @@ class DriverBench:
 
     def stream(self, seconds: float) -> float:
         """Stream a swinging target, a chunk every 0.05 s; returns the time of the stream."""
-        limits, start = Limits(self.robot), self.now
+        limits, start = Limits.of(self.robot), self.now
         for index in range(round(seconds / 0.05)):
             at = self.now - start
             piece = Chunk(index + 1, at, chunk(at), self.now, 0.1, False)

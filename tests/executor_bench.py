@@ -18,10 +18,11 @@ from zarm_executor.strategies.base import Measured, Progress, Steerable
 from zarm_trajectory.blending import blended
 from zarm_trajectory.follower import TICK, Follower
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
-LIMITS = Limits(ROBOT)
+LIMITS = Limits.of(ROBOT)
 EXECUTION = ROBOT.descriptor.execution
 
 Disturbance = Callable[[Measured], Measured | None]

@@ -9,7 +9,8 @@ from motions import HOME
 
 from zarm_contract.messages import Trajectory
 from zarm_contract.robot import Robot
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 AMPLITUDE, PERIOD = 0.3, 4.0
 STEP = 0.02

@@ -11,7 +11,7 @@ import pytest
 from zarm_contract.errors import Code
 from zarm_contract.keys import Keys
 
-README = Path(__file__).parents[2] / "services" / "contract" / "README.md"
+README = Path(__file__).parents[2] / "libs" / "contract" / "README.md"
 
 
 def first_column(heading: str) -> list[str]:
@@ -35,5 +35,5 @@ def test_every_problem_code_is_listed_once() -> None:
 
 @pytest.mark.parametrize("package", ["service.py", "logs.py"])
 def test_every_setting_that_is_read_is_listed(package: str) -> None:
-    source = (README.parent / "zarm_contract" / package).read_text()
+    source = (README.parents[1] / "runtime" / "zarm_runtime" / package).read_text()
     assert set(re.findall(r'"(ZARM_[A-Z]+)"', source)) <= set(first_column("Settings"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from motions import HOME, ROBOT, trapezoid
 
@@ -13,7 +13,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 DT = 0.02
-BEND = 1.02
+BEND = 1.005
 """A path at its limits may be above them by a hundredth, and bends within a point."""
 
 
@@ -23,6 +23,7 @@ def planned_path(seed: int) -> TimedTrajectory:
     return TimedTrajectory.of(trapezoid(goal), ROBOT.descriptor.joints)
 
 
+@example(seed=593, share=0.5, speed=0.8671875)  # the acceleration of the path jumps within a point
 @settings(max_examples=200)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.05, 0.999), speed=st.floats(0.01, 1.0))
 def test_from_anywhere_it_leads_along_the_path_to_rest_inside_the_limits_as_fast_as_braking_step_by_step(

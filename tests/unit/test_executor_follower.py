@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from motions import HOME, ROBOT, moved, rest_to_rest, trapezoid
 
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 ROUNDING = 1.005

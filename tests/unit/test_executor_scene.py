@@ -130,7 +130,7 @@ def test_a_stream_is_of_the_scene_in_which_its_newest_chunk_came() -> None:
     with pytest.raises(ExecutionRefused):
         bench.machine.resume(arrival(), NEXT)
     chunk = Chunk(2, 0.0, CHUNK, bench.now, 0.1, False)
-    bench.machine.steer("stream-1", replace(chunk, scene=NEXT), Limits(ROBOT))
+    bench.machine.steer("stream-1", replace(chunk, scene=NEXT), Limits.of(ROBOT))
     assert not bench.machine.state().scene_changed
     bench.machine.resume(arrival(), NEXT)
     bench.run(0.05)

@@ -15,10 +15,11 @@ from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_trajectory.blending import PAST, blended
 from zarm_trajectory.follower import TICK, Follower
 from zarm_trajectory.limits import LIMIT_TOLERANCE, Limits
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
-LIMITS = Limits(ROBOT)
+LIMITS = Limits.of(ROBOT)
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 
 
@@ -87,7 +88,7 @@ def test_a_chunk_beside_the_motion_is_reached_in_the_shortest_time_that_the_limi
 def test_a_chunk_beside_the_motion_is_reached_inside_the_jerk_limit(jerk: float) -> None:
     cspace = ROBOT.descriptor.cspace.model_copy(update={"jerk": (jerk,) * 6})
     descriptor = ROBOT.descriptor.model_copy(update={"cspace": cspace})
-    joined = blended(chunk(0.0), 0.1, chunk(0.1, off=0.001), 0.1, Limits(replace(ROBOT, descriptor=descriptor)))
+    joined = blended(chunk(0.0), 0.1, chunk(0.1, off=0.001), 0.1, Limits.of(replace(ROBOT, descriptor=descriptor)))
     times = np.linspace(0.0, 0.8, 8001)
     change = np.abs(np.diff(joined.sample(times)[2], axis=0)).max()
     assert change <= jerk * LIMIT_TOLERANCE * times[1] * 1.001

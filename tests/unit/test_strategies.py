@@ -12,8 +12,11 @@ from driver_bench import MOVING, Case, DriverBench, distance_from
 from motions import HOME, trapezoid
 from waves import target
 
-from zarm_contract.errors import Unavailable
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_executor import strategies
 from zarm_executor.machine import STALL_LIMIT
+from zarm_executor.strategies.joint_speed import JointSpeed
+from zarm_trajectory.trajectory import TimedTrajectory
 
 at_every_rate = pytest.mark.parametrize("rate", [100.0, 130.0, 250.0, 500.0])
 """Of the control loop, Hz; at 130 no period of chunks or of points is one of ticks."""
@@ -342,7 +345,7 @@ def test_a_stream_is_held_slowed_and_switched_away_from_like_any_goal(case: Case
 @pytest.mark.parametrize("case", MOVING[3:], ids=str)
 def test_a_strategy_that_hands_motions_over_as_a_whole_refuses_a_stream(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)
-    with pytest.raises(Unavailable, match="joint_speed or joint_pose"):
+    with pytest.raises(Unavailable, match="switch to another strategy"):
         bench.stream(0.05)
     assert bench.machine.state().mode == "idle"
 
@@ -355,3 +358,28 @@ def test_a_driver_that_cannot_play_a_strategy_rules_it_out_with_the_reason(tmp_p
     assert "strategy_params.strategies" in (infos["joint_pose"].reason or "")
     with pytest.raises(Unavailable, match="its driver cannot play it"):
         bench.repertoire.find("joint_pose")
+
+
+def test_a_strategy_that_there_is_not_is_refused_with_the_file_and_the_key(tmp_path: Folder) -> None:
+    with pytest.raises(InvalidRequest, match=r"doosan_m1013\.yaml: there is no strategy 'joint_sped'") as refusal:
+        DriverBench(Case("emulator", params=(("strategies", ("joint_sped",)),)), tmp_path)
+    assert refusal.value.problem.field == "strategy_params.strategies"
+
+
+class Slowly(JointSpeed):
+    """Moves at half the speed that was asked for."""
+
+    name = "slowly"
+
+    def start(self, path: TimedTrajectory, speed: float) -> None:
+        super().start(path, speed / 2)
+
+
+def test_a_new_strategy_is_a_class_in_the_list(tmp_path: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(strategies, "DRIVER_STRATEGIES", (*strategies.DRIVER_STRATEGIES, Slowly))
+    bench = DriverBench(Case("slowly", params=(("strategies", ("slowly",)),)), tmp_path)
+    assert [info.name for info in bench.repertoire.describe() if info.available] == ["emulator", "ghost", "slowly"]
+    path = bench.execute()
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert bench.last().elapsed > 1.9 * path.duration

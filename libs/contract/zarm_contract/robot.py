@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from zarm_contract._document import Document, KeyPath, read_document
 from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.messages import Joints, Name, NonNegative, Positive, Quaternion, SpeedScale, Vector3
 from zarm_contract.urdf import Urdf, load_urdf
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -111,7 +111,8 @@ def _is_multiple(span: float, step: float) -> bool:
 class StrategyParams(_Section):
     """How the robot's driver is spoken to. Times in s, angles in rad.
 
-    The topics are those of the ROS side; without `state_topic` the driver tells no progress. A command has one point
+    `strategies` are those of the executor that this driver can play, all of them where it is left out. The topics are those of
+    the ROS side; without `state_topic` the driver tells no progress. A command has one point
     every `point_dt`, its columns in `joint_order`; `joint_states_order` is that of joint states without names. The streaming strategies send one every `chunk_period`, which reaches
     `look_ahead` further than the next; the robot follows `delay` later. `velocity` and `acceleration` bound what is
     streamed. Defaults: `cspace` for the bounds and `joints` for the order; 0.02 and 0.08 from the Doosan bridge.
@@ -120,9 +121,7 @@ class StrategyParams(_Section):
     command_topic: str = Field(min_length=1)
     state_topic: Annotated[str, Field(min_length=1)] | None = None
     joint_states_topic: str = Field(min_length=1)
-    strategies: tuple[Literal["joint_speed", "joint_pose", "joint_trajectory"], ...] = Field(
-        default=("joint_speed", "joint_pose", "joint_trajectory"), min_length=1
-    )
+    strategies: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
     joint_order: tuple[str, ...] | None = None
     joint_states_order: tuple[str, ...] | None = None
     point_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
@@ -208,7 +207,7 @@ class RobotDescriptor(_Section):
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
-            if {"joint_speed", "joint_pose"} & set(self.strategy_params.strategies) and not _is_multiple(chunk, period):
+            if not _is_multiple(chunk, period):
                 faults.append(
                     f"strategy_params.chunk_period: {chunk:g} s is no whole number of periods of the control loop, so that "
                     f"chunks would not come evenly; use a multiple of {period:g} s, or change execution.control_rate"

@@ -11,7 +11,8 @@ import numpy as np
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.trajectory import Array, TimedTrajectory, quintics
+from zarm_trajectory.quintic import Array, coefficients
+from zarm_trajectory.trajectory import TimedTrajectory
 
 BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
 """Blending times that are tried, s of the path."""
@@ -43,7 +44,7 @@ def blended(path: TimedTrajectory, now: float, chunk: TimedTrajectory, start: fl
     before = _states(path, np.full_like(joins, begin))
     after = _states(chunk, joins - start)
     with np.errstate(all="ignore"):
-        first = limits.first_inside(quintics(before, after, BLENDS), BLENDS)
+        first = limits.first_inside(coefficients(before, after, BLENDS), BLENDS)
     if first is None:
         off = float(np.abs(_states(chunk, np.array([begin - start]))[0] - before[0, :1]).max())
         raise ExecutionRefused(

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from zarm_trajectory.quintic import Array
 from zarm_trajectory.retimed import RetimedTrajectory
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 _FINENESS = 8
 """Samples of the path for each point at full path speed."""
@@ -72,4 +73,5 @@ class _Table:
     def least(self, time: float, speed: float) -> float:
         """The least dsigma/dt, 1/s, at which no joint brakes harder than its limit; 0 where the path alone needs all of it."""
         row = int((time - self._begin) / self._step)
-        return min(float((self._flat[row] + self._curved[row] * speed**2).max()), 0.0)
+        cell = slice(row, row + 2)  # the path may bend otherwise between two samples of it
+        return min(float((self._flat[cell] + self._curved[cell] * speed**2).max()), 0.0)

@@ -14,8 +14,9 @@ import math
 import numpy as np
 
 from zarm_contract.errors import InternalError
+from zarm_trajectory.quintic import Array
 from zarm_trajectory.retimed import RetimedTrajectory
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 TICK = 0.01
 """Longest step, s, in which time passes for a follower: the longest period of the control loop (100 Hz)."""

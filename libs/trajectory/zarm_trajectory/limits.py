@@ -1,28 +1,27 @@
-"""What a robot's joints may do, held against the polynomials that a motion is made of, between its samples too."""
+"""What a robot's joints may do, held against a timed trajectory, between its samples too."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from math import comb
+from typing import Self
 
 import numpy as np
 
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.robot import Robot
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory import quintic
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT_TOLERANCE = 1.01
-"""Velocity and acceleration may be above their limits by this factor: what interpolation adds between samples."""
+"""Velocity and acceleration of a trajectory from outside may be above their limits by this factor: what interpolation adds between
+samples."""
 POSITION_TOLERANCE = 1e-4
 """Positions may be outside their limits by this much, rad: rounding, and interpolation between samples."""
-_HALVINGS = 16
-_BERNSTEIN = {
-    degree: np.array([[comb(i, k) / comb(degree, k) for k in range(degree + 1)] for i in range(degree + 1)])
-    for degree in (2, 3, 4, 5)
-}
-"""From powers to control points: b_i = sum over k <= i of (i over k) / (D over k) c_k (Farouki and Rajan 1987)."""
-
+_LOOKS = np.arange(8) / 8
+"""Where `load` looks at each segment."""
 
 _Values = Callable[[Array], Array]
 """Of polynomials (D+1, ...) on [0, 1], lowest power first, values between which all of each polynomial lies."""
@@ -44,113 +43,107 @@ class _Curve:
         return np.asarray(np.abs(self.values - self.offset) <= self.limit)
 
 
+@dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of position (rad), velocity (rad/s), acceleration (rad/s^2) and jerk (rad/s^3) of a robot's joints.
+    """The limits of `joints`, each (J,): positions from `lower` to `upper` (rad), `velocity` (rad/s), `acceleration` (rad/s^2) and
+    `jerk` (rad/s^3).
 
-    That of jerk is held by what the executor makes itself. Whoever sends a trajectory may change the acceleration at once.
+    That of jerk is held by what zarm makes itself. Whoever sends a trajectory may change the acceleration at once.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._joints = robot.descriptor.joints
-        self._lower, self._upper = np.array(robot.lower), np.array(robot.upper)
-        self._velocity = np.array(robot.descriptor.cspace.velocity)
-        self._acceleration = np.array(robot.descriptor.cspace.acceleration)
-        self._jerk = np.array(robot.descriptor.cspace.jerk)
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
 
-    def check(self, path: TimedTrajectory) -> None:
+    @classmethod
+    def of(cls, robot: Robot, velocity_scale: float = 1.0, acceleration_scale: float = 1.0) -> Self:
+        """Those of the descriptor, scaled."""
+        cspace = robot.descriptor.cspace
+        return cls(
+            robot.descriptor.joints,
+            np.array(robot.lower),
+            np.array(robot.upper),
+            np.array(cspace.velocity) * velocity_scale,
+            np.array(cspace.acceleration) * acceleration_scale,
+            np.array(cspace.jerk),
+        )
+
+    def load(self, trajectory: TimedTrajectory) -> float:
+        """How far the limits are used, 1 being fully: slower by this factor, the trajectory just keeps all of them.
+
+        Velocity and acceleration are taken also between samples, at eight moments each; jerk as the mean from sample to sample.
+        """
+        step = trajectory.steps[:, None]
+        slope = quintic.derivative(trajectory.coefficients)
+        velocity = _largest(slope) / step
+        acceleration = _largest(quintic.derivative(slope)) / step**2
+        jerk = np.abs(np.diff(trajectory.acceleration, axis=0)) / step
+        return float(
+            max(
+                np.max(velocity / self.velocity),
+                math.sqrt(np.max(acceleration / self.acceleration)),
+                math.cbrt(np.max(jerk / self.jerk)),
+            )
+        )
+
+    def check(self, trajectory: TimedTrajectory) -> None:
         """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not looked at."""
-        if _inside(self._curves(path.coefficients, path.steps, _hull)).all():
+        coefficients, steps = trajectory.coefficients, trajectory.steps
+        if _inside(self._curves(coefficients, steps, quintic.control_points)).all():
             return
-        for curve in self._curves(path.coefficients, path.steps, _extremes):
+        for curve in self._curves(coefficients, steps, quintic.extremes):
             if curve.inside.all():
                 continue
             excess = np.nan_to_num(np.abs(curve.values - curve.offset) / curve.limit, nan=np.inf)
             point, segment, joint = np.unravel_index(int(excess.argmax()), excess.shape)
             name, limit = curve.name, f"{curve.limit[joint] / LIMIT_TOLERANCE:g}"
-            bounds = f"{self._lower[joint]:g} to {self._upper[joint]:g}" if name == "position" else limit
+            bounds = f"{self.lower[joint]:g} to {self.upper[joint]:g}" if name == "position" else limit
             raise ExecutionRefused(
-                f"the {name} of {self._joints[joint]} reaches {curve.values[point, segment, joint]:.4g} {curve.unit} near "
-                f"{path.time[segment]:.2f} s, outside its limit {bounds}; plan again with the limits of this robot",
+                f"the {name} of {self.joints[joint]} reaches {curve.values[point, segment, joint]:.4g} {curve.unit} near "
+                f"{trajectory.time[segment]:.2f} s, outside its limit {bounds}; plan again with the limits of this robot",
                 code="limit_violated",
-                joint=self._joints[joint],
+                joint=self.joints[joint],
                 field=f"trajectory.{name}",
             )
 
     def first_inside(self, coefficients: Array, steps: Array) -> int | None:
-        """The first of these segments, coefficients (N, 6, J) over the times (N,) s, that is inside every limit, if any."""
+        """The first of these segments, coefficients (6, N, J) over the times (N,) s, that is inside every limit, if any."""
         # With a tenth of the work many are seen to be inside for certain, but not all that are.
-        certain = np.flatnonzero(_inside(self._all_curves(coefficients, steps, _hull)))
+        certain = np.flatnonzero(_inside(self._all_curves(coefficients, steps, quintic.control_points)))
         before = int(certain[0]) if certain.size else len(steps)
         if before == 0:
             return 0
-        inside = np.flatnonzero(_inside(self._all_curves(coefficients[:before], steps[:before], _extremes)))
+        inside = np.flatnonzero(_inside(self._all_curves(coefficients[:, :before], steps[:before], quintic.extremes)))
         return int(inside[0]) if inside.size else before if certain.size else None
 
     def _all_curves(self, coefficients: Array, steps: Array, values: _Values) -> Iterator[_Curve]:
         yield from self._curves(coefficients, steps, values)
-        jerk = np.moveaxis(coefficients, 1, 0)  # (6, segments, J)
+        jerk = coefficients
         for _ in range(3):
-            jerk = _derivative(jerk) / steps[:, None]
-        limit = self._jerk * LIMIT_TOLERANCE
+            jerk = quintic.derivative(jerk) / steps[:, None]
+        limit = self.jerk * LIMIT_TOLERANCE
         yield _Curve("jerk", "rad/s^3", values(jerk), np.zeros_like(limit), limit)
 
-    def _curves(self, coefficients: Array, steps: Array, values: _Values) -> Iterator[_Curve]:
-        position = np.moveaxis(coefficients, 1, 0)  # (6, segments, J)
-        velocity = _derivative(position) / steps[:, None]
-        acceleration = _derivative(velocity) / steps[:, None]
-        middle, reach = (self._lower + self._upper) / 2, (self._upper - self._lower) / 2 + POSITION_TOLERANCE
+    def _curves(self, position: Array, steps: Array, values: _Values) -> Iterator[_Curve]:
+        velocity = quintic.derivative(position) / steps[:, None]
+        acceleration = quintic.derivative(velocity) / steps[:, None]
+        middle, reach = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2 + POSITION_TOLERANCE
         none = np.zeros_like(middle)
         yield _Curve("position", "rad", values(position), middle, reach)
-        yield _Curve("velocity", "rad/s", values(velocity), none, self._velocity * LIMIT_TOLERANCE)
-        yield _Curve("acceleration", "rad/s^2", values(acceleration), none, self._acceleration * LIMIT_TOLERANCE)
+        yield _Curve("velocity", "rad/s", values(velocity), none, self.velocity * LIMIT_TOLERANCE)
+        yield _Curve("acceleration", "rad/s^2", values(acceleration), none, self.acceleration * LIMIT_TOLERANCE)
+
+
+def _largest(polynomials: Array) -> Array:
+    """The largest absolute values (N, J) of polynomials (D+1, N, J) at `_LOOKS`."""
+    powers = np.vander(_LOOKS, len(polynomials), increasing=True)
+    found: Array = np.abs(powers @ polynomials.reshape(len(polynomials), -1)).max(axis=0)
+    return found.reshape(polynomials.shape[1:])
 
 
 def _inside(curves: Iterable[_Curve]) -> Array:
     """Which (N,) segments are inside."""
     return np.asarray(np.logical_and.reduce([curve.inside.all(axis=(0, 2)) for curve in curves]))
-
-
-def _derivative(polynomials: Array) -> Array:
-    """Coefficients (D, ...), lowest power first, of the derivatives of polynomials (D+1, ...)."""
-    powers = np.arange(1, len(polynomials)).reshape(-1, *(1,) * (polynomials.ndim - 1))
-    slope: Array = polynomials[1:] * powers
-    return slope
-
-
-def _value(polynomials: Array, u: Array) -> Array:
-    result: Array = np.zeros_like(u) + polynomials[-1]
-    for coefficient in polynomials[-2::-1]:
-        result = result * u + coefficient
-    return result
-
-
-def _hull(polynomials: Array) -> Array:
-    """Control points (D+1, ...) of polynomials (D+1, ...): a Bezier curve lies in the hull of its control points."""
-    degree = len(polynomials) - 1
-    points: Array = np.einsum("ik,k...->i...", _BERNSTEIN[degree], polynomials)
-    return points
-
-
-def _extremes(polynomials: Array) -> Array:
-    """Values (D+1, ...) of polynomials (D+1, ...) on [0, 1], their least and greatest among them."""
-    return _value(polynomials, _ends_and_turns(polynomials))
-
-
-def _ends_and_turns(polynomials: Array) -> Array:
-    """Points (D+1, ...) in [0, 1], in order: both ends, and each at which a polynomial of degree D turns.
-
-    Between two points at which its slope turns the slope is monotone, so bisection finds the one zero it may have there.
-    Where it has none the bisection ends at a border of the interval, which does no harm.
-    """
-    ends = np.zeros_like(polynomials[:1]), np.ones_like(polynomials[:1])
-    if len(polynomials) == 2:
-        return np.concatenate(ends)
-    slope = _derivative(polynomials)
-    knots = _ends_and_turns(slope)
-    low, high = knots[:-1], knots[1:]
-    sign = np.sign(_value(slope, low))
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        before = np.sign(_value(slope, middle)) == sign
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    return np.concatenate((ends[0], low, ends[1]))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zarm_trajectory.trajectory import Array
+from zarm_trajectory.quintic import Array
 
 
 @dataclass(frozen=True)

@@ -1,68 +1,41 @@
-"""A timed motion as a function of time: quintic polynomials through the samples of a trajectory."""
+"""The timed trajectory: joint positions, velocities and accelerations as a function of time."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Trajectory
-
-Array = npt.NDArray[np.float64]
-
-_QUINTIC = np.array(
-    # p0    v0    a0    p1    v1    a1
-    [
-        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.5, 0.0, 0.0, 0.0],
-        [-10.0, -6.0, -1.5, 10.0, -4.0, 0.5],
-        [15.0, 8.0, 1.5, -15.0, 7.0, -1.0],
-        [-6.0, -3.0, -0.5, 6.0, -3.0, 0.5],
-    ]
-)
-"""Coefficients, lowest power first, of the quintic on [0, 1] that meets position, velocity and acceleration at both
-ends (Hermite interpolation: six conditions, six coefficients)."""
+from zarm_trajectory import quintic
+from zarm_trajectory.quintic import Array
 
 
-def quintics(begin: Array, end: Array, step: Array) -> Array:
-    """Coefficients (N, 6, J), lowest power first, of the quintics over times of length `step` (N,) s scaled to [0, 1].
-
-    `begin` and `end` (3, N, J) are their positions, velocities and accelerations at both ends.
-    """
-    step = step[:, None]
-    conditions = [part for state in (begin, end) for part in (state[0], state[1] * step, state[2] * step**2)]
-    coefficients: Array = np.einsum("ij,jnk->nik", _QUINTIC, np.stack(conditions))
-    return coefficients
-
-
+@dataclass(frozen=True, eq=False)
 class TimedTrajectory:
     """A motion of J joints sampled at N times.
 
-    `time` (N,) in s, strictly increasing, from 0 except for a motion whose past was forgotten; `position`, `velocity`, `acceleration` (N, J) in rad, rad/s, rad/s^2.
-    Between samples it is the quintic that meets all three at both ends, as `Trajectory` defines it. `start` and `end` are
-    the joint positions (J,) at the two ends.
+    `time` (N,) in s, strictly increasing, from 0 except where the past of a motion was forgotten; `position`, `velocity`,
+    `acceleration` (N, J) in rad, rad/s, rad/s^2. Between samples it is the quintic that meets all three at both ends, as
+    `zarm_contract.messages.Trajectory` defines it.
     """
 
-    def __init__(self, time: Array, position: Array, velocity: Array, acceleration: Array) -> None:
-        self.time = time
-        self.position = position
-        self.velocity = velocity
-        self.acceleration = acceleration
-        self.start: Array = position[0]
-        self.end: Array = position[-1]
-        self.duration = float(time[-1])
-        self._knots: list[float] = time.tolist()
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
 
     @classmethod
-    def of(cls, trajectory: Trajectory, joints: tuple[str, ...]) -> TimedTrajectory:
-        """The motion of `joints`, in this order, whatever the order in the trajectory.
+    def of(cls, trajectory: Trajectory, joints: tuple[str, ...]) -> Self:
+        """The motion of `joints`, in this order, whatever the order in the message.
 
-        Raises InvalidRequest where the trajectory does not name exactly these joints, or has samples too close in time
-        to divide by.
+        Raises InvalidRequest where the message does not name exactly these joints, or has samples too close in time to divide
+        by.
         """
         named = trajectory.joint_names
         if sorted(named) != sorted(joints):
@@ -76,18 +49,46 @@ class TimedTrajectory:
             raise InvalidRequest(
                 f"the samples are less than {SHORTEST:g} s apart; leave some out", field="trajectory.time"
             )
-        return cls(
-            time,
-            np.array(trajectory.position)[:, order],
-            np.array(trajectory.velocity)[:, order],
-            np.array(trajectory.acceleration)[:, order],
-        )
+        rows = (trajectory.position, trajectory.velocity, trajectory.acceleration)
+        return cls(time, *(np.array(each)[:, order] for each in rows))
 
     @classmethod
-    def standing(cls, position: Array) -> TimedTrajectory:
-        """A second of rest at `position` (J,)."""
-        still = np.zeros((2, len(position)))
-        return cls(np.array([0.0, 1.0]), np.vstack((position, position)), still, still)
+    def standing(cls, position: Array, duration: float = 1.0) -> Self:
+        """Rest at `position` (J,) for `duration` s."""
+        return cls(np.array([0.0, duration]), np.stack((position, position)), *np.zeros((2, 2, len(position))))
+
+    def message(self, joints: tuple[str, ...]) -> Trajectory:
+        """The motion as a message; `joints` names the columns."""
+        position, velocity, acceleration = (
+            tuple(map(tuple, rows.tolist())) for rows in (self.position, self.velocity, self.acceleration)
+        )
+        return Trajectory(
+            joint_names=joints,
+            time=tuple(self.time.tolist()),
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+        )
+
+    @cached_property
+    def duration(self) -> float:
+        """The time of the last sample, s."""
+        return float(self.time[-1])
+
+    @property
+    def start(self) -> Array:
+        """Where it begins, (J,) rad."""
+        return np.asarray(self.position[0])
+
+    @property
+    def end(self) -> Array:
+        """Where it ends, (J,) rad."""
+        return np.asarray(self.position[-1])
+
+    @property
+    def length(self) -> float:
+        """Length of the path in joint space (rad, Euclidean), sample by sample."""
+        return float(np.linalg.norm(np.diff(self.position, axis=0), axis=1).sum())
 
     @cached_property
     def steps(self) -> Array:
@@ -96,9 +97,9 @@ class TimedTrajectory:
 
     @cached_property
     def coefficients(self) -> Array:
-        """Coefficients (N-1, 6, J), lowest power first, of each segment's position over its own time scaled to [0, 1]."""
+        """Coefficients (6, N-1, J) of each segment's position, as in `quintic`."""
         states = self.states
-        return quintics(states[:, :-1], states[:, 1:], self.steps)
+        return quintic.coefficients(states[:, :-1], states[:, 1:], self.steps)
 
     @property
     def states(self) -> Array:
@@ -106,10 +107,11 @@ class TimedTrajectory:
         return np.stack((self.position, self.velocity, self.acceleration))
 
     def at(self, time: float) -> Array:
-        """Position, velocity and acceleration as rows of a (3, J) array; `time` (s) outside the path is its nearest end."""
-        time = min(max(time, self._knots[0]), self.duration)
-        index = min(bisect_right(self._knots, time), len(self._knots) - 1) - 1
-        begin, end = self._knots[index], self._knots[index + 1]
+        """Position, velocity and acceleration as rows of a (3, J) array; `time` (s) outside the trajectory is its nearest end."""
+        knots = self._knots
+        time = min(max(time, knots[0]), knots[-1])
+        index = min(bisect_right(knots, time), len(knots) - 1) - 1
+        begin, end = knots[index], knots[index + 1]
         step = end - begin
         u = (time - begin) / step
         u2, u3, u4 = u * u, u**3, u**4
@@ -120,43 +122,52 @@ class TimedTrajectory:
                 (0.0, 0.0, 2 / step**2, 6 * u / step**2, 12 * u2 / step**2, 20 * u3 / step**2),
             )
         )
-        rows: Array = powers @ self.coefficients[index]
+        rows: Array = powers @ self.coefficients[:, index]
         return rows
 
     def sample(self, times: Array) -> Array:
-        """Position, velocity and acceleration (3, N, J) at N path times (N,) inside the path, as `at` gives them."""
-        index = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
-        step = self.steps[index]
-        u = (times - self.time[index]) / step
-        one, none = np.ones_like(u), np.zeros_like(u)
-        powers = np.array(
-            (
-                (one, u, u**2, u**3, u**4, u**5),
-                (none, one, 2 * u, 3 * u**2, 4 * u**3, 5 * u**4) / step,
-                (none, none, 2 * one, 6 * u, 12 * u**2, 20 * u**3) / step**2,
-            )
-        )
-        rows: Array = np.einsum("dkn,nkj->dnj", powers, self.coefficients[index])
-        return rows
+        """Position, velocity and acceleration (3, K, J) at `times` (K,) within the trajectory, as `at` gives them."""
+        index, u, step = self._places(times)
+        position, velocity, acceleration = quintic.states(self.coefficients[:, index], u)
+        return np.stack((position, velocity / step, acceleration / step**2))
+
+    def positions(self, times: Array) -> Array:
+        """Positions (K, J) at `times` (K,) within the trajectory."""
+        index, u, _ = self._places(times)
+        return quintic.values(self.coefficients[:, index], u)
+
+    def travel(self, reach: Array) -> Array:
+        """How far (N-1,) in m a point moves at most from sample to sample that moves by at most `reach` (J,) m per rad of each joint.
+
+        In a part of the time between two samples it is no more than that part of it: a polynomial lies within its Bernstein
+        coefficients, here those of the velocity.
+        """
+        velocity = quintic.derivative(self.coefficients)
+        found: Array = np.abs(quintic.control_points(velocity)).max(axis=0) @ reach
+        return found
 
     def nearest(self, position: Array, first: float, last: float) -> float:
-        """The path time from `first` to `last` s at which the path is nearest to `position` (J,), to 1 ms."""
-        times = np.append(np.arange(first, last, 0.001), last).clip(self._knots[0], self.duration)
-        distance = np.abs(self.sample(times)[0] - position).max(axis=1)
+        """The time from `first` to `last` s at which the trajectory is nearest to `position` (J,), to 1 ms."""
+        times = np.append(np.arange(first, last, 0.001), last).clip(self.time[0], self.duration)
+        distance = np.abs(self.positions(times) - position).max(axis=1)
         return float(times[distance.argmin()])
 
-    def shifted(self, offset: Array) -> TimedTrajectory:
+    def shifted(self, offset: Array) -> Self:
         """The same motion with `offset` (J,) rad added to every position."""
-        return TimedTrajectory(self.time, self.position + offset, self.velocity, self.acceleration)
+        return type(self)(self.time, self.position + offset, self.velocity, self.acceleration)
+
+    def slower(self, factor: float) -> Self:
+        """The same motion, taking `factor` times as long."""
+        return type(self)(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)
 
     def approached_from(
         self, position: Array, velocity_limit: Array, acceleration_limit: Array, jerk_limit: Array
-    ) -> TimedTrajectory:
-        """This path with a motion from rest at `position` (J,) to its start before it, inside these limits (J,).
+    ) -> Self:
+        """This trajectory with a motion from rest at `position` (J,) to its start before it, inside these limits (J,).
 
-        The robot may stand a tolerance away from where the path starts; jumping there would break every limit. The
+        The robot may stand a tolerance away from where the trajectory starts; jumping there would break every limit. The
         quintic from rest to rest over the distance d in time T peaks at 15/8 d/T, 10/sqrt(3) d/T^2 and 60 d/T^3. Where the
-        path starts with an acceleration, reaching that adds to the second by `_SWING` of it.
+        trajectory starts with an acceleration, reaching that adds to the second by `_SWING` of it.
         """
         distance = np.abs(self.start - position)
         if distance.max() <= NEGLIGIBLE:
@@ -168,12 +179,22 @@ class TimedTrajectory:
             float(np.max(np.cbrt(60 * distance / jerk_limit))),
         )
         rest = np.zeros((1, len(position)))
-        return TimedTrajectory(
+        return type(self)(
             np.concatenate(([0.0], self.time + time)),
             np.vstack((position, self.position)),
             np.vstack((rest, self.velocity)),
             np.vstack((rest, self.acceleration)),
         )
+
+    @cached_property
+    def _knots(self) -> list[float]:
+        return list(self.time.tolist())
+
+    def _places(self, times: Array) -> tuple[npt.NDArray[np.intp], Array, Array]:
+        """The segment (K,) that each time is in, the part (K, 1) of it that has passed, and its length (K, 1) in s."""
+        index = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
+        step = self.steps[index]
+        return index, ((times - self.time[index]) / step)[:, None], step[:, None]
 
 
 _SWING = 0.375

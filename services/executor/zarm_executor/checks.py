@@ -9,7 +9,8 @@ from zarm_contract.messages import Trajectory
 from zarm_contract.robot import Execution, Robot
 from zarm_executor.strategies.base import Measured
 from zarm_trajectory.limits import POSITION_TOLERANCE, Limits
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 REST_VELOCITY = 1e-3
 """A motion that starts and ends slower than this (rad/s) starts and ends at rest."""
@@ -24,7 +25,7 @@ def executable(trajectory: Trajectory, robot: Robot) -> TimedTrajectory:
     path = TimedTrajectory.of(trajectory, robot.descriptor.joints)
     with np.errstate(all="ignore"):  # absurd numbers overflow to inf and NaN, which no comparison below lets pass
         _rest(path, robot.descriptor.joints, (0, -1))
-        Limits(robot).check(path)
+        Limits.of(robot).check(path)
     return path
 
 
@@ -36,7 +37,7 @@ def continuation(trajectory: Trajectory, robot: Robot, turns: Array) -> TimedTra
     path = TimedTrajectory.of(trajectory, robot.descriptor.joints).shifted(turns)
     with np.errstate(all="ignore"):
         _rest(path, robot.descriptor.joints, (-1,))
-        Limits(robot).check(path)
+        Limits.of(robot).check(path)
     return path
 
 

@@ -80,8 +80,8 @@ class GoalExecution:
     def _steerable(self) -> Steerable:
         if not isinstance(self._strategy, Steerable):
             raise Unavailable(
-                f"under {self._strategy.name} a motion is handed over as a whole and cannot be streamed; switch to emulator, "
-                "joint_speed or joint_pose first (executor/strategy)"
+                f"under {self._strategy.name} a motion is handed over as a whole and cannot be streamed; switch to another "
+                "strategy first (executor/strategy)"
             )
         return self._strategy
 

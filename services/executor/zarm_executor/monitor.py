@@ -8,7 +8,8 @@ from zarm_contract.errors import ExecutionFailed
 from zarm_contract.robot import RobotDescriptor
 from zarm_executor.strategies.base import Measured, Progress
 from zarm_trajectory.follower import CATCH_UP
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 SLOWEST_PACE = 0.05
 """A driver may be slower than it was told, as a UR is whose speed slider is down, as far as the slowest speed scale."""

@@ -19,7 +19,8 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.reporter import Reporter
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +33,7 @@ class Streams:
 
     def __init__(self, robot: Robot, machine: Machine, reporter: Reporter, admission: Admission) -> None:
         self._robot = robot
-        self._limits = Limits(robot)
+        self._limits = Limits.of(robot)
         self._machine = machine
         self._reporter = reporter
         self._admission = admission

@@ -71,7 +71,6 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
         "robot_type",
         robot_type(engine, descriptor.strategy),
         "What moves once set_robot_strategy (std_srvs/srv/Trigger) is called.",
-        choices=("ghost", "emulator", descriptor.name, "joint_speed", "joint_pose"),
     )
     yield _Declared("preempt", False, "Whether a goal takes the place of one that runs; else it is rejected.")
     yield _Declared(

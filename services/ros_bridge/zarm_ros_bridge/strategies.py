@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from std_srvs.srv import Trigger
 
 from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
-from zarm_contract.errors import InvalidRequest, ZarmError
+from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.messages import Strategies, StrategyRequest
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.engine import Engine
@@ -40,6 +40,7 @@ class StrategyServices:
         self._ended = False
         self._follower = threading.Thread(target=self._follow, name="strategy parameters")
         parameters.on_change("control_strategy", self._switch, self._changed.set)
+        parameters.on_change("robot_type", self._check_type)
         ros.serve(SetRobotStrategy, "~/set_robot_strategy", with_message(self._set))
         ros.serve(Trigger, "~/get_robot_strategy", with_message(self._get))
         ros.serve(GetRobotStrategies, "~/get_robot_strategies", self._list)
@@ -123,6 +124,15 @@ class StrategyServices:
             if self._active != active:
                 self._active = active
                 self._parameters.set("robot_type", self._type(active))
+
+    def _check_type(self, chosen: str) -> None:
+        """Raises InvalidRequest for a robot_type that stands for no strategy of the executor; where that is away, applying it does."""
+        try:
+            known = [self._type(one.name) for one in self._engine.strategies().strategies]
+        except Unavailable:
+            return
+        if chosen not in known:
+            raise InvalidRequest(f"robot_type cannot be {chosen!r} for this robot; choose one of {', '.join(known)}")
 
     def _type(self, strategy: str) -> str:
         return robot_type(self._engine, strategy)

@@ -6,7 +6,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 
 @dataclass(frozen=True, slots=True)

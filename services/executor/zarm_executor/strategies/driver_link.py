@@ -13,8 +13,8 @@ from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import RobotDescriptor, StrategyParams
 from zarm_executor.strategies.base import Measured
 from zarm_runtime.bus import Bus
+from zarm_trajectory.quintic import Array
 from zarm_trajectory.retimed import RetimedTrajectory
-from zarm_trajectory.trajectory import Array
 
 log = logging.getLogger(__name__)
 

@@ -14,7 +14,8 @@ from zarm_executor.loop import Loop
 from zarm_executor.strategies.base import Measured, Progress, Steerable
 from zarm_runtime.state_file import StateFile
 from zarm_trajectory.follower import Follower
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 

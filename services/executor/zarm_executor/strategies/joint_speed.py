@@ -11,8 +11,9 @@ import numpy as np
 
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.streaming import Streaming
+from zarm_trajectory.quintic import Array
 from zarm_trajectory.retimed import RetimedTrajectory
-from zarm_trajectory.trajectory import Array, TimedTrajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 ARRIVED = 0.002
 """At the end of a path the robot is led on until every joint is this close to it, rad; the promise is 0.005."""

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from zarm_trajectory.follower import Follower
-from zarm_trajectory.trajectory import Array
+from zarm_trajectory.quintic import Array
 
 
 @dataclass(frozen=True, slots=True)

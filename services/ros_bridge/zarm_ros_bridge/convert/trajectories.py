@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 from sensor_msgs.msg import JointState as RosJointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from zarm_contract.messages import DriverCommand, Trajectory
 from zarm_ros_bridge.convert.times import ros_duration
-from zarm_ros_bridge.sampling import sampled
+from zarm_trajectory.trajectory import TimedTrajectory
 
 
 def ros_joint_trajectory(motion: DriverCommand | Trajectory) -> JointTrajectory:
@@ -32,9 +35,11 @@ def ros_joint_states(trajectory: Trajectory, dt: float) -> list[RosJointState]:
     """
     common = RosJointState(name=list(trajectory.joint_names))
     fields = [(slot, getattr(common, slot)) for slot in RosJointState.__slots__]
-    positions, velocities = sampled(trajectory, dt)
+    motion = TimedTrajectory.of(trajectory, trajectory.joint_names)
+    count = math.ceil(motion.duration / dt - 1e-9) + 1
+    positions, velocities, _ = motion.sample(np.minimum(np.arange(count) * dt, motion.duration)).tolist()
     messages = []
-    for position, velocity in zip(positions.tolist(), velocities.tolist(), strict=True):
+    for position, velocity in zip(positions, velocities, strict=True):
         message = RosJointState.__new__(RosJointState)
         for slot, value in fields:
             setattr(message, slot, value)

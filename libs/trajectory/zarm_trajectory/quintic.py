@@ -1,0 +1,104 @@
+"""Quintic polynomials: what a timed trajectory is between two of its samples.
+
+Coefficients are arrays (6, N, J), lowest power first, of N segments of J joints, each over its own time scaled to [0, 1].
+"""
+
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_HERMITE = np.array(
+    # way    v0    a0    v1    a1
+    [
+        [10.0, -6.0, -1.5, -4.0, 0.5],
+        [-15.0, 8.0, 1.5, 7.0, -1.0],
+        [6.0, -3.0, -0.5, -3.0, 0.5],
+    ]
+)
+"""The three highest coefficients of the quintic on [0, 1] that covers a way, from velocity and acceleration at its start to those at
+its end (Hermite interpolation: six conditions, six coefficients)."""
+
+
+def coefficients(begin: Array, end: Array, step: Array) -> Array:
+    """Coefficients (6, N, J) of the quintics over times of length `step` (N,) s.
+
+    `begin` and `end` (3, N, J) are their positions, velocities and accelerations at both ends.
+    """
+    h = step[:, None]
+    v0, a0, v1, a1 = begin[1] * h, begin[2] * h**2, end[1] * h, end[2] * h**2
+    conditions = np.stack((end[0] - begin[0], v0, a0, v1, a1))
+    highest = (_HERMITE @ conditions.reshape(5, -1)).reshape(3, *v0.shape)
+    return np.concatenate((np.stack((begin[0], v0, a0 / 2)), highest))
+
+
+def derivative(polynomials: Array) -> Array:
+    """Coefficients (D, ...), lowest power first, of the derivatives of polynomials (D+1, ...)."""
+    powers = np.arange(1.0, len(polynomials)).reshape(-1, *(1,) * (polynomials.ndim - 1))
+    slope: Array = polynomials[1:] * powers
+    return slope
+
+
+def values(polynomials: Array, u: Array) -> Array:
+    """Values of polynomials (D+1, ...) at `u` (...) in [0, 1], by Horner's rule."""
+    result: Array = np.zeros_like(u) + polynomials[-1]
+    for coefficient in polynomials[-2::-1]:
+        result *= u
+        result += coefficient
+    return result
+
+
+def states(polynomials: Array, u: Array) -> tuple[Array, Array, Array]:
+    """Values, slopes and second derivatives of polynomials (D+1, ...) at `u` in [0, 1], by Horner's rule."""
+    value = np.zeros(polynomials.shape[1:]) + polynomials[-1]
+    slope, bend = np.zeros_like(value), np.zeros_like(value)
+    for coefficient in polynomials[-2::-1]:
+        bend = bend * u + slope
+        slope = slope * u + value
+        value = value * u + coefficient
+    return value, slope, 2 * bend
+
+
+def control_points(polynomials: Array) -> Array:
+    """Control points (D+1, ...) of polynomials (D+1, ...), D from 2 to 5: a Bezier curve lies in the hull of its control points."""
+    found: Array = (_BERNSTEIN[len(polynomials) - 1] @ polynomials.reshape(len(polynomials), -1)).reshape(
+        polynomials.shape
+    )
+    return found
+
+
+def extremes(polynomials: Array) -> Array:
+    """Values (D+1, ...) of polynomials (D+1, ...) on [0, 1], their least and greatest among them."""
+    return values(polynomials, _ends_and_turns(polynomials))
+
+
+def _ends_and_turns(polynomials: Array) -> Array:
+    """Points (D+1, ...) in [0, 1], in order: both ends, and each at which a polynomial of degree D turns.
+
+    Between two points at which its slope turns the slope is monotone, so bisection finds the one zero it may have there.
+    Where it has none the bisection ends at a border of the interval, which does no harm.
+    """
+    ends = np.zeros_like(polynomials[:1]), np.ones_like(polynomials[:1])
+    if len(polynomials) == 2:
+        return np.concatenate(ends)
+    slope = derivative(polynomials)
+    knots = _ends_and_turns(slope)
+    low, high = knots[:-1], knots[1:]
+    sign = np.sign(values(slope, low))
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        before = np.sign(values(slope, middle)) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return np.concatenate((ends[0], low, ends[1]))
+
+
+_HALVINGS = 16
+_BERNSTEIN = {
+    degree: np.array([[comb(i, k) / comb(degree, k) for k in range(degree + 1)] for i in range(degree + 1)])
+    for degree in (2, 3, 4, 5)
+}
+"""From powers to control points: b_i = sum over k <= i of (i over k) / (D over k) c_k (Farouki and Rajan 1987)."""
