@@ -6,12 +6,13 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
-from executor_client import Client
-from harness import ServiceProcess, router
 from hypothesis import settings
-from motions import KEYS
-from workers import ByTime, give_way
 
+from support.executor.client import Client
+from support.harness import ServiceProcess, router
+from support.pendulum import write_pendulum
+from support.trajectories import KEYS
+from support.workers import ByTime, give_way
 from zarm_runtime.bus import Bus
 
 settings.register_profile("untimed", deadline=None)  # nothing timed is asserted: machines differ
@@ -70,3 +71,9 @@ def executor(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[ServiceProcess
 def client(executor: ServiceProcess, bus: Bus) -> Client:
     """A client of that executor."""
     return Client(bus)
+
+
+@pytest.fixture
+def pendulum(tmp_path: Path) -> Path:
+    """The descriptor of the smallest robot there is, to be used as it is or broken."""
+    return write_pendulum(tmp_path)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from launched import zarm
+
+from support.command_line import zarm
 
 
 @pytest.fixture(scope="session")

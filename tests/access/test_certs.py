@@ -8,10 +8,10 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from harness import free_endpoint
-from issued import issue
-from launched import the_one_line, zarm
 
+from support.certificates import issue
+from support.command_line import the_one_line, zarm
+from support.harness import free_endpoint
 from zarm_cli.authority import hosts_of, load_certificate, today
 from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest

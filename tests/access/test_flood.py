@@ -9,18 +9,19 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, eventually, free_endpoint
-from launched import Router, environment, zarm
-from two_hosts import PORT, Host, obstacle
-from wire import wire
 
+from support.command_line import Router, environment, zarm
+from support.harness import PATIENCE, eventually, free_endpoint
+from support.network.two_hosts import PORT, Host, obstacle
+from support.network.wire import wire
+from support.paths import PROGRAMS, ROOT
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Nothing
 from zarm_runtime.bus import Bus
 
 KEYS = Keys("some_robot")
-FLOOD = str(Path(__file__).parents[1] / "flood.py")
-FIREWALL = str(Path(__file__).parents[2] / "deploy" / "firewall.nft")
+FLOOD = str(PROGRAMS / "flood.py")
+FIREWALL = str(ROOT / "deploy" / "firewall.nft")
 JOIN = "import sys; from zarm_runtime.bus import Bus; Bus(sys.argv[1], timeout=2.0).close()"
 
 

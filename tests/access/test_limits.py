@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from harness import eventually, router
 
+from support.harness import eventually, router
 from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys

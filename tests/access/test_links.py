@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import zenoh
-from harness import eventually, free_endpoint
-from launched import Router
 
+from support.command_line import Router
+from support.harness import eventually, free_endpoint
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Nothing

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from harness import eventually, free_endpoint
 
+from support.harness import eventually, free_endpoint
 from zarm_contract.access import ROLES, Rights, Role, reading, rights
 from zarm_contract.keys import client_token
 from zarm_runtime.session import open_client, open_router

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from harness import PATIENCE, eventually, free_endpoint
-from issued import issue
-from launched import HOME, Command, Up, the_one_line, vector, zarm
 
+from support.certificates import issue
+from support.command_line import HOME, Command, Up, the_one_line, vector, zarm
+from support.harness import PATIENCE, eventually, free_endpoint
+from support.paths import EXAMPLES, ROOT
 from zarm_cli.authority import Authority, today
 from zarm_contract.access import Role
 from zarm_contract.codec import encode
@@ -42,8 +43,7 @@ from zarm_contract.messages import (
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
-DOCUMENTATION = Path(__file__).parents[2] / "deploy" / "access.md"
-EXAMPLES = Path(__file__).parents[2] / "services" / "executor" / "examples"
+DOCUMENTATION = ROOT / "deploy" / "access.md"
 JOINT_NAMES = [f"joint_{number}" for number in range(1, 7)]
 BALL = Sphere(kind="sphere", name="ball", position=(0.0, -1.0, 0.2), radius=0.1)
 THERE = (0.4, *HOME[1:])

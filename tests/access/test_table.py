@@ -6,9 +6,9 @@ import inspect
 from pathlib import Path
 
 import pytest
-import router_file
 import zenoh
 
+from support import router_file
 from zarm_contract.access import ROLES, SERVICE_ROLES, TABLE, access_control, require, rights
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
@@ -82,7 +82,7 @@ def test_the_file_for_other_routers_holds_what_zarm_sets_itself(secured: Path) -
 
 
 def test_the_file_for_other_routers_is_made_from_the_table() -> None:
-    assert router_file.FILE.read_text() == router_file.text(), "run python tests/router_file.py"
+    assert router_file.FILE.read_text() == router_file.text(), "run python tests/support/router_file.py"
 
 
 def _may(role: str, key: str) -> bool:

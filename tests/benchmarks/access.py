@@ -21,10 +21,9 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import PATIENCE, ServiceProcess, free_endpoint
-from launched import KEYS, Router, zarm
-from planner_client import BEHIND_POST, HOME, POST, TABLE, load
-
+from support.command_line import KEYS, Router, zarm
+from support.harness import PATIENCE, ServiceProcess, free_endpoint
+from support.planner.client import BEHIND_POST, HOME, POST, TABLE, load
 from zarm_contract.messages import DriverCommand, JointGoal, Plan, PlanRequest
 from zarm_runtime.bus import Bus
 

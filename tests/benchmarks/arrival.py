@@ -29,8 +29,7 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import motion_bench
-
+from support.planner import motion_bench
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel

@@ -20,9 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import motion_bench
-from harness import PATIENCE, ServiceProcess, router
-
+from support.harness import PATIENCE, ServiceProcess, router
+from support.planner import motion_bench
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (

@@ -22,8 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import motion_bench
-
+from support.planner import motion_bench
 from zarm_contract.messages import HeldAxes
 from zarm_geometry.collision import is_free
 from zarm_geometry.robot_model import RobotModel

@@ -29,11 +29,10 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import PATIENCE, eventually
-from motions import HOME, KEYS, moved, rest_to_rest
-from two_hosts import LOCAL, Host, Hosts, enter, hosts, obstacle
-from wire import Quality
-
+from support.harness import PATIENCE, eventually
+from support.network.two_hosts import LOCAL, Host, Hosts, enter, hosts, obstacle
+from support.network.wire import Quality
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     Accepted,

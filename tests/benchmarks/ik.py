@@ -23,8 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import motion_bench
-
+from support.planner import motion_bench
 from zarm_contract.messages import Device
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel

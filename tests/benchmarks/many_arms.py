@@ -31,9 +31,9 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
-from motions import HOME, moved
-
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from support.paths import PROGRAMS
+from support.trajectories import HOME, moved
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     Accepted,
@@ -53,7 +53,7 @@ from zarm_runtime.session import open_client, open_router
 Array = NDArray[np.float64]
 
 AWAY, BACK = moved(1.0, -0.5, 0.3), HOME
-TIMED = str(Path(__file__).parents[1] / "timed_executor.py")
+TIMED = str(PROGRAMS / "timed_executor.py")
 RATE = 100.0
 
 

@@ -24,10 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import motion_bench
-import ompl_peer
-from ompl_peer import Run
-
+from support.planner import motion_bench, ompl_peer
+from support.planner.ompl_peer import Run
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
@@ -44,7 +42,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 if ROBOPLAN := importlib.util.find_spec("roboplan") is not None:
-    import roboplan_peer
+    from support.planner import roboplan_peer
 
 Array = NDArray[np.float64]
 

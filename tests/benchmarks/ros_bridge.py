@@ -28,14 +28,13 @@ from sensor_msgs.msg import JointState as RosJointState
 from curobo_msgs.srv import SetPlanner, TrajectoryGeneration
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import ros_ready_made
-from harness import PATIENCE, eventually
-from motions import HOME, ROBOT, moved
-from ros_client import RosClient
-from ros_domain import isolate
-from ros_node import answer
-from ros_stack import KEYS, stack
-
+from support.harness import PATIENCE, eventually
+from support.paths import PROGRAMS
+from support.ros.client import RosClient
+from support.ros.domain import isolate
+from support.ros.node import answer
+from support.ros.stack import KEYS, stack
+from support.trajectories import HOME, ROBOT, moved
 from zarm_contract import messages as m
 from zarm_runtime.bus import Bus
 
@@ -48,7 +47,7 @@ def ready_made(bus: Bus) -> Iterator[str]:
     goal = m.JointGoal(kind="joints", position=tuple(GOALS[0].tolist()))
     plan = bus.call(KEYS.plan, m.PlanRequest(goal=goal, start=tuple(HOME.tolist())), m.Plan, timeout=30)
     points = round(plan.trajectory.duration / ROBOT.descriptor.interpolation_dt) + 1
-    program = [sys.executable, str(Path(ros_ready_made.__file__)), "/ready_made", str(points)]
+    program = [sys.executable, str(PROGRAMS / "ros_ready_made.py"), "/ready_made", str(points)]
     process = subprocess.Popen([*program, *ROBOT.descriptor.joints])
     try:
         yield "/ready_made"

@@ -23,9 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import PATIENCE, ServiceProcess, router
-from planner_client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, to_joints
-
+from support.harness import PATIENCE, ServiceProcess, router
+from support.planner.client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, to_joints
 from zarm_contract.errors import Busy, ZarmError
 from zarm_contract.messages import Plan, PlanRequest, WaypointsGoal
 from zarm_runtime.bus import Bus

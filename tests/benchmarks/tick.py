@@ -33,10 +33,10 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
-from motions import KEYS, descriptor_at, moved, rest_to_rest
-from planner_client import BEHIND_POST, HOME, POST, SHELF, TABLE, load, plan, to_joints
-
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from support.paths import PROGRAMS
+from support.planner.client import BEHIND_POST, HOME, POST, SHELF, TABLE, load, plan, to_joints
+from support.trajectories import KEYS, descriptor_at, moved, rest_to_rest
 from zarm_contract.codec import decode
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import (
@@ -209,7 +209,7 @@ def timed_executor(case: Case, endpoint: str, state: Path, notes: Path) -> Servi
     """The executor of a case, with a stop-watch."""
     robot = str(descriptor_at(case.rate, state / "robot"))
     arguments = ["--strategy", case.strategy, "--notes", str(notes), *([] if case.realtime else ["--ordinary"])]
-    script = str(Path(__file__).parents[1] / "timed_executor.py")
+    script = str(PROGRAMS / "timed_executor.py")
     return ServiceProcess("executor", endpoint, state, robot=robot, arguments=tuple(arguments), script=script)
 
 

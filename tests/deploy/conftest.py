@@ -6,7 +6,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from composition import docker, image
+
+from support.deploy.composition import docker, image
 
 _built = shutil.which("docker") and docker("image", "inspect", image("leeloo_sim"), check=False).returncode == 0
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from composition import SERVICES, Composition, docker
-from executor_client import Client
-from motions import HOME, KEYS, moved, rest_to_rest
 
+from support.deploy.composition import SERVICES, Composition, docker
+from support.executor.client import Client
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, JointState, Nothing, Scene, Strategies
 from zarm_contract.robot import ROBOTS

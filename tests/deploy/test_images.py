@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import tomllib
-from pathlib import Path
 
 import pytest
-from composition import docker, image
+
+from support.deploy.composition import docker, image
+from support.paths import ROOT
 
 EXTRAS = {"numba", "fcl", "rclpy", "curobo_msgs"}
 OWN = {
@@ -17,7 +18,7 @@ OWN = {
     "ros_bridge": {"rclpy", "curobo_msgs"},
     "leeloo_sim": {"rclpy", "curobo_msgs"},
 }
-PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 READ_ONLY = ("--read-only", "--volume=/var/lib/zarm", "--tmpfs=/tmp", "--network=none", "--cap-drop=ALL")
 every_image = pytest.mark.parametrize("service", OWN)
 

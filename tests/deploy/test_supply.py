@@ -11,9 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from image_secrets import found_in
 
-VERSION = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]["version"]
+from support.deploy.image_secrets import found_in
+from support.paths import ROOT
+
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 TAG = os.environ.get("ZARM_TAG", VERSION)
 IMAGES = [f"zarm-{service}:{TAG}" for service in ("router", "planner", "executor", "ros-bridge", "leeloo-sim")]
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from burden import favour
-from driven import THERE, Driven
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
-from motions import HOME, KEYS, moved, rest_to_rest
 
+from support.executor.client import Client
+from support.executor.driven import THERE, Driven
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.resources import favour
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     AddObjects,

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driven import FAR, LIMIT, THERE, Driven, driven
-from harness import eventually, free_endpoint
-from motions import KEYS, rest_to_rest
 
+from support.executor.driven import FAR, LIMIT, THERE, Driven, driven
+from support.harness import eventually, free_endpoint
+from support.trajectories import KEYS, rest_to_rest
 from zarm_contract.messages import DriverFault
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from executor_client import Client, distance_from
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
-from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
+from support.executor.client import Client, distance_from
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from support.trajectories import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 from zarm_contract.errors import Busy, Unavailable
 from zarm_contract.messages import Accepted, ExecuteRequest, ExecutorState, Nothing
 from zarm_executor.machine import STALL_LIMIT

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driven import FAR, Driven, driven
-from harness import eventually
-from launched import zarm
-from motions import KEYS, rest_to_rest
 
+from support.command_line import zarm
+from support.executor.driven import FAR, Driven, driven
+from support.harness import eventually
+from support.trajectories import KEYS, rest_to_rest
 from zarm_contract.codec import encode
 from zarm_contract.messages import DriverFault
 from zarm_runtime.bus import Bus

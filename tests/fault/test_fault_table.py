@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from arena import STEP, Arena, arena
-from driven import FAR
-from harness import PATIENCE, ServiceProcess, eventually
-from impostor import impostor
-from motions import HOME, ROBOT, rest_to_rest
-from ordeal import Fault, Promise, endure
-from wall_clock import STEPPABLE
 
+from support.executor.driven import FAR
+from support.faults.arena import STEP, Arena, arena
+from support.faults.impostor import impostor
+from support.faults.ordeal import Fault, Promise, endure
+from support.faults.wall_clock import STEPPABLE
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.trajectories import HOME, ROBOT, rest_to_rest
 from zarm_contract.messages import DriverFault, ExecuteRequest, JointGoal, JointState, Plan, PlanRequest
 from zarm_executor.machine import STALL_LIMIT
 from zarm_leeloo_sim.player import CEILING

@@ -9,9 +9,9 @@ from contextlib import ExitStack
 from pathlib import Path as Folder
 
 import pytest
-from arena import STEP, Arena
-from harness import eventually
 
+from support.faults.arena import STEP, Arena
+from support.harness import eventually
 from zarm_executor.machine import STALL_LIMIT
 from zarm_leeloo_sim.player import Kind
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from burden import burden
-from executor_client import Client
-from harness import ServiceProcess, eventually
-from motions import HOME, KEYS, moved, rest_to_rest
-
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually
+from support.resources import burden
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.messages import ExecutorState, JointState, Nothing
 from zarm_runtime.bus import Bus
 

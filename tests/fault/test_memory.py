@@ -6,13 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
 
-import payloads
 import pytest
 import zenoh
-from burden import burden
-from harness import PATIENCE, ServiceProcess
-from motions import KEYS
 
+from support.faults import payloads
+from support.harness import PATIENCE, ServiceProcess
+from support.resources import burden
+from support.trajectories import KEYS
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 

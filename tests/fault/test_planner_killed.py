@@ -8,8 +8,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from harness import ServiceProcess, eventually
 
+from support.harness import ServiceProcess, eventually
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (

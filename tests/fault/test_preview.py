@@ -5,14 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from executor_client import Client
-from harness import ServiceProcess, eventually
-from motions import KEYS, moved, plan, rest_to_rest
 
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually
+from support.paths import PROGRAMS
+from support.trajectories import KEYS, moved, plan, rest_to_rest
 from zarm_contract.messages import Health, JointState, Nothing, Plan
 from zarm_runtime.bus import Bus
 
-SCRIPT = str(Path(__file__).parents[1] / "failing_preview.py")
+SCRIPT = str(PROGRAMS / "failing_preview.py")
 BAD, GOOD = plan("plan-bad", rest_to_rest(moved(0.4))), plan("plan-good", rest_to_rest(moved(0.0, -0.3)))
 
 

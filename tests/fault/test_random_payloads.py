@@ -13,16 +13,16 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import payloads
 import psutil
 import pytest
 import zenoh
-from burden import favour
-from contract.examples import by_class
-from driven import driven
-from harness import PATIENCE, ServiceProcess
-from motions import HOME, KEYS, ROBOT, moved, plan, rest_to_rest, rows
 
+from support.executor.driven import driven
+from support.faults import payloads
+from support.harness import PATIENCE, ServiceProcess
+from support.message_examples import by_class
+from support.resources import favour
+from support.trajectories import HOME, KEYS, ROBOT, moved, plan, rest_to_rest, rows
 from zarm_contract import messages as m
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest, Problem

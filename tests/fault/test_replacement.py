@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from askers import asking
-from burden import favour
-from driven import THERE, driven
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
-from motions import HOME, KEYS, moved, rest_to_rest
-from planner_client import BEHIND_POST, POST, TABLE, load, plan, to_joints
 
+from support.executor.client import Client
+from support.executor.driven import THERE, driven
+from support.faults.askers import asking
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from support.planner.client import BEHIND_POST, POST, TABLE, load, plan, to_joints
+from support.resources import favour
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import (
     FkPoses,

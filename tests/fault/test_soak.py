@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from burden import Burden, burden, favour
-from executor_client import Client
-from harness import ServiceProcess
-from motions import KEYS, ROBOT, moved
 
+from support.executor.client import Client
+from support.harness import ServiceProcess
+from support.resources import Burden, burden, favour
+from support.trajectories import KEYS, ROBOT, moved
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
 from zarm_contract.robot import ROBOTS
 from zarm_runtime.bus import Bus

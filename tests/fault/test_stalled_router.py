@@ -10,11 +10,11 @@ from pathlib import Path as Folder
 
 import numpy as np
 import pytest
-from arena import STEP, Arena
-from harness import eventually
-from motions import ROBOT
-from ordeal import STILL, WINDOW, nothing_moves
 
+from support.faults.arena import STEP, Arena
+from support.faults.ordeal import STILL, WINDOW, nothing_moves
+from support.harness import eventually
+from support.trajectories import ROBOT
 from zarm_leeloo_sim.player import CEILING, STIFFNESS, TICK, Kind
 from zarm_trajectory.trajectory import TimedTrajectory
 

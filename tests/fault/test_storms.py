@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from burden import favour
-from driven import FAR, LIMIT, Driven, driven
-from harness import eventually
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
-from storms import Storm, storm
 
+from support.executor.driven import FAR, LIMIT, Driven, driven
+from support.faults.storms import Storm, storm
+from support.harness import eventually
+from support.resources import favour
+from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.codec import decode
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (

@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 
 import psutil
 import pytest
-from harness import eventually, free_endpoint
-from launched import KEYS, Command, Up, pid, wait_replaced, zarm
 
+from support.command_line import KEYS, Command, Up, pid, wait_replaced, zarm
+from support.harness import eventually, free_endpoint
 from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing, Scene
 from zarm_runtime.bus import Bus
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 import zenoh
-from harness import ServiceProcess, free_endpoint, router
-from launched import KEYS, Up
 
+from support.command_line import KEYS, Up
+from support.harness import ServiceProcess, free_endpoint, router
 from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import typer
-from harness import free_endpoint
-from launched import Up, zarm
 
+from support.command_line import Up, zarm
+from support.harness import free_endpoint
+from support.paths import ROOT
 from zarm_cli.commands import command_line
 
-ROOT = Path(__file__).parents[2]
 README = (ROOT / "deploy" / "README.md").read_text()
 
 

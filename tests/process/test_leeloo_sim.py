@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from harness import ServiceProcess
-from motions import KEYS
 
+from support.harness import ServiceProcess
+from support.trajectories import KEYS
 from zarm_runtime.bus import Bus
 
 ASK = "from zarm_runtime.realtime import *; print(ask_for_realtime(PROCESS_PRIORITY))"

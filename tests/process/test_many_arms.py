@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually, router
-from motions import moved
 
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.trajectories import moved
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
 from zarm_contract.robot import Robot, load_robot

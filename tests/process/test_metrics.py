@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
-from launched import Up, refused
-from motions import HOME, KEYS, moved, rest_to_rest
 from prometheus_client.parser import text_string_to_metric_families
 
+from support.command_line import Up, refused
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
 from zarm_runtime.bus import Bus

@@ -9,12 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from harness import ServiceProcess
-
+from support.harness import ServiceProcess
+from support.paths import ROOT
 from zarm_contract.keys import Keys
 from zarm_runtime.bus import Bus
 
-README = Path(__file__).parents[2] / "README.md"
+README = ROOT / "README.md"
 KEYS = Keys("doosan_m1013")
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import PATIENCE, ServiceProcess, eventually
 
+from support.harness import PATIENCE, ServiceProcess, eventually
 from zarm_contract.errors import Busy, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
-from launched import Command, zarm
-from motions import KEYS
-from planner_client import BEHIND_POST, HOME, POST, load, plan, to_joints
 
+from support.command_line import Command, zarm
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.planner.client import BEHIND_POST, HOME, POST, load, plan, to_joints
+from support.trajectories import KEYS
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import Plan, PlanRequest
 from zarm_runtime.bus import Bus

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, eventually, free_endpoint
 
+from support.harness import PATIENCE, eventually, free_endpoint
+from support.paths import PROGRAMS
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
@@ -22,7 +23,7 @@ from zarm_contract.robot import load_robot
 from zarm_runtime.bus import Bus
 from zarm_runtime.service import CONTRACT, Service, default_state, service_parser, version
 
-PROGRAM = Path(__file__).with_name("minimal_service.py")
+PROGRAM = PROGRAMS / "minimal_service.py"
 KEYS = Keys("pendulum")
 
 Process = subprocess.Popen[str]

@@ -6,18 +6,18 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
-from executor_client import Client
-from harness import PATIENCE, eventually
-from lab import AWAY, Lab
-from launched import ZARM, vector
-from motions import HOME, KEYS, ROBOT, rest_to_rest
-from two_hosts import LOCAL, obstacle
-from wire import Quality
 
+from support.command_line import ZARM, vector
+from support.executor.client import Client
+from support.harness import PATIENCE, eventually
+from support.network.lab import AWAY, Lab
+from support.network.two_hosts import LOCAL, obstacle
+from support.network.wire import Quality
+from support.paths import EXAMPLES
+from support.trajectories import HOME, KEYS, ROBOT, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import (
     Accepted,
@@ -31,7 +31,7 @@ from zarm_contract.messages import (
 pytestmark = pytest.mark.skipif(bool(obstacle()), reason=obstacle() or "")
 
 CUT = Quality(cut=True)
-STREAM = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
+STREAM = EXAMPLES / "stream_client.py"
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from lab import AWAY, Lab
-from launched import vector, zarm
-from two_hosts import obstacle
+
+from support.command_line import vector, zarm
+from support.network.lab import AWAY, Lab
+from support.network.two_hosts import obstacle
 
 pytestmark = pytest.mark.skipif(bool(obstacle()), reason=obstacle() or "")
 

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from harness import PATIENCE, ServiceProcess, eventually
-from launched import KEYS, zarm
-from motions import descriptor_at, moved, rest_to_rest
 
+from support.command_line import KEYS, zarm
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.paths import PROGRAMS
+from support.trajectories import descriptor_at, moved, rest_to_rest
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import ExecutionRefused, InternalError, InvalidRequest
 from zarm_contract.messages import (
@@ -35,7 +36,7 @@ GOAL = tuple(moved(0.3).tolist())
 
 def other(contract: str = CONTRACT) -> dict[str, str]:
     """The environment of a process of another zarm."""
-    folder = str(Path(__file__).parents[1] / "other_version")
+    folder = str(PROGRAMS / "other_version")
     path = os.pathsep.join(filter(None, (folder, os.environ.get("PYTHONPATH"))))
     return {"PYTHONPATH": path, "ZARM_TEST_VERSION": "9.0.0", "ZARM_TEST_CONTRACT": contract}
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from ros_domain import isolate
+
+from support.ros.domain import isolate
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -32,7 +33,7 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 @pytest.fixture
 def node() -> Iterator[Node]:
     """A node of this process, whose callbacks run on a thread of their own."""
-    from ros_node import running_node
+    from support.ros.node import running_node
 
     with ExitStack() as stack:
         yield stack.enter_context(running_node("test"))

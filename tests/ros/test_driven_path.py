@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from harness import eventually
-from motions import HOME, ROBOT, moved
-from ros_client import RosClient
-from ros_goals import CANCELED, SUCCEEDED, Actions, Sent
-from ros_stack import KEYS, stack
 from sensor_msgs.msg import JointState
 
 from curobo_msgs.srv import SetPlanner, SetRobotStrategy, TrajectoryGeneration
+from support.harness import eventually
+from support.ros.client import RosClient
+from support.ros.goals import CANCELED, SUCCEEDED, Actions, Sent
+from support.ros.stack import KEYS, stack
+from support.trajectories import HOME, ROBOT, moved
 from zarm_contract.messages import JointState as BusJointState
 
 FAR = moved(0.9, -0.4, 0.2)

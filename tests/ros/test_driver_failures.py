@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from burden import favour
-from executor_client import Client
-from harness import ServiceProcess, eventually
-from ros_goals import ABORTED, HOME, SUCCEEDED, Actions, Robot, Sent
-from ros_stack import KEYS, Stack, stack
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from curobo_msgs.srv import SetRobotStrategy
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually
+from support.resources import favour
+from support.ros.goals import ABORTED, HOME, SUCCEEDED, Actions, Robot, Sent
+from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.messages import DriverFault, Nothing
 from zarm_contract.robot import load_robot
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from executor_client import Client
-from harness import ServiceProcess, eventually
-from motions import rest_to_rest
 from rclpy.node import Node
-from ros_client import RosClient, told
-from ros_stack import controller
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually
+from support.ros.client import RosClient, told
+from support.ros.stack import controller
+from support.trajectories import rest_to_rest
 from zarm_contract import messages as m
 from zarm_contract.keys import Keys
 from zarm_contract.robot import load_robot

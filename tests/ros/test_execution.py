@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion
-from harness import PATIENCE, eventually
-from planner_client import BEHIND_POST, POST
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
-from ros_stack import KEYS, Stack, stack
 
 from curobo_msgs.action import MpcMove
+from support.harness import PATIENCE, eventually
+from support.planner.client import BEHIND_POST, POST
+from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
+from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import (
     Accepted,

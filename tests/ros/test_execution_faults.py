@@ -13,15 +13,15 @@ from pathlib import Path
 
 import pytest
 from action_msgs.srv import CancelGoal
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint, router
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from ros_goals import ABORTED, SUCCEEDED, TARGET, Actions, Robot, Sent
-from ros_node import answer, running_node
-from ros_stack import KEYS, RosClient
 from std_srvs.srv import Trigger
 
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint, router
+from support.ros.goals import ABORTED, SUCCEEDED, TARGET, Actions, Robot, Sent
+from support.ros.node import answer, running_node
+from support.ros.stack import KEYS, RosClient
 from zarm_contract.messages import GoalState, Nothing, Strategies, StrategyRequest
 from zarm_ros_bridge.goals import SILENCE
 from zarm_runtime.bus import Bus

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from ros_goals import ABORTED, SUCCEEDED, Actions, Robot
-from ros_stack import KEYS, stack
 
-SLOW = Path(__file__).parents[1] / "slow_bridge.py"
+from support.paths import PROGRAMS
+from support.ros.goals import ABORTED, SUCCEEDED, Actions, Robot
+from support.ros.stack import KEYS, stack
+
+SLOW = PROGRAMS / "slow_bridge.py"
 
 
 @pytest.mark.parametrize("names", [("execute_trajectory",) * 2, ("send_trajectory", "execute_trajectory")])

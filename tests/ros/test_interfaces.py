@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose
-from harness import eventually
 from rclpy.action import ActionClient, ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
-from ros_node import answer, on_its_thread, running_node
 from sensor_msgs.msg import JointState
 
 from curobo_msgs import action, srv
+from support.harness import eventually
+from support.ros.node import answer, on_its_thread, running_node
 
 Fields = dict[str, str]
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from ros_stack import Stack, stack
-from second_opinion import tip_error
 from sensor_msgs.msg import JointState
 
 from curobo_msgs.srv import AddObject, Fk, Ik, IkBatch, RemoveObject, WarmupFK, WarmupIK
+from support.planner.second_opinion import tip_error
+from support.ros.stack import Stack, stack
 from zarm_contract.robot import load_robot
 
 ROBOT = load_robot("doosan_m1013")

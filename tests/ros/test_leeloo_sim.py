@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import PATIENCE, ServiceProcess, eventually, router
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_node import running_node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.ros.node import running_node
 from zarm_contract import messages
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys

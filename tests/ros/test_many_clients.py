@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Iterator
 
 import pytest
-from burden import burden
-from harness import eventually
-from ros_crowd import Crowd
-from ros_goals import ABORTED, SUCCEEDED, Actions, Robot
-from ros_stack import KEYS, Stack, stack
 from std_srvs.srv import Trigger
+
+from support.harness import eventually
+from support.resources import burden
+from support.ros.crowd import Crowd
+from support.ros.goals import ABORTED, SUCCEEDED, Actions, Robot
+from support.ros.stack import KEYS, Stack, stack
 
 PROCESSES, NODES = 5, 10
 FLOOD = 100

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from harness import PATIENCE, eventually
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
-from ros_node import answer
-from ros_stack import KEYS, Stack, stack
 
 from curobo_msgs.srv import SetRobotStrategy
+from support.harness import PATIENCE, eventually
+from support.ros.node import answer
+from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.errors import Busy
 from zarm_contract.messages import Cuboid, Cylinder, Nothing, Scene, Sphere, Strategies, StrategyRequest
 from zarm_contract.robot import find_robot

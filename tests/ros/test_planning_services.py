@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion
-from harness import eventually
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from ros_node import answer
-from ros_stack import KEYS, Stack, stack
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from curobo_msgs.srv import Fk, GetPlanners, SetPlanner, TrajectoryGeneration
+from support.harness import eventually
+from support.ros.node import answer
+from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState, Nothing, Plan
 from zarm_contract.messages import JointState as MeasuredJoints
 from zarm_contract.robot import ROBOTS, load_robot

@@ -5,11 +5,12 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
-from motions import moved, rest_to_rest
-from ros_stack import KEYS, stack
 from std_srvs.srv import Trigger
+
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.ros.stack import KEYS, stack
+from support.trajectories import moved, rest_to_rest
 
 SLOW = rest_to_rest(moved(0.8), slower=6.0)
 

@@ -8,15 +8,15 @@ from contextlib import suppress
 from functools import partial
 
 import pytest
-from harness import PATIENCE, ServiceProcess, eventually
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_goals import SUCCEEDED, Actions, Robot
-from ros_stack import KEYS, Stack, stack
 from std_srvs.srv import Trigger
 
 from curobo_msgs.action import SendTrajectory
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.ros.goals import SUCCEEDED, Actions, Robot
+from support.ros.stack import KEYS, Stack, stack
 from zarm_ros_bridge.replies import insistent
 
 ACTION = "/unified_planner/execute_trajectory"

@@ -8,20 +8,20 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from burden import burden
 from geometry_msgs.msg import Pose, Vector3
-from harness import PATIENCE
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from ros_damage import NUMBERS, damaged
-from ros_goals import ABORTED, HOME, TARGET, Actions
-from ros_node import answer
-from ros_stack import Stack, stack
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA
 
 from curobo_msgs import srv
 from curobo_msgs.action import MpcMove
+from support.harness import PATIENCE
+from support.resources import burden
+from support.ros.damage import NUMBERS, damaged
+from support.ros.goals import ABORTED, HOME, TARGET, Actions
+from support.ros.node import answer
+from support.ros.stack import Stack, stack
 from zarm_contract.robot import load_robot
 
 COUNT = 60

@@ -7,12 +7,12 @@ import subprocess
 import sys
 
 import pytest
-from harness import PATIENCE, eventually
 from rclpy.node import Node
-from ros_node import answer
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from support.harness import PATIENCE, eventually
+from support.ros.node import answer
 from zarm_ros_bridge.ros import Ros
 
 ALONE = ("unshare", "--net")

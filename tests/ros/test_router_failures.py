@@ -9,14 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import ServiceProcess, eventually, free_endpoint
-from link import link
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_client import told
-from ros_goals import ABORTED, HOME, SUCCEEDED, TARGET, Actions, Robot
-from ros_node import running_node
-from ros_stack import KEYS, RosClient
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -24,6 +18,12 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from curobo_msgs.srv import AddObject, SetRobotStrategy, TrajectoryGeneration
+from support.harness import ServiceProcess, eventually, free_endpoint
+from support.network.link import link
+from support.ros.client import told
+from support.ros.goals import ABORTED, HOME, SUCCEEDED, TARGET, Actions, Robot
+from support.ros.node import running_node
+from support.ros.stack import KEYS, RosClient
 from zarm_contract.messages import AddObjects, Cylinder, Plan, SceneEdit, SceneEdited
 from zarm_ros_bridge.goals import SILENCE
 from zarm_runtime.bus import Bus

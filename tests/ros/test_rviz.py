@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
-from pathlib import Path
 
 import yaml
 
-ROS = Path(__file__).parents[2] / "deploy" / "ros"
+from support.paths import ROOT
+
+ROS = ROOT / "deploy" / "ros"
 
 
 def test_the_view_shows_robot_ghost_obstacles_and_spheres_from_the_topics_of_the_bridge_for_whoever_comes_late() -> (

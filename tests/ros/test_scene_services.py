@@ -12,7 +12,6 @@ import trimesh
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from ros_stack import KEYS, Stack, stack
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -25,6 +24,7 @@ from curobo_msgs.srv import (
     SetLinkCollision,
     TrajectoryGeneration,
 )
+from support.ros.stack import KEYS, Stack, stack
 from zarm_contract.messages import Cuboid, Nothing, Scene, Sphere
 from zarm_contract.robot import load_robot
 

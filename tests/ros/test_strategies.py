@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from threading import Barrier, Thread
 
 import pytest
-from harness import PATIENCE, eventually
 from rclpy.node import Node
-from ros_client import robot_type
-from ros_node import running_node
-from ros_stack import KEYS, RosClient, Stack, stack
 from std_srvs.srv import Trigger
 
 from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
+from support.harness import PATIENCE, eventually
+from support.ros.client import robot_type
+from support.ros.node import running_node
+from support.ros.stack import KEYS, RosClient, Stack, stack
 from zarm_contract.messages import Strategies, StrategyRequest
 
 

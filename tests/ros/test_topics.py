@@ -7,17 +7,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from executor_client import Client
-from harness import eventually
-from motions import HOME, ROBOT, moved, rest_to_rest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from ros_client import RosClient, one, told
-from ros_stack import KEYS, Stack, stack
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.executor.client import Client
+from support.harness import eventually
+from support.ros.client import RosClient, one, told
+from support.ros.stack import KEYS, Stack, stack
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract import messages as m
 from zarm_ros_bridge.description import shown_description
 from zarm_runtime.session import open_client

@@ -8,18 +8,18 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from harness import PATIENCE, ServiceProcess, eventually, router
-from ros_stack import KEYS
 
+from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.paths import PROGRAMS, SHARED
+from support.ros.stack import KEYS
 from zarm_contract.messages import JointState
 from zarm_runtime.bus import Bus
 
-TUTORIALS = Path(__file__).parents[3] / "shared" / "reference"
+TUTORIALS = SHARED / "reference"
 NODE = "/unified_planner"
 PLAN = f"ros2 service call {NODE}/generate_trajectory curobo_msgs/srv/TrajectoryGeneration "
 PLAN_1 = PLAN + '"{target_pose: {position: {x: 0.5, y: 0.2, z: 0.3}, orientation: {w: 1.0}}}"'
@@ -50,7 +50,7 @@ def ros2(command: str) -> str:
     assert command in COMMANDS
     words = shlex.split(command)
     if shutil.which("ros2") is None:
-        words = [sys.executable, str(Path(__file__).parents[1] / "ros2_command.py"), *words[1:]]
+        words = [sys.executable, str(PROGRAMS / "ros2_command.py"), *words[1:]]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=2 * PATIENCE)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout

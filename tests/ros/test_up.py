@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, ServiceProcess, free_endpoint
-from launched import KEYS, ROBOT, Up, environment, health, pid, wait_replaced, zarm
 from rclpy.node import Node
-from ros_stack import RosClient
 from std_srvs.srv import Trigger
 
+from support.command_line import KEYS, ROBOT, Up, environment, health, pid, wait_replaced, zarm
+from support.harness import PATIENCE, ServiceProcess, free_endpoint
+from support.ros.stack import RosClient
 from zarm_runtime.bus import Bus
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from harness import eventually
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from ros_client import RosClient, robot_type
-from ros_node import answer, running_node
-from ros_stack import controller, stack
 from std_srvs.srv import Trigger
 
 from curobo_msgs.srv import SetRobotStrategy
+from support.harness import eventually
+from support.ros.client import RosClient, robot_type
+from support.ros.node import answer, running_node
+from support.ros.stack import controller, stack
 from zarm_contract.robot import load_robot
 
 

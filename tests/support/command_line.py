@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Self
 
 import psutil
-from harness import PATIENCE, eventually
 
+from support.harness import PATIENCE, eventually
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing

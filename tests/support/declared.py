@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from harness import PATIENCE
-
+from support.harness import PATIENCE
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Nothing
 from zarm_runtime.bus import Bus

@@ -1,6 +1,6 @@
 """At least one example of every message class; together they set every field.
 
-`python tests/contract/examples.py` writes them to `golden/<Message>.json`, which hold the wire format. A change there is
+`python tests/support/message_examples.py` writes them to `tests/unit/contract/golden/<Message>.json`, which hold the wire format. A change there is
 a change of the contract: other versions of zarm and other programs on the bus read these bytes.
 """
 
@@ -15,7 +15,7 @@ from zarm_contract.codec import encode
 from zarm_contract.errors import Problem
 from zarm_contract.messages import Message
 
-GOLDEN = Path(__file__).parent / "golden"
+GOLDEN = Path(__file__).parents[1] / "unit" / "contract" / "golden"
 
 _POSE = m.Pose(position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
 _TRAJECTORY = m.Trajectory(

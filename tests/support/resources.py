@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
-from harness import ServiceProcess
+
+from support.harness import ServiceProcess
 
 PRIORITY = 10
 """A real-time priority, above every ordinary thread."""

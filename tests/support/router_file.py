@@ -1,4 +1,4 @@
-"""Writes `deploy/router-secure.json5` from the table of `zarm_contract.access`: `python tests/router_file.py`."""
+"""Writes `deploy/router-secure.json5` from the table of `zarm_contract.access`: `python tests/support/router_file.py`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 
 from zarm_contract.access import access_control
 
-FOLDER = Path(__file__).parents[1] / "deploy"
+FOLDER = Path(__file__).parents[2] / "deploy"
 FILE = FOLDER / "router-secure.json5"
 CERTIFICATES = "/certs"
 """Where a container finds them."""
 
 _HEAD = """\
-// Made from router.json5 and the table in libs/contract/zarm_contract/access.py by tests/router_file.py.
+// Made from router.json5 and the table in libs/contract/zarm_contract/access.py by tests/support/router_file.py.
 // The router of a zarm bus with certificates and access control, for Zenoh's own router:
 //     ZENOH_RUNTIME='(rx: (worker_threads: 16))' zenohd -c deploy/router-secure.json5 -l tls/0.0.0.0:7447
 // `ZARM_SECURITY=on ZARM_CERTS=/certs zarm router` sets the same; a test holds the two equal. /certs is what `zarm certs`

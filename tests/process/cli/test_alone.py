@@ -11,8 +11,9 @@ import threading
 from pathlib import Path
 
 import pytest
-from harness import free_endpoint
-from launched import ROBOT, ZARM, Router, the_one_line, zarm
+
+from support.command_line import ROBOT, ZARM, Router, the_one_line, zarm
+from support.harness import free_endpoint
 
 INTERRUPTED = """
 import importlib.abc, os, signal, sys

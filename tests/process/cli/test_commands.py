@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, eventually
-from launched import (
+
+from support.command_line import (
     HOME,
     KEYS,
     ROBOT,
@@ -29,7 +29,7 @@ from launched import (
     vector,
     zarm,
 )
-
+from support.harness import PATIENCE, eventually
 from zarm_contract.messages import ExecutorState, GoalState, JointState, Nothing
 from zarm_runtime.bus import Bus
 

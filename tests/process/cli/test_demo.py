@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from harness import eventually
-from launched import Command
+
+from support.command_line import Command
+from support.harness import eventually
 
 
 def test_two_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import pytest
 import typer
-from launched import the_one_line, zarm
 from typer.testing import CliRunner
 
+from support.command_line import the_one_line, zarm
 from zarm_cli.commands import MODULES, command_line
 from zarm_contract.codec import CONTRACT
 from zarm_runtime.version import version

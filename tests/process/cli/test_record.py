@@ -9,11 +9,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from executor_client import Client
-from harness import ServiceProcess, eventually, free_endpoint
-from launched import Command, the_one_line, zarm
-from motions import KEYS, moved, rest_to_rest
 
+from support.command_line import Command, the_one_line, zarm
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually, free_endpoint
+from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_contract.codec import encode
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Speed

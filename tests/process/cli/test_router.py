@@ -7,15 +7,16 @@ from pathlib import Path
 from queue import Queue
 
 import pytest
-from harness import eventually, free_endpoint
-from launched import Router, the_one_line, zarm
 
+from support.command_line import Router, the_one_line, zarm
+from support.harness import eventually, free_endpoint
+from support.paths import ROOT
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Nothing
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import router_config
 
-FILE = Path(__file__).parents[2] / "deploy" / "router.json5"
+FILE = ROOT / "deploy" / "router.json5"
 KEYS = Keys("small_arm")
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from launched import HOME, Up, data, done, refused, vector
+
+from support.command_line import HOME, Up, data, done, refused, vector
 
 DOWN = "0,1,0,0"
 """The orientation (x, y, z, w) of a tool that points down."""

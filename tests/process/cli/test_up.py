@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harness import eventually, free_endpoint
-from launched import ROBOT, SERVICES, Command, Up, the_one_line, zarm
 
+from support.command_line import ROBOT, SERVICES, Command, Up, the_one_line, zarm
+from support.harness import eventually, free_endpoint
 from zarm_contract.keys import ALL_ALIVE
 from zarm_runtime.bus import Bus
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from queue import Queue
 
 import psutil
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
-from launched import KEYS, ROBOT, Command, the_one_line
-from motions import SCENE, moved, plan, rest_to_rest
 
+from support.command_line import KEYS, ROBOT, Command, the_one_line
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.trajectories import SCENE, moved, plan, rest_to_rest
 from zarm_contract.codec import encode
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Accepted, CancelRequest, ExecuteRequest, ExecutorState, SceneEdited

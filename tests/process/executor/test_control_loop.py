@@ -6,16 +6,16 @@ import os
 import signal
 from pathlib import Path
 
-from arena import STEP
-from driven import THERE, Driven
-from harness import PATIENCE, ServiceProcess, eventually
-from motions import KEYS
-
+from support.executor.driven import THERE, Driven
+from support.faults.arena import STEP
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.paths import PROGRAMS
+from support.trajectories import KEYS
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import Health, Nothing
 from zarm_runtime.bus import Bus
 
-HANGING = str(Path(__file__).parents[1] / "hanging_executor.py")
+HANGING = str(PROGRAMS / "hanging_executor.py")
 
 
 def test_a_control_loop_that_hangs_shows_in_health_ends_the_process_and_the_driver_runs_out(

@@ -6,11 +6,10 @@ import itertools
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from deaf import beside, deaf_client, route
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually, free_endpoint
-from motions import KEYS, moved, rest_to_rest
-
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
+from support.network.deaf import beside, deaf_client, route
+from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_runtime.bus import Bus
 
 FAR = rest_to_rest(moved(1.0, -0.5, 0.3), slower=4.0)

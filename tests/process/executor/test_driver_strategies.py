@@ -10,18 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driven import FAR, LIMIT, THERE, driven
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
 
+from support.executor.client import Client
+from support.executor.driven import FAR, LIMIT, THERE, driven
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.paths import EXAMPLES
+from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_contract.robot import find_robot, load_robot
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
-EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "zenoh_driver.py"
+EXAMPLE = EXAMPLES / "zenoh_driver.py"
 
 
 @pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from executor_client import Client, distance_from
-from harness import PATIENCE, ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 
+from support.executor.client import Client, distance_from
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.trajectories import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Accepted, ExecuteRequest, GoalState, Speed, SpeedRequest, Strategies, Trajectory

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 import zenoh
-from executor_client import Client
-from motions import KEYS, moved, rest_to_rest
 
+from support.executor.client import Client
+from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_contract.codec import MAX_BYTES, decode
 from zarm_contract.errors import InvalidRequest, Problem
 from zarm_runtime.session import open_client

@@ -7,10 +7,10 @@ import signal
 
 import pytest
 import zenoh
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
-from motions import KEYS, moved, rest_to_rest
 
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import Problem
 from zarm_contract.messages import (

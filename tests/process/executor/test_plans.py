@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from executor_client import Client
-from harness import ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually
+from support.trajectories import HOME, KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 from zarm_contract.errors import (
     ExecutionRefused,
     InvalidRequest,

@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from executor_client import Client
-from harness import eventually
-from motions import HOME, KEYS, moved, rest_to_rest
 
+from support.executor.client import Client
+from support.harness import eventually
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, ExecutionRefused, InvalidRequest
 
 FAR = rest_to_rest(moved(1.5, -0.5))

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from arrivals import arrival
-from executor_bench import Bench
-from motions import KEYS, ROBOT, SCENE, moved, rest_to_rest
 
+from support.arrivals import arrival
+from support.executor.bench import Bench
+from support.trajectories import KEYS, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
 from zarm_executor.admission import Admission

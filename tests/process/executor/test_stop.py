@@ -7,11 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from arrivals import arrival
-from executor_bench import Bench
-from harness import PATIENCE
-from motions import KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 
+from support.arrivals import arrival
+from support.executor.bench import Bench
+from support.harness import PATIENCE
+from support.trajectories import KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
 from zarm_executor.admission import Admission

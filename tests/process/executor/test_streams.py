@@ -10,19 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driven import LIMIT, driven
-from executor_client import Client
-from harness import PATIENCE, ServiceProcess, eventually
-from motions import HOME, KEYS, ROBOT, SCENE, moved, rest_to_rest
-from waves import as_message, chunk
 
+from support.executor.client import Client
+from support.executor.driven import LIMIT, driven
+from support.executor.waves import as_message, chunk
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.paths import EXAMPLES
+from support.trajectories import HOME, KEYS, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import GoalState, SceneEdited, StreamChunk
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 from zarm_trajectory.trajectory import TimedTrajectory
 
-EXAMPLE = Path(__file__).parents[2] / "services" / "executor" / "examples" / "stream_client.py"
+EXAMPLE = EXAMPLES / "stream_client.py"
 
 
 def run_example(endpoint: str, seconds: float) -> subprocess.Popen[bytes]:

@@ -9,9 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import zenoh
-from harness import PATIENCE
-from planner_client import HOME, KEYS
 
+from support.harness import PATIENCE
+from support.planner.client import HOME, KEYS
 from zarm_contract.errors import Busy, Problem
 from zarm_contract.messages import (
     MAX_OBJECTS,

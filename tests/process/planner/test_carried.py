@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import PATIENCE, ServiceProcess, eventually
-from planner_client import HOME, KEYS, ROBOT
-from second_opinion import Collisions, link_pose
 
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.planner.client import HOME, KEYS, ROBOT
+from support.planner.second_opinion import Collisions, link_pose
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed, Unavailable
 from zarm_contract.messages import (
     AddObjects,

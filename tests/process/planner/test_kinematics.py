@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import ServiceProcess
 
+from support.harness import ServiceProcess
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import FkPoses, FkRequest, IkRequest, IkSolutions

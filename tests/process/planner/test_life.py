@@ -11,8 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 import zenoh
-from harness import PATIENCE, ServiceProcess, eventually
-from planner_client import (
+
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.planner.client import (
     BEHIND_POST,
     BEHIND_WALL,
     HOME,
@@ -27,7 +28,6 @@ from planner_client import (
     plan,
     to_joints,
 )
-
 from zarm_contract.errors import Busy, Cancelled, DeadlineExceeded, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (

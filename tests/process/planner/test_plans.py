@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from harness import PATIENCE, eventually
-from planner_client import (
+
+from support.harness import PATIENCE, eventually
+from support.planner.client import (
     BEHIND_POST,
     BEHIND_WALL,
     HOME,
@@ -21,8 +22,7 @@ from planner_client import (
     plan,
     to_joints,
 )
-from second_opinion import Collisions, link_pose, tip_error
-
+from support.planner.second_opinion import Collisions, link_pose, tip_error
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     CheckRequest,

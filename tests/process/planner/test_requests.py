@@ -9,10 +9,22 @@ import re
 import numpy as np
 import pytest
 import zenoh
-from harness import PATIENCE, eventually
-from planner_client import BEHIND_POST, HOME, KEYS, POST, ROBOT, TABLE, assert_sound, is_alive, load, plan, to_joints
-from second_opinion import Collisions, link_pose, tip_error
 
+from support.harness import PATIENCE, eventually
+from support.planner.client import (
+    BEHIND_POST,
+    HOME,
+    KEYS,
+    POST,
+    ROBOT,
+    TABLE,
+    assert_sound,
+    is_alive,
+    load,
+    plan,
+    to_joints,
+)
+from support.planner.second_opinion import Collisions, link_pose, tip_error
 from zarm_contract.errors import Problem
 from zarm_contract.messages import (
     CheckRequest,

@@ -11,9 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from harness import PATIENCE, ServiceProcess, eventually
-from planner_client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, plan, to_joints
 
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.paths import PROGRAMS
+from support.planner.client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, plan, to_joints
 from zarm_contract.codec import encode
 from zarm_contract.messages import IkRequest, IkSolutions, Message, PlanRequest, Pose, WaypointsGoal
 from zarm_planner.service import ROOM
@@ -50,7 +51,7 @@ class Greedy:
 
 @contextmanager
 def greedy(endpoint: str, folder: Path, key: str, request: Message, count: int) -> Iterator[Greedy]:
-    script, lines = Path(__file__).parents[1] / "greedy_client.py", folder / "answers"
+    script, lines = PROGRAMS / "greedy_client.py", folder / "answers"
     with lines.open("wb") as out:
         process = subprocess.Popen(
             [sys.executable, script, endpoint, key, str(count)], stdin=subprocess.PIPE, stdout=out

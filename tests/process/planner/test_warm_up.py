@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
+from support.paths import PROGRAMS
 from zarm_planner.warm_up import STAGES
 
 
@@ -20,6 +20,6 @@ def test_warming_up_says_each_stage_in_a_line() -> None:
 
 
 def test_after_the_warm_up_of_one_robot_no_plan_of_any_robot_waits_for_a_compiler() -> None:
-    script = Path(__file__).parents[1] / "warm_kernels.py"
+    script = PROGRAMS / "warm_kernels.py"
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     assert done.stdout == ""

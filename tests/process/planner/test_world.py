@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from harness import PATIENCE, ServiceProcess, eventually
-from launched import zarm
-from planner_client import HOME, KEYS, ROBOT
-from second_opinion import Collisions
 
+from support.command_line import zarm
+from support.harness import PATIENCE, ServiceProcess, eventually
+from support.planner.client import HOME, KEYS, ROBOT
+from support.planner.second_opinion import Collisions
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import (
     AddObjects,

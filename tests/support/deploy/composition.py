@@ -13,10 +13,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from harness import free_endpoint
-from launched import environment, zarm
+from support.command_line import environment, zarm
+from support.harness import free_endpoint
+from support.paths import ROOT
 
-DEPLOY = Path(__file__).parents[1] / "deploy"
+DEPLOY = ROOT / "deploy"
 SERVICES = ("router", "planner", "executor", "ros_bridge")
 TAG = os.environ.get("ZARM_TAG", "0.1.0")
 PATIENCE = 240.0

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from arrivals import arrival
-from motions import HOME, ROBOT, moved, rest_to_rest
 
+from support.arrivals import arrival
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
 from zarm_executor.goal import Chunk, Goal

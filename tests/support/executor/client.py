@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from harness import eventually
-from motions import KEYS, ROBOT
 
+from support.harness import eventually
+from support.trajectories import KEYS, ROBOT
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     Accepted,

@@ -7,11 +7,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-from burden import favour
-from executor_client import Client
-from harness import ServiceProcess, eventually
-from motions import HOME, ROBOT, moved, rest_to_rest
 
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually
+from support.resources import favour
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState, Nothing
 from zarm_contract.robot import Robot

@@ -11,11 +11,11 @@ from pathlib import Path as Folder
 from typing import Any
 
 import numpy as np
-from arrivals import arrival
-from harness import eventually
-from motions import HOME, KEYS, ROBOT, moved, rest_to_rest
-from waves import chunk
 
+from support.arrivals import arrival
+from support.executor.waves import chunk
+from support.harness import eventually
+from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
 from zarm_contract.robot import Robot, StrategyParams
 from zarm_executor.goal import Chunk, Goal

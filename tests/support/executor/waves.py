@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from motions import HOME
 
+from support.trajectories import HOME
 from zarm_contract.messages import Trajectory
 from zarm_contract.robot import Robot
 from zarm_trajectory.quintic import Array

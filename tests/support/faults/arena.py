@@ -9,14 +9,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-from burden import ahead_of_others, burden
-from driven import FAR, THERE, Driven
-from harness import ServiceProcess, eventually, free_endpoint
-from link import Link, link
-from motions import HOME, plan, rest_to_rest
-from router_process import router_process
-from wall_clock import WallClock
 
+from support.executor.driven import FAR, THERE, Driven
+from support.faults.wall_clock import WallClock
+from support.harness import ServiceProcess, eventually, free_endpoint
+from support.network.link import Link, link
+from support.network.router_process import router_process
+from support.resources import ahead_of_others, burden
+from support.trajectories import HOME, plan, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ExecutorState, JointState, Plan, Trajectory
 from zarm_leeloo_sim.player import Kind

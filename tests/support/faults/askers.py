@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from harness import PATIENCE, eventually
-
+from support.harness import PATIENCE, eventually
 from zarm_contract.errors import Unavailable
 
 

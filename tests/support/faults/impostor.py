@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from arena import STEP, Arena
-from motions import HOME
 
+from support.faults.arena import STEP, Arena
+from support.trajectories import HOME
 from zarm_runtime.session import open_client
 
 Told = Callable[[np.ndarray, dict[str, object]], dict[str, object]]

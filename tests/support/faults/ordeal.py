@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from arena import STEP, Arena
-from driven import LIMIT
-from harness import eventually
-from motions import HOME
 
+from support.executor.driven import LIMIT
+from support.faults.arena import STEP, Arena
+from support.harness import eventually
+from support.trajectories import HOME
 from zarm_contract.errors import Problem
 from zarm_contract.messages import GoalState
 from zarm_leeloo_sim.player import CEILING

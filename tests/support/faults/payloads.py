@@ -7,10 +7,10 @@ import random
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from contract.examples import EXAMPLES
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
+from support.message_examples import EXAMPLES
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.messages import Message
 

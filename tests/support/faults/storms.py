@@ -1,27 +1,19 @@
-"""Storms: several client processes of many threads each, which ask a service everything at once and keep every answer.
-
-`python storms.py ENDPOINT THREADS` is one of these processes: it says `ready`, reads its requests, one JSON
-`[number, key, payload]` a line up to an empty line, and writes one JSON `[number, kind, text]` an answer.
-"""
+"""Storms: several client processes of many threads each, which ask a service everything at once and keep every answer."""
 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Self
 
-import zenoh
-from harness import PATIENCE
-
+from support.harness import PATIENCE
+from support.paths import PROGRAMS
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import Problem
 from zarm_contract.messages import Message
-from zarm_runtime.session import open_client
 
 
 @dataclass(frozen=True)
@@ -43,7 +35,7 @@ class Storm:
     """`processes` clients of `threads` each, ready in `with`; `let_loose` deals the requests out to them."""
 
     def __init__(self, endpoint: str, *, processes: int = 4, threads: int = 25) -> None:
-        self._command = [sys.executable, __file__, endpoint, str(threads)]
+        self._command = [sys.executable, str(PROGRAMS / "storm_client.py"), endpoint, str(threads)]
         self._count = processes
 
     def __enter__(self) -> Self:
@@ -89,30 +81,3 @@ def storm(endpoint: str, requests: Sequence[tuple[str, Message]]) -> list[Answer
 def _answer(key: str, request: Message, kind: str, text: str) -> Answer:
     problem = decode(Problem, text.encode()) if kind == "problem" else None
     return Answer(key, request, "" if problem else text, problem)
-
-
-def _client(endpoint: str, threads: int) -> None:
-    os.nice(10)  # it is the service that is tested, not who gets the processor
-    with open_client(endpoint) as session, ThreadPoolExecutor(threads) as pool:
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
-        requests = [json.loads(line) for line in iter(sys.stdin.readline, "\n")]
-
-        def ask(request: tuple[int, str, str]) -> list[str]:
-            number, key, payload = request
-            replies = session.get(
-                key, payload=payload, timeout=PATIENCE, congestion_control=zenoh.CongestionControl.BLOCK
-            )
-            return [
-                json.dumps([number, "reply", reply.ok.payload.to_string()])
-                if reply.ok is not None
-                else json.dumps([number, "problem", reply.err.payload.to_string()])
-                for reply in replies
-            ]
-
-        for answers in pool.map(ask, requests):
-            sys.stdout.writelines(f"{answer}\n" for answer in answers)
-
-
-if __name__ == "__main__":
-    _client(sys.argv[1], int(sys.argv[2]))

@@ -7,10 +7,12 @@ import platform
 import sys
 from pathlib import Path
 
+from support.paths import PROGRAMS
+
 STEPPABLE = sys.platform == "linux" and platform.machine() == "x86_64"
 """Whether this machine is one for which `stepped_clock` has the code."""
 
-_FOLDER = Path(__file__).parent / "stepped_clock"
+_FOLDER = PROGRAMS / "stepped_clock"
 
 
 class WallClock:

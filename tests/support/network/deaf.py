@@ -12,8 +12,8 @@ from contextlib import ExitStack, contextmanager
 from multiprocessing.sharedctypes import Synchronized
 
 import zenoh
-from harness import PATIENCE, eventually
 
+from support.harness import PATIENCE, eventually
 from zarm_runtime.session import open_client, router_config, run_router
 
 SPAWN = multiprocessing.get_context("spawn")

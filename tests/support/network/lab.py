@@ -6,13 +6,13 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from burden import favour
-from executor_client import Client
-from harness import PATIENCE, eventually
-from motions import HOME, KEYS, moved
-from two_hosts import Host, Hosts
-from wire import Quality
 
+from support.executor.client import Client
+from support.harness import PATIENCE, eventually
+from support.network.two_hosts import Host, Hosts
+from support.network.wire import Quality
+from support.resources import favour
+from support.trajectories import HOME, KEYS, moved
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ExecutorState, Health, JointGoal, Nothing, Plan, PlanRequest
 

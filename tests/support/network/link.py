@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 
-from harness import free_endpoint
+from support.harness import free_endpoint
 
 _RESET = struct.pack("ii", 1, 0)
 """SO_LINGER with which a socket is closed by a reset instead of in good order."""

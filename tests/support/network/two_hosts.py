@@ -17,11 +17,10 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
-from harness import ServiceProcess, eventually
-from launched import ZARM, environment
-from link import link
-from wire import Wire, wire
-
+from support.command_line import ZARM, environment
+from support.harness import ServiceProcess, eventually
+from support.network.link import link
+from support.network.wire import Wire, wire
 from zarm_contract.errors import Unavailable
 from zarm_runtime.bus import Bus
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from harness import PATIENCE
-from motions import KEYS, ROBOT
-from second_opinion import Collisions
 
+from support.harness import PATIENCE
+from support.planner.second_opinion import Collisions
+from support.trajectories import KEYS, ROBOT
 from zarm_contract.messages import (
     Cuboid,
     Cylinder,

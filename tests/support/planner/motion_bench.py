@@ -10,10 +10,11 @@ from xml.sax.saxutils import quoteattr
 
 import yaml
 
+from support.paths import SHARED
 from zarm_contract.messages import Cuboid, Cylinder, Pose, SceneObject
 from zarm_contract.robot import Robot, load_robot
 
-PROBLEMS = Path(__file__).parents[2] / "shared" / "mbm"
+PROBLEMS = SHARED / "mbm"
 AVAILABLE = PROBLEMS.is_dir()
 ROBOTS = ("panda", "ur5")
 SCENES = ("bookshelf_small", "table_pick", "box")

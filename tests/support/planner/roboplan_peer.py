@@ -8,9 +8,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 from numpy.typing import NDArray
-from ompl_peer import STEP, Run
 from roboplan import core, rrt
 
+from support.planner.ompl_peer import STEP, Run
 from zarm_contract.messages import Cuboid, SceneObject
 from zarm_geometry.frames import matrix
 from zarm_geometry.robot_model import RobotModel

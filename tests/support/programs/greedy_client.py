@@ -11,8 +11,6 @@ import os
 import sys
 import threading
 
-from motions import KEYS
-
 from zarm_contract.codec import decode
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest, IkSolutions, Plan, PlanRequest
@@ -21,7 +19,7 @@ from zarm_runtime.bus import Bus
 
 def main() -> None:
     endpoint, key, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
-    asked, answered = (PlanRequest, Plan) if key == KEYS.plan else (IkRequest, IkSolutions)
+    asked, answered = (PlanRequest, Plan) if key.endswith("/planner/plan") else (IkRequest, IkSolutions)
     request = decode(asked, sys.stdin.buffer.read())
     with Bus(endpoint) as bus:
 

@@ -6,13 +6,13 @@ from typing import Any
 
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose, Quaternion
-from harness import PATIENCE, eventually
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from ros_node import answer, on_its_thread
 
 from curobo_msgs.action import SendTrajectory
+from support.harness import PATIENCE, eventually
+from support.ros.node import answer, on_its_thread
 from zarm_contract.keys import Keys
 from zarm_contract.messages import ExecutorState, JointGoal, JointState, Nothing, Plan, PlanRequest
 from zarm_contract.robot import load_robot

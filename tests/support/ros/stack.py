@@ -9,11 +9,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import ros_controller
-from harness import PATIENCE, ServiceProcess, router
-from ros_client import RosClient
-from ros_node import running_node
-
+from support.harness import PATIENCE, ServiceProcess, router
+from support.paths import PROGRAMS
+from support.ros.client import RosClient
+from support.ros.node import running_node
 from zarm_contract.keys import Keys
 from zarm_contract.robot import Robot
 from zarm_runtime.bus import Bus
@@ -71,7 +70,7 @@ def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
     """The stand-in for a robot under ros2_control, at home."""
     descriptor, params = robot.descriptor, robot.descriptor.strategy_params
     joints = [f"{name}={at}" for name, at in zip(descriptor.joints, descriptor.home, strict=True)]
-    command = [sys.executable, str(Path(ros_controller.__file__)), params.command_topic]
+    command = [sys.executable, str(PROGRAMS / "ros_controller.py"), params.command_topic]
     process = subprocess.Popen([*command, params.joint_states_topic, *joints], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout.readline() == "ready\n"

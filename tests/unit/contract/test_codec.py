@@ -8,10 +8,10 @@ import re
 from typing import Any
 
 import pytest
-from contract.examples import EXAMPLES, by_class
 from hypothesis import given
 from hypothesis import strategies as st
 
+from support.message_examples import EXAMPLES, by_class
 from zarm_contract import messages as m
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest

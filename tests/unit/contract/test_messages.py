@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from typing import Any, get_args
 
 import pytest
-from contract.examples import EXAMPLES, GOLDEN, by_class, golden_text
 from pydantic import ValidationError
 
+from support.message_examples import EXAMPLES, GOLDEN, by_class, golden_text
 from zarm_contract import messages
 from zarm_contract.codec import MAX_BYTES, decode, encode, schema
 from zarm_contract.errors import InvalidRequest, Problem
@@ -114,7 +114,7 @@ def test_what_may_be_null_may_be_left_out(cls: type[Message]) -> None:
 
 @every_class
 def test_the_wire_format_is_that_of_the_golden_file(cls: type[Message]) -> None:
-    """A change is a change of the contract: if it is meant, run `python tests/contract/examples.py`."""
+    """A change is a change of the contract: if it is meant, run `python tests/support/message_examples.py`."""
     assert golden_text(by_class()[cls]) == (GOLDEN / f"{cls.__name__}.json").read_text()
 
 

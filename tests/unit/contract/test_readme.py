@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import get_args
 
 import pytest
 
+from support.paths import ROOT
 from zarm_contract.errors import Code
 from zarm_contract.keys import Keys
 
-README = Path(__file__).parents[2] / "libs" / "contract" / "README.md"
+README = ROOT / "libs" / "contract" / "README.md"
 
 
 def first_column(heading: str) -> list[str]:

@@ -7,8 +7,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from covers import contains
 
+from support.planner.containment import contains
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import ROBOTS, CSpace, Execution, RobotDescriptor, StrategyParams, load_robot
 

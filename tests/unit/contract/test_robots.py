@@ -5,21 +5,21 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import pytorch_kinematics
 import torch
-from covers import contains
 
+from support.paths import SHARED
+from support.planner.containment import contains
 from zarm_contract.robot import ROBOTS, CollisionCapsule, CollisionSphere, Robot, load_robot
 from zarm_contract.urdf import Urdf
 
 NAMES = ("doosan_m1013", "panda", "ur10e", "ur5e")
 ARMS = ("doosan_m1013", "ur10e", "ur5e")
-FACTS = Path(__file__).parents[3] / "shared" / "robots"
+FACTS = SHARED / "robots"
 """Measurements on the vendors' descriptions, where this checkout has them beside it."""
 
 TIPS = {

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
-DEPLOY = Path(__file__).parents[2] / "deploy"
+from support.paths import ROOT
+
+DEPLOY = ROOT / "deploy"
 INSTALLED = ("executor", "planner", "ros_bridge")
 LISTED = dict(re.findall(r"^\| ([\w.-]+) \| ([^|]+ \| [^|]+) \|", (DEPLOY / "LICENCES.md").read_text(), re.MULTILINE))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from motions import HOME, ROBOT, trapezoid
 
+from support.trajectories import HOME, ROBOT, trapezoid
 from zarm_trajectory.braking import braking
 from zarm_trajectory.follower import Follower
 from zarm_trajectory.trajectory import TimedTrajectory

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from motions import HOME, ROBOT, moved, rest_to_rest
 
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import Trajectory
 from zarm_executor.checks import executable, startable

@@ -6,9 +6,9 @@ import itertools
 from pathlib import Path as Folder
 
 import numpy as np
-from driven import FAR, LIMIT
-from driver_bench import MOVING, Case, DriverBench
 
+from support.executor.driven import FAR, LIMIT
+from support.executor.driver_bench import MOVING, Case, DriverBench
 from zarm_executor.machine import STALL_LIMIT
 
 

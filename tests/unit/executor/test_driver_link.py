@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from driver_bench import robot_with
-from harness import eventually
-from motions import HOME, KEYS, moved, rest_to_rest
 
+from support.executor.driver_bench import robot_with
+from support.harness import eventually
+from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_runtime.bus import Bus

@@ -6,9 +6,9 @@ from pathlib import Path as Folder
 
 import numpy as np
 import pytest
-from harness import eventually
-from motions import HOME, ROBOT, moved, rest_to_rest
 
+from support.harness import eventually
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator

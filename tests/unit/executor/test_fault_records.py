@@ -6,8 +6,8 @@ import logging
 from pathlib import Path
 
 import pytest
-from harness import eventually
 
+from support.harness import eventually
 from zarm_contract.errors import Code, Problem
 from zarm_contract.keys import Keys
 from zarm_executor import fault_records

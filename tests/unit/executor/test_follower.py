@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import HOME, ROBOT, moved, rest_to_rest, trapezoid
 
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest, trapezoid
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory

@@ -7,8 +7,8 @@ import threading
 import time
 
 import pytest
-from harness import PATIENCE, eventually
 
+from support.harness import PATIENCE, eventually
 from zarm_executor.loop import Loop
 
 PERIOD = 0.005

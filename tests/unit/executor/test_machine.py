@@ -6,11 +6,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from arrivals import arrival
-from executor_bench import Arm, Bench
-from harness import PATIENCE
-from motions import HOME
 
+from support.arrivals import arrival
+from support.executor.bench import Arm, Bench
+from support.harness import PATIENCE
+from support.trajectories import HOME
 from zarm_contract.errors import Busy, Cancelled, Unavailable
 from zarm_trajectory.follower import TICK
 

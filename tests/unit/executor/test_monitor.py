@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from arrivals import arrival
-from executor_bench import EXECUTION, Bench, Disturbance
-from motions import HOME, moved
 
+from support.arrivals import arrival
+from support.executor.bench import EXECUTION, Bench, Disturbance
+from support.trajectories import HOME, moved
 from zarm_contract.errors import Unavailable
 from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.monitor import BRAKING

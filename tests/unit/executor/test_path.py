@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from motions import HOME, ROBOT, moved, rest_to_rest, rows
 
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest, rows
 from zarm_contract.errors import InvalidRequest
 from zarm_trajectory.trajectory import TimedTrajectory
 

@@ -5,9 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NoReturn
 
 import pytest
-from harness import PATIENCE
-from motions import ROBOT, SCENE, moved, plan, rest_to_rest
 
+from support.harness import PATIENCE
+from support.trajectories import ROBOT, SCENE, moved, plan, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import ExecuteRequest, Plan
 from zarm_executor.plans import REMEMBERED, Chosen, Plans

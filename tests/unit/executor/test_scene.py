@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import NoReturn
 
 import pytest
-from arrivals import arrival
-from executor_bench import Bench
-from motions import HOME, ROBOT, SCENE, moved, rest_to_rest
 
+from support.arrivals import arrival
+from support.executor.bench import Bench
+from support.trajectories import HOME, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import SceneEdited
 from zarm_executor.goal import Chunk

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import HOME, ROBOT, moved, rest_to_rest
-from waves import chunk
 
+from support.executor.waves import chunk
+from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_trajectory.blending import PAST, blended
 from zarm_trajectory.follower import TICK, Follower

@@ -6,12 +6,12 @@ from pathlib import Path as Folder
 
 import numpy as np
 import pytest
-from arrivals import arrival
-from driver_bench import MOVING, Case, DriverBench, distance_from
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import HOME, trapezoid
 
+from support.arrivals import arrival
+from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
+from support.trajectories import HOME, trapezoid
 from zarm_contract.messages import DriverCommand
 from zarm_leeloo_sim.player import CEILING
 from zarm_runtime.expiry import Expiry

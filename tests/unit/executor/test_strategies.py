@@ -6,12 +6,12 @@ from pathlib import Path as Folder
 
 import numpy as np
 import pytest
-from arrivals import arrival
-from driven import FAR, LIMIT
-from driver_bench import MOVING, Case, DriverBench, distance_from
-from motions import HOME, trapezoid
-from waves import target
 
+from support.arrivals import arrival
+from support.executor.driven import FAR, LIMIT
+from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
+from support.executor.waves import target
+from support.trajectories import HOME, trapezoid
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_executor import strategies
 from zarm_executor.machine import STALL_LIMIT

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from arrivals import arrival
-from executor_bench import LIMITS, Bench
-from motions import HOME
-from waves import chunk, target
 
+from support.arrivals import arrival
+from support.executor.bench import LIMITS, Bench
+from support.executor.waves import chunk, target
+from support.trajectories import HOME
 from zarm_contract.errors import Busy, ExecutionRefused
 from zarm_executor.goal import Chunk
 from zarm_trajectory.follower import TICK

@@ -5,11 +5,11 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from arrivals import arrival
-from executor_bench import Arm, Bench
-from harness import PATIENCE
-from waves import chunk
 
+from support.arrivals import arrival
+from support.executor.bench import Arm, Bench
+from support.executor.waves import chunk
+from support.harness import PATIENCE
 from zarm_contract.errors import Busy, Cancelled, Unavailable
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sphere_model import distance, random_object
 
+from support.planner.sphere_model import distance, random_object
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import obstacle_shape
 from zarm_geometry.sphere_cover import MOST, STANDS_OUT, sphere_cover

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_arm import small_arm
 
+from support.planner.small_arm import small_arm
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere
 from zarm_geometry.exact import FARTHEST, ExactScene

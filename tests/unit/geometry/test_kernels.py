@@ -7,8 +7,9 @@ import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_arm import small_arm
-from sphere_model import (
+
+from support.planner.small_arm import small_arm
+from support.planner.sphere_model import (
     clearances,
     distance,
     gaps_to_itself,
@@ -17,7 +18,6 @@ from sphere_model import (
     random_object,
     random_objects,
 )
-
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, PlannerSettings, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
-from sphere_model import gaps_to_itself, random_joints, spheres
 
+from support.planner.sphere_model import gaps_to_itself, random_joints, spheres
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit
 from zarm_contract.robot import load_robot

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
-from sphere_model import distance as gap_to
-from sphere_model import random_objects
 
+from support.planner.sphere_model import distance as gap_to
+from support.planner.sphere_model import random_objects
 from zarm_contract.robot import CollisionCuboid, CollisionCylinder
 from zarm_geometry import rows
 from zarm_geometry.kernels.arrays import Single

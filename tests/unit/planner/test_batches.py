@@ -7,9 +7,9 @@ import importlib.util
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_arm import small_arm
-from sphere_model import random_joints
 
+from support.planner.small_arm import small_arm
+from support.planner.sphere_model import random_joints
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Device, Sphere
 from zarm_contract.robot import load_robot

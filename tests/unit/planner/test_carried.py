@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from second_opinion import Collisions, link_pose
-from small_arm import small_arm
-from sphere_model import distance, random_joints, random_object, random_objects
 
+from support.planner.second_opinion import Collisions, link_pose
+from support.planner.small_arm import small_arm
+from support.planner.sphere_model import distance, random_joints, random_object, random_objects
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     MAX_ATTACHED,

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from second_opinion import link_pose
-from small_arm import small_arm
-from sphere_model import clearances, random_objects
 
+from support.planner.second_opinion import link_pose
+from support.planner.small_arm import small_arm
+from support.planner.sphere_model import clearances, random_objects
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, HeldAxes, SceneObject
 from zarm_contract.robot import load_robot

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sphere_model import clearances
 
+from support.planner.sphere_model import clearances
 from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel

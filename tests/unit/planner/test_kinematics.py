@@ -11,9 +11,9 @@ import pytest
 import pytorch_kinematics as pk
 import torch
 from numpy.typing import NDArray
-from small_arm import small_arm
-from sphere_model import random_joints
 
+from support.planner.small_arm import small_arm
+from support.planner.sphere_model import random_joints
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, Sphere
 from zarm_contract.robot import load_robot

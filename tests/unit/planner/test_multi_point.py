@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import second_opinion
 
+from support.planner import second_opinion
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot

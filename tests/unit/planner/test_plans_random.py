@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from second_opinion import Collisions
-from small_arm import small_arm
-from sphere_model import random_object, random_objects
 
+from support.planner.second_opinion import Collisions
+from support.planner.small_arm import small_arm
+from support.planner.sphere_model import random_object, random_objects
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Attached, JointGoal, Trajectory
 from zarm_contract.robot import Robot, load_robot

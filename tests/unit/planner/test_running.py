@@ -8,8 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
-from harness import PATIENCE, eventually
 
+from support.harness import PATIENCE, eventually
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Asker
 from zarm_planner import scheduler

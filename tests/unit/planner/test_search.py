@@ -7,13 +7,13 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import motion_bench
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_arm import small_arm
-from sphere_model import clearances
 
+from support.planner import motion_bench
+from support.planner.small_arm import small_arm
+from support.planner.sphere_model import clearances
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
 from zarm_contract.robot import load_robot

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from sphere_model import clearances, random_objects
 
+from support.planner.sphere_model import clearances, random_objects
 from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_arm import small_arm
 
+from support.planner.small_arm import small_arm
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel

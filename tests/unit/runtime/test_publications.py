@@ -10,11 +10,11 @@ from contextlib import closing
 
 import pytest
 import zenoh
-from contract.examples import by_class
-from contract.wire import declared
-from harness import PATIENCE, eventually, free_endpoint
-from link import link
 
+from support.declared import declared
+from support.harness import PATIENCE, eventually, free_endpoint
+from support.message_examples import by_class
+from support.network.link import link
 from zarm_contract import messages as m
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InternalError, Problem

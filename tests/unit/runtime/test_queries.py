@@ -13,10 +13,10 @@ from typing import get_args
 
 import pytest
 import zenoh
-from contract.examples import by_class
-from contract.wire import declared
-from harness import PATIENCE, eventually
 
+from support.declared import declared
+from support.harness import PATIENCE, eventually
+from support.message_examples import by_class
 from zarm_contract import messages as m
 from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.errors import (

@@ -7,7 +7,8 @@ import subprocess
 import sys
 
 import pytest
-from harness import free_endpoint
+
+from support.harness import free_endpoint
 
 ALLOWED = (
     "from zarm_runtime.realtime import *\n"

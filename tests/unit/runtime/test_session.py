@@ -6,9 +6,9 @@ import queue
 import threading
 
 import pytest
-from contract.wire import declared
-from harness import PATIENCE, eventually, free_endpoint
 
+from support.declared import declared
+from support.harness import PATIENCE, eventually, free_endpoint
 from zarm_contract import messages as m
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys

@@ -8,13 +8,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
+from support.paths import PROGRAMS
 from zarm_runtime import signals
 
-PROGRAM = Path(__file__).with_name("aimed_signals.py")
+PROGRAM = PROGRAMS / "aimed_signals.py"
 COUNT = os.environ.get("ZARM_TEST_SIGNALS", "3000")
 """100000 take a minute."""
 

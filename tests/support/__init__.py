@@ -1,0 +1,1 @@
+"""What tests and benchmarks share: processes on a router, clients, stand-ins, and second opinions."""

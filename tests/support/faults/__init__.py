@@ -1,0 +1,1 @@
+"""What makes things go wrong, and what is checked afterwards."""

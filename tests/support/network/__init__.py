@@ -1,0 +1,1 @@
+"""Links that are cut, routers that stall, and two machines on one."""

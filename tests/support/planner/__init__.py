@@ -1,0 +1,1 @@
+"""The planner: a client, small robots and problems, independent checks, and other planners to compare with."""
