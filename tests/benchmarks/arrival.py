@@ -40,9 +40,10 @@ from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.improvement import Improvement
 from zarm_planner.timing.smoothing import smooth_path
 from zarm_planner.timing.time_parameterization import time_path
-from zarm_planner.timing.trajectory import Limits, Trajectory
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
@@ -124,7 +125,7 @@ def main() -> None:
 
 def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> Run | None:
     """One problem; None where the margin rules it out."""
-    world, limits = World(problem.objects, margin), Limits.of(model)
+    world, limits = World(problem.objects, margin), Limits.of(model.robot)
     scene = ExactScene(model, world)
     start, goals = np.array(problem.start), np.array(problem.goals)
     if not all(is_free(model, world, end) for end in (start, *goals)):
@@ -138,7 +139,7 @@ def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> Run 
         return None
     path, _ = found
 
-    def refused(motion: Trajectory) -> bool:
+    def refused(motion: TimedTrajectory) -> bool:
         try:
             verify(motion, path[0], path[-1], limits, scene, lambda: None)
         except VerificationFailed:
@@ -169,7 +170,7 @@ def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> Run 
     )  # fmt: skip
 
 
-def toppra(path: Array, limits: Limits) -> Trajectory:
+def toppra(path: Array, limits: Limits) -> TimedTrajectory:
     """TOPPRA along a cubic spline through the path, made dense; sampled every few milliseconds."""
     rows = [path[:1]]
     for a, b in itertools.pairwise(path):
@@ -181,7 +182,7 @@ def toppra(path: Array, limits: Limits) -> Trajectory:
     spline = SplineInterpolator(along, dense)
     trajectory = TOPPRA(constraints, spline, parametrizer="ParametrizeConstAccel").compute_trajectory(0.0, 0.0)
     t = np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / 0.002))
-    return Trajectory(t, trajectory(t), trajectory(t, 1), trajectory(t, 2))
+    return TimedTrajectory(t, trajectory(t), trajectory(t, 1), trajectory(t, 2))
 
 
 def timed(call: Callable[[], T]) -> tuple[T, float]:

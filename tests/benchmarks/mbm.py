@@ -34,9 +34,9 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.smoothing import smooth_path
-from zarm_planner.timing.trajectory import Limits
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
+from zarm_trajectory.limits import Limits
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -153,7 +153,7 @@ def run(
 
 def timed(model: RobotModel, world: World, exact: ExactScene, path: Array) -> Motion:
     """Smooth a path and verify the motion."""
-    limits, began = Limits.of(model), time.thread_time()
+    limits, began = Limits.of(model.robot), time.thread_time()
     motion = smooth_path(model, world, path, limits, 0.01, seed=0, deadline=Deadline(60.0))
     smoothed = time.thread_time()
     try:

@@ -51,8 +51,9 @@ from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
-from zarm_planner.timing.trajectory import Limits, Trajectory
 from zarm_runtime.bus import Bus
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -215,14 +216,14 @@ def by_objects(model: RobotModel, problems: list[motion_bench.Problem], counts: 
 
 def timed_plan(
     model: RobotModel, problem: motion_bench.Problem, objects: list[SceneObject]
-) -> tuple[Trajectory, PlanTimings, float]:
+) -> tuple[TimedTrajectory, PlanTimings, float]:
     """A motion among other objects than the problem's, where its time went, and the seconds that it took to make the scene ready."""
     began = time.perf_counter()
     world = World(objects, 0.005)
     snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
     ready = time.perf_counter() - began
     goal = JointGoal(kind="joints", position=problem.goals[0])
-    context = PlanningContext(snapshot, Limits.of(model), Deadline(60.0))
+    context = PlanningContext(snapshot, Limits.of(model.robot), Deadline(60.0))
     found = plan(FreePlanner(), context, np.array(problem.start), goal)
     return found.trajectory, context.timer.timings(), ready
 

@@ -11,7 +11,7 @@ from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.stage_timer import StageTimer
-from zarm_planner.timing.trajectory import Limits
+from zarm_trajectory.limits import Limits
 
 
 @dataclass(frozen=True)

@@ -52,9 +52,10 @@ from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
-from zarm_planner.timing.trajectory import Array, Limits
 from zarm_planner.warm_up import warm_up
 from zarm_runtime.asking import asker
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
 
 log = logging.getLogger(__name__)
 
@@ -115,7 +116,7 @@ class Handlers:
             context = PlanningContext(
                 scene=self._look(request.margin),
                 limits=Limits.of(
-                    model,
+                    model.robot,
                     request.velocity_scale or settings.velocity_scale,
                     request.acceleration_scale or settings.acceleration_scale,
                 ),

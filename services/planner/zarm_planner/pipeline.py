@@ -15,9 +15,9 @@ from zarm_planner.goals.problem import Problem
 from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.smoothing import least_duration
-from zarm_planner.timing.trajectory import Trajectory
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.verification.waypoints import passing_times
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _FASTEST_ONLY = 2
 class Verified:
     """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s."""
 
-    trajectory: Trajectory
+    trajectory: TimedTrajectory
     clearance: float
     waypoint_times: tuple[float, ...]
 
@@ -92,7 +92,7 @@ def _fastest(planner: Planner, context: PlanningContext, problem: Problem, best:
     return best
 
 
-def _verified(context: PlanningContext, problem: Problem, trajectory: Trajectory) -> Verified:
+def _verified(context: PlanningContext, problem: Problem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and what the deadline raises."""
     goals, limits, check = problem.goals, context.limits, context.deadline.check
     goal = goals[np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]

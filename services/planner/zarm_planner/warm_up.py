@@ -24,7 +24,7 @@ from zarm_planner.kinematics.ik import solve_ik
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.smoothing import smooth_path
-from zarm_planner.timing.trajectory import Limits
+from zarm_trajectory.limits import Limits
 
 STAGES = 8
 
@@ -54,13 +54,13 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     quickest_of(model, world, home, home, seeds=(0,), deadline=deadline, most=1)
     begin("the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
-    limits = Limits.of(model)
+    limits = Limits.of(model.robot)
     trajectory = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, deadline=deadline)
     begin("the verification of motions")
     exact = ExactScene(model, world)
-    trajectory.load(limits)
+    limits.load(trajectory)
     trajectory.travel(exact.reach)
-    exact.nearest(trajectory.at(trajectory.time)[0])
+    exact.nearest(trajectory.sample(trajectory.time)[0])
     begin("the search under path constraints")
     constraint = PathConstraint.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
     constraint.use(home)

@@ -22,8 +22,8 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.registry import choose
 from zarm_planner.scene.planning_scene import PlanningScene
-from zarm_planner.timing.trajectory import Limits
 from zarm_planner.warm_up import warm_up
+from zarm_trajectory.limits import Limits
 
 
 def compiled() -> dict[str, int]:
@@ -60,7 +60,7 @@ def every_kind_of_plan(model: RobotModel) -> None:
         snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
         for goal in (to_joints, to_pose, through):
             for held in (None, upright):
-                limits, deadline = Limits.of(model), Deadline(60.0)
+                limits, deadline = Limits.of(model.robot), Deadline(60.0)
                 context = PlanningContext(snapshot, limits, deadline, held, max_attempts=10, optimize_s=0.05)
                 plan(choose("auto", goal, constrains(held)), context, home, goal)
 

@@ -19,9 +19,9 @@ from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.timing.time_parameterization import time_path
-from zarm_planner.timing.trajectory import Limits
 from zarm_planner.verification.verify import VerificationFailed
 from zarm_planner.verification.waypoints import passing_times
+from zarm_trajectory.limits import Limits
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 STOPS = [HOME + turn for turn in ([0.6, 0.1, 0, 0, 0, 0], [0.9, -0.2, 0.3, 0, 0, 0.4], [0.3, 0.2, -0.3, 0.2, 0, 0.4])]
@@ -48,7 +48,7 @@ def through(
 ) -> Verified:
     world = World(objects, 0.005)
     snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
-    limits, deadline = Limits.of(model), Deadline(60.0)
+    limits, deadline = Limits.of(model.robot), Deadline(60.0)
     context = PlanningContext(snapshot, limits, deadline, max_attempts=10, optimize_s=optimize_s, seed=seed)
     return plan(FreePlanner(), context, HOME, WaypointsGoal(kind="waypoints", through=goals))
 
@@ -60,7 +60,7 @@ def test_every_pose_is_passed_in_order_within_tolerance_and_without_a_stop(model
     assert list(found.waypoint_times) == sorted(found.waypoint_times)
     assert found.waypoint_times[-1] == pytest.approx(found.trajectory.duration, abs=DENSE)
     for goal, time in zip(goals, found.waypoint_times, strict=True):
-        q, qd, _ = found.trajectory.at(np.array([time]))
+        q, qd, _ = found.trajectory.sample(np.array([time]))
         distance, angle = second_opinion.tip_error(model.robot, q[0], goal.position, goal.orientation)
         assert distance <= 0.005
         assert angle <= 0.02
@@ -74,13 +74,13 @@ def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint_and_than_r
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     found = through(model, *goals)
     snapshot = PlanningScene("1-000000000000", model, EMPTY, ExactScene(model, EMPTY))
-    context = PlanningContext(snapshot, Limits.of(model), Deadline(60.0), max_attempts=10)
+    context = PlanningContext(snapshot, Limits.of(model.robot), Deadline(60.0), max_attempts=10)
     alone = [
         plan(FreePlanner(), context, start, goal).trajectory.duration
         for start, goal in zip([HOME, *STOPS], goals, strict=False)
     ]
     assert found.trajectory.duration < sum(alone)
-    rounded = time_path(np.array([HOME, *STOPS]), Limits.of(model), 0.01, 0.03)
+    rounded = time_path(np.array([HOME, *STOPS]), Limits.of(model.robot), 0.01, 0.03)
     assert found.trajectory.duration < 0.95 * rounded.duration
 
 
@@ -90,7 +90,7 @@ def test_obstacles_between_waypoints_are_avoided(model: RobotModel) -> None:
     found = through(model, *(pose_goal(model, q) for q in STOPS), objects=(post,))
     collisions = second_opinion.Collisions(model.robot, [post])
     times = np.arange(0.0, found.trajectory.duration, DENSE)
-    assert not any(collisions.at(q) for q in found.trajectory.at(times)[0])
+    assert not any(collisions.at(q) for q in found.trajectory.sample(times)[0])
     assert len(found.waypoint_times) == 3
 
 
@@ -129,7 +129,7 @@ def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> No
 
 
 def test_a_motion_that_misses_a_waypoint_or_passes_them_in_another_order_is_refused(model: RobotModel) -> None:
-    limits = Limits.of(model)
+    limits = Limits.of(model.robot)
     motion = time_path(np.array([HOME, *STOPS]), limits, 0.01, 0.0)
     first, second, last = passing_times(model, motion, STOPS, 0.005, 0.02)
     assert 0.0 < first < second < last

@@ -17,7 +17,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
-from zarm_planner.timing.trajectory import Limits
+from zarm_trajectory.limits import Limits
 
 HOME = np.array([0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0])
 SWUNG = HOME + [1.3, 0, 0, 0, 0, 0]
@@ -40,7 +40,7 @@ def snapshot(model: RobotModel, *objects: SceneObject) -> PlanningScene:
 
 
 def context(model: RobotModel, *objects: SceneObject, timeout: float = 60.0, **options: float) -> PlanningContext:
-    return PlanningContext(snapshot(model, *objects), Limits.of(model), Deadline(timeout), **options)
+    return PlanningContext(snapshot(model, *objects), Limits.of(model.robot), Deadline(timeout), **options)
 
 
 def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Verified:

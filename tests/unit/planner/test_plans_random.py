@@ -26,7 +26,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
-from zarm_planner.timing.trajectory import Limits
+from zarm_trajectory.limits import Limits
 
 DENSER = 10
 """Moments that are looked at per sample of a motion."""
@@ -79,7 +79,7 @@ def test_every_motion_is_free_and_within_limits(name: str, changed: str, tmp_pat
         model = bare.with_attached(attached, ignored)
         world = World(objects, 0.005)
         snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
-        context = PlanningContext(snapshot, Limits.of(model), Deadline(3.0), seed=seed)
+        context = PlanningContext(snapshot, Limits.of(model.robot), Deadline(3.0), seed=seed)
         wanted = JointGoal(kind="joints", position=tuple(goal.tolist()))
         try:
             found = plan(FreePlanner(), context, start, wanted)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from zarm_planner.constraints.path_constraint import PathConstraint
 from zarm_planner.deadline import Deadline
 from zarm_planner.timing.time_parameterization import through, time_curve
-from zarm_planner.timing.trajectory import Limits, Trajectory
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ def time_constrained(
     free: Callable[[Array], bool],
     deadline: Deadline,
     vias: Sequence[int] = (),
-) -> Trajectory | None:
+) -> TimedTrajectory | None:
     """The fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or a little less.
 
     Its rows `vias` are among them, so that the motion passes these exactly. Where configurations (n, dof) along the curve are
@@ -50,7 +51,7 @@ def time_constrained(
     """
     length = np.insert(np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)), 0, 0.0)
     if length[-1] < 1e-6:
-        return Trajectory.standing(path[0], dt)
+        return TimedTrajectory.standing(path[0], dt)
     allowed = max(_ROOM, float(constraint.use(path[[0, -1]]).max()))
     for halved in range(_ROUNDS):
         if deadline.passed:
@@ -63,7 +64,7 @@ def time_constrained(
             points[~fixed] = near
         curve = through(points)
         looks = np.linspace(0.0, curve.duration, _LOOKS * len(points))
-        rows, _, _ = curve.at(looks)
+        rows, _, _ = curve.sample(looks)
         if (
             np.all(np.maximum(constraint.model.lower - rows, rows - constraint.model.upper) <= _RANGE)
             and constraint.use(rows).max() <= allowed

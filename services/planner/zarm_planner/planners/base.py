@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import Problem
-from zarm_planner.timing.trajectory import Trajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 GoalKind = Literal["pose", "joints", "waypoints"]
 """The `kind` of a goal's message."""
@@ -16,7 +16,7 @@ GoalKind = Literal["pose", "joints", "waypoints"]
 NAMES: Mapping[GoalKind, str] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
 """The names of planners that take every goal."""
 
-Faster = Callable[[float], Trajectory | None]
+Faster = Callable[[float], TimedTrajectory | None]
 """Finds a trajectory that is faster than so many seconds, or returns None where there is no more time."""
 
 
@@ -32,7 +32,7 @@ class Planner(ABC):
     """Whether its trajectories keep a path constraint."""
 
     @abstractmethod
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[Trajectory]:
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
         """Trajectories from rest at the start to rest at the goal, to which the seed of `context` leads; the fastest first.
 
         There may be none. Further ones are asked for where those before them were refused, so they keep closer to what

@@ -18,7 +18,7 @@ from zarm_planner.goals.problem import Problem
 from zarm_planner.planners.base import NAMES, Faster, Planner
 from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
 from zarm_planner.timing.improvement import GAIN
-from zarm_planner.timing.trajectory import Trajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class ConstrainedPlanner(Planner):
     names = NAMES
     constrained = True
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[Trajectory]:
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
         """The trajectory along the route; there is no other that keeps the constraint."""
         constraint = _constraint(problem)
         if (route := _route(context, problem, constraint)) is None:
@@ -44,7 +44,7 @@ class ConstrainedPlanner(Planner):
         """Trajectories along other routes."""
         constraint, seeds = _constraint(problem), itertools.count(context.seed + 1)
 
-        def faster_than(duration: float) -> Trajectory | None:
+        def faster_than(duration: float) -> TimedTrajectory | None:
             while not context.deadline.passed:
                 try:
                     route = _route(context.with_seed(next(seeds)), problem, constraint)
@@ -70,7 +70,7 @@ def _route(context: PlanningContext, problem: Problem, constraint: PathConstrain
     return find_route(_ConstrainedPaths(context, constraint), problem, context.model.velocity)
 
 
-def _timed(context: PlanningContext, constraint: PathConstraint, route: Route) -> Trajectory | None:
+def _timed(context: PlanningContext, constraint: PathConstraint, route: Route) -> TimedTrajectory | None:
     def free(q: Array) -> bool:
         return context.exact.nearest(q).distance > 0.0
 

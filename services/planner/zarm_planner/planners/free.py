@@ -19,7 +19,7 @@ from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.improvement import Improvement
 from zarm_planner.timing.smoothing import smooth_path
 from zarm_planner.timing.time_parameterization import time_path
-from zarm_planner.timing.trajectory import Trajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class FreePlanner(Planner):
 
     names = NAMES
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[Trajectory]:
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
         """The smooth trajectory along the route, and then those that round its corners ever less."""
         if (route := _route(context, problem)) is None:
             return
@@ -63,7 +63,7 @@ def _route(context: PlanningContext, problem: Problem) -> Route | None:
     return find_route(_FreePaths(context), problem, context.model.velocity)
 
 
-def _smooth(context: PlanningContext, route: Route) -> Trajectory:
+def _smooth(context: PlanningContext, route: Route) -> TimedTrajectory:
     seed, deadline = context.seed, context.deadline
     return smooth_path(
         context.model,
@@ -77,7 +77,7 @@ def _smooth(context: PlanningContext, route: Route) -> Trajectory:
     )
 
 
-def _along(context: PlanningContext, route: Route, deviation: float) -> Trajectory:
+def _along(context: PlanningContext, route: Route, deviation: float) -> TimedTrajectory:
     return time_path(route.path, context.limits, context.dt, deviation)
 
 

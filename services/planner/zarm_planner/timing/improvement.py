@@ -9,7 +9,9 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.timing.smoothing import DEVIATION, Smoothing
-from zarm_planner.timing.trajectory import Array, Limits, Trajectory
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 GAIN = 0.005
 """A motion that saves less than this part of the best one is not worth a verification."""
@@ -41,7 +43,7 @@ class Improvement:
     _best: list[Smoothing] = field(default_factory=list, init=False)
     _given: tuple[Smoothing, float] | None = field(default=None, init=False)
 
-    def faster_than(self, duration: float, deadline: Deadline) -> Trajectory | None:
+    def faster_than(self, duration: float, deadline: Deadline) -> TimedTrajectory | None:
         """A motion that lasts at most `(1 - GAIN) * duration` s; None where `deadline` came before one was found.
 
         To ask again for one that is faster than before is to say that the last answer was of no use: it is not developed

@@ -20,7 +20,10 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.ramps import along, make_ramps
 from zarm_planner.kernels.sampling import sample_average
 from zarm_planner.kernels.smoothing import smooth
-from zarm_planner.timing.trajectory import Array, Limits, Trajectory, sample_times, within
+from zarm_planner.timing.sampling import sample_times, within
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 ATTEMPTS = 1500
 """Shortcuts that are tried for a path, and for each via on top; ten times as many gain 1 % on MotionBenchMaker's problems."""
@@ -80,20 +83,20 @@ class Smoothing:
             deadline.at,
         )
 
-    def trajectory(self) -> Trajectory:
+    def trajectory(self) -> TimedTrajectory:
         """The motion as it is now. Raises InvalidRequest where it is longer than `trajectory.MAX_SAMPLES`."""
         if self._count == 0:
-            return Trajectory.standing(self._path[0], self._dt)
+            return TimedTrajectory.standing(self._path[0], self._dt)
         return within(self._sample, self._limits)
 
-    def _sample(self, factor: float) -> Trajectory:
+    def _sample(self, factor: float) -> TimedTrajectory:
         """The motion at `factor` times its shortest duration."""
         t = sample_times(self._knots(), factor, self._dt)
         out = np.empty((3, len(t), self._model.dof))
         sample_average(self._ramps, self._count, self._window, t, out)
         position, velocity, acceleration = out
         velocity[[0, -1]] = acceleration[[0, -1]] = 0.0
-        return Trajectory(t * factor, position, velocity / factor, acceleration / factor**2)
+        return TimedTrajectory(t * factor, position, velocity / factor, acceleration / factor**2)
 
     def _knots(self) -> Array:
         """Times (k,) in s between which each joint that uses much of its limits moves along one cubic.
@@ -124,13 +127,13 @@ def smooth_path(
     deadline: Deadline,
     vias: Sequence[int] = (),
     deviation: float = DEVIATION,
-) -> Trajectory:
+) -> TimedTrajectory:
     """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s, and in between
     where a strong acceleration changes.
 
     It passes the rows `vias` of the path, in their order, each joint within `deviation` (rad), and stops there only where
     no faster way is found to be free. Where it leaves the path it is free of `world` in spheres, as straight edges
-    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `Trajectory.load` measures them. The same
+    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `TimedTrajectory.load` measures them. The same
     seed gives the same motion; `deadline` only makes the search for a faster one end sooner.
 
     Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.

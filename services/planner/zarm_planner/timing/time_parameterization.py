@@ -23,7 +23,10 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 from zarm_contract.errors import InvalidRequest
-from zarm_planner.timing.trajectory import Array, Limits, Trajectory, sample_times, within
+from zarm_planner.timing.sampling import sample_times, within
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
@@ -36,7 +39,7 @@ _ROUNDING = 3 / 16
 logging.getLogger("toppra").setLevel(logging.CRITICAL)
 
 
-def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Trajectory:
+def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> TimedTrajectory:
     """The fast motion from rest to rest along `path` (n, dof), sampled every `dt` s or a little less.
 
     Corners of the polyline `path` are rounded and left by at most `deviation` (rad, Euclidean). With `deviation` 0, and
@@ -46,7 +49,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Traje
     """
     path = _distinct(path)
     if len(path) == 1:
-        return Trajectory.standing(path[0], dt)
+        return TimedTrajectory.standing(path[0], dt)
     edges = [_straight(a, b, limits, dt) for a, b in itertools.pairwise(path)]
     if (
         len(edges) > 1
@@ -66,7 +69,7 @@ def _distinct(path: Array) -> Array:
     return path[keep]
 
 
-def round_corners(path: Array, deviation: float) -> Trajectory:
+def round_corners(path: Array, deviation: float) -> TimedTrajectory:
     """The polyline `path` with rounded corners, as the motion along it at about 1 rad/s: its time is the length (rad)."""
     edges = np.diff(path, axis=0)
     length = np.linalg.norm(edges, axis=1)
@@ -81,10 +84,10 @@ def round_corners(path: Array, deviation: float) -> Trajectory:
     steps[0::2], steps[1::2] = straight, 2 * leg
     keep = np.insert(steps > 1e-9, 0, True)  # where two roundings meet, nothing straight is left between them
     time = np.insert(np.cumsum(steps), 0, 0.0)
-    return Trajectory(time[keep], knots[keep], tangents[keep], np.zeros_like(knots[keep]))
+    return TimedTrajectory(time[keep], knots[keep], tangents[keep], np.zeros_like(knots[keep]))
 
 
-def through(points: Array) -> Trajectory:
+def through(points: Array) -> TimedTrajectory:
     """The curve through `points` (n, dof) as the motion along it at about 1 rad/s: its time is the length (rad).
 
     A cubic spline: its slope and its curvature are continuous.
@@ -92,10 +95,10 @@ def through(points: Array) -> Trajectory:
     points = _distinct(points)
     length = np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
     spline = SplineInterpolator(length, points)
-    return Trajectory(length, points, spline(length, 1), spline(length, 2))
+    return TimedTrajectory(length, points, spline(length, 1), spline(length, 2))
 
 
-def time_curve(curve: Trajectory, limits: Limits, dt: float) -> Trajectory | None:
+def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajectory | None:
     """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or a little less.
 
     Limits are held within 0.1 %. None where TOPPRA's numbers fail.
@@ -112,7 +115,7 @@ class _Profile:
     acceleration; all of that then averaged over `window` s, whereby it lasts longer by as much.
     """
 
-    curve: Trajectory
+    curve: TimedTrajectory
     s: Array
     sd: Array
     t: Array
@@ -122,7 +125,7 @@ class _Profile:
     def duration(self) -> float:
         return float(self.t[-1]) + self.window
 
-    def sample(self, factor: float, dt: float) -> Trajectory:
+    def sample(self, factor: float, dt: float) -> TimedTrajectory:
         """The motion at `factor` times its shortest duration, sampled every `dt` s or a little less."""
         t = sample_times(np.array([0.0, 0.5, 1.0]) * self.duration, factor, dt)
         area1, s1, sd1 = self._raw(t)
@@ -130,9 +133,9 @@ class _Profile:
         s = np.clip((area1 - area0) / self.window, 0.0, self.s[-1])
         sd, sdd = ((s1 - s0) / self.window / factor)[:, None], ((sd1 - sd0) / self.window / factor**2)[:, None]
         sd[-1] = sdd[-1] = 0.0
-        position, slope, bend = self.curve.at(s)
+        position, slope, bend = self.curve.sample(s)
         position[-1] = self.curve.position[-1]
-        return Trajectory(t * factor, position, slope * sd, bend * sd**2 + slope * sdd)
+        return TimedTrajectory(t * factor, position, slope * sd, bend * sd**2 + slope * sdd)
 
     def _raw(self, t: Array) -> tuple[Array, Array, Array]:
         """Before averaging: the integral over time of the length, the length and the velocity."""
@@ -173,16 +176,16 @@ def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
 class _ToppraPath:
     """A curve as TOPPRA asks for it."""
 
-    def __init__(self, curve: Trajectory) -> None:
+    def __init__(self, curve: TimedTrajectory) -> None:
         self._curve = curve
         self.dof = curve.position.shape[1]
         self.path_interval = curve.time[[0, -1]]
 
     def __call__(self, s: Array, order: int = 0) -> Array:
-        return self._curve.at(s)[order]
+        return np.asarray(self._curve.sample(s)[order])
 
 
-def _fastest(curve: Trajectory, limits: Limits, dt: float, step: float, least: int) -> _Profile | None:
+def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, least: int) -> _Profile | None:
     """TOPPRA under the limits on velocity and acceleration, at points not further apart than `step` (rad), `least` on each
     piece of the curve; None where its numbers fail.
     """
@@ -199,11 +202,11 @@ def _fastest(curve: Trajectory, limits: Limits, dt: float, step: float, least: i
     return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
 
 
-def _join(trajectories: list[Trajectory]) -> Trajectory:
+def _join(trajectories: list[TimedTrajectory]) -> TimedTrajectory:
     """Motions from rest to rest, one after the other."""
     starts = np.cumsum([0.0, *(trajectory.duration for trajectory in trajectories[:-1])])
     first, *rest = trajectories
-    return Trajectory(
+    return TimedTrajectory(
         np.concatenate([first.time, *(m.time[1:] + start for m, start in zip(rest, starts[1:], strict=True))]),
         *(
             np.concatenate([getattr(first, rows), *(getattr(m, rows)[1:] for m in rest)])

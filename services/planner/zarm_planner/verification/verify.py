@@ -8,7 +8,10 @@ import numpy as np
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_planner.constraints.path_constraint import PathConstraint
-from zarm_planner.timing.trajectory import TOLERANCE, Array, Limits, Trajectory
+from zarm_planner.timing.sampling import TOLERANCE
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 _POSITION = 1e-6
 """Rad by which a motion may miss its start and its goal."""
@@ -21,7 +24,7 @@ class VerificationFailed(Exception):
 
 
 def verify(
-    trajectory: Trajectory,
+    trajectory: TimedTrajectory,
     start: Array,
     goal: Array,
     limits: Limits,
@@ -29,11 +32,11 @@ def verify(
     check: Callable[[], None],
     constraint: PathConstraint | None = None,
 ) -> float:
-    """The motion's smallest distance (m) to the scene and to the robot itself, at most 1.
+    """The trajectory's smallest distance (m) to the scene and to the robot itself, at most 1.
 
-    Raises VerificationFailed unless the motion leads from `start` to `goal` (dof,), from rest to rest, inside the joints'
+    Raises VerificationFailed unless the trajectory leads from `start` to `goal` (dof,), from rest to rest, inside the joints'
     ranges and `limits`, and free of collision: between the configurations looked at no point of the robot moves further
-    than `RESOLUTION`, and what is `constraint` is looked at there. `check` is called now and then and may raise.
+    than `RESOLUTION`, and `constraint` is looked at there. `check` is called now and then and may raise.
     """
     model, joints = scene.model, scene.model.robot.descriptor.joints
     for values, wanted, what in (
@@ -44,11 +47,11 @@ def verify(
     ):
         if not np.all(np.abs(values - wanted) <= _POSITION):
             raise VerificationFailed(f"the trajectory {what}")
-    if not (load := trajectory.load(limits)) <= 1 + 1.5 * TOLERANCE:  # and some rounding
+    if not (load := limits.load(trajectory)) <= 1 + 1.5 * TOLERANCE:  # and some rounding
         raise VerificationFailed(f"the trajectory needs {load:.2f} times the allowed speed")
 
     times = _moments(trajectory, scene.reach)
-    position, _, _ = trajectory.at(times)
+    position = trajectory.positions(times)
     outside = np.maximum(model.lower - position, position - model.upper)
     if not np.all(outside <= _RANGE):
         sample, joint = np.unravel_index(int(np.argmax(outside)), outside.shape)
@@ -67,7 +70,7 @@ def verify(
     return nearest.distance
 
 
-def _moments(trajectory: Trajectory, reach: Array) -> Array:
+def _moments(trajectory: TimedTrajectory, reach: Array) -> Array:
     """Times (k,) between which no point of the robot moves further than RESOLUTION, the samples' own among them."""
     pieces = np.maximum(1, np.ceil(trajectory.travel(reach) / RESOLUTION)).astype(int)
     return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), trajectory.time)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from zarm_geometry.robot_model import RobotModel
-from zarm_planner.timing.trajectory import Array, Trajectory
 from zarm_planner.verification.verify import VerificationFailed
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.001
 """Seconds between looks."""
@@ -16,7 +17,7 @@ _STEP = 0.001
 
 def passing_times(
     model: RobotModel,
-    trajectory: Trajectory,
+    trajectory: TimedTrajectory,
     waypoints: Sequence[Array],
     position_tolerance: float,
     angle_tolerance: float,
@@ -26,7 +27,7 @@ def passing_times(
     Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad).
     """
     t = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
-    tips = model.fk_tip(trajectory.at(t)[0])
+    tips = model.fk_tip(trajectory.sample(t)[0])
     times: list[float] = []
     begin = 0
     for number, wanted in enumerate(model.fk_tip(np.array(waypoints).reshape(-1, model.dof))):

@@ -29,7 +29,7 @@ from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import PLANNERS
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.timing.time_parameterization import time_path
-from zarm_planner.timing.trajectory import Trajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 HOME = (0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0)
 SWUNG = (1.3, 0.0, 1.5708, 0.0, 1.5708, 0.0)
@@ -41,7 +41,7 @@ class StraightLine(Planner):
 
     names: ClassVar = {"joints": "straight_line"}
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[Trajectory]:
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
         line = np.array([problem.start.asked, problem.goals[0]])
         yield time_path(line, context.limits, context.dt, 0.0)
 
@@ -51,7 +51,7 @@ class TooFast(StraightLine):
 
     names: ClassVar = {"joints": "too_fast"}
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[Trajectory]:
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
         for trajectory in super().trajectories(context, problem):
             yield trajectory.slower(0.5)
 

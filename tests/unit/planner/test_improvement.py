@@ -15,7 +15,8 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.improvement import GAIN, Improvement
-from zarm_planner.timing.trajectory import Limits, Trajectory
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 Route = tuple[Array, tuple[int, ...]]
@@ -54,10 +55,10 @@ def improvement(model: RobotModel, world: World) -> Improvement:
         found = search(model, world, LEFT, RIGHT, seed=k, deadline=Deadline(60))
         return shortcut(model, world, found, seed=k, deadline=Deadline(60)), ()
 
-    return Improvement(model, world, Limits.of(model), 0.01, route, seed=0)
+    return Improvement(model, world, Limits.of(model.robot), 0.01, route, seed=0)
 
 
-def staircase(improvement: Improvement, looks: int) -> list[Trajectory]:
+def staircase(improvement: Improvement, looks: int) -> list[TimedTrajectory]:
     stop, motions = Rounds(looks), []
     while (motion := improvement.faster_than(motions[-1].duration if motions else 60.0, stop)) is not None:
         motions.append(motion)
@@ -70,14 +71,14 @@ def test_each_motion_is_faster_free_and_inside_the_limits(improvement: Improveme
     durations = np.array([motion.duration for motion in motions])
     assert np.all(durations[1:] <= (1 - GAIN) * durations[:-1])
     for motion in motions:
-        assert motion.load(Limits.of(model)) <= 1.001
+        assert Limits.of(model.robot).load(motion) <= 1.001
         np.testing.assert_allclose(motion.position[[0, -1]], [LEFT, RIGHT], atol=1e-9)
-        position, _, _ = motion.at(np.linspace(0.0, motion.duration, 400))
+        position, _, _ = motion.sample(np.linspace(0.0, motion.duration, 400))
         assert clearances(model, WALL, position).min() > 0.0
 
 
 def test_the_same_seed_tries_the_same(improvement: Improvement, model: RobotModel, world: World) -> None:
-    again = Improvement(model, world, Limits.of(model), 0.01, improvement.routes, seed=0)
+    again = Improvement(model, world, Limits.of(model.robot), 0.01, improvement.routes, seed=0)
     for one, other in zip(staircase(improvement, 10), staircase(again, 10), strict=True):
         np.testing.assert_array_equal(one.position, other.position)
 
@@ -96,14 +97,14 @@ def test_nothing_comes_after_the_stop(improvement: Improvement) -> None:
 
 
 def test_nothing_is_offered_where_there_is_no_route(model: RobotModel, world: World) -> None:
-    improvement = Improvement(model, world, Limits.of(model), 0.01, lambda _: None, seed=0)
+    improvement = Improvement(model, world, Limits.of(model.robot), 0.01, lambda _: None, seed=0)
     assert improvement.faster_than(60.0, Rounds(3)) is None
 
 
 def test_faster_motions_pass_the_vias_too(model: RobotModel) -> None:
     via = np.append(LEFT[:6], 2.0)
     path = np.array([LEFT, via, RIGHT])
-    improvement = Improvement(model, World((), 0.0), Limits.of(model), 0.01, lambda _: (path, (1,)), seed=0)
+    improvement = Improvement(model, World((), 0.0), Limits.of(model.robot), 0.01, lambda _: (path, (1,)), seed=0)
     for motion in staircase(improvement, 5):
-        position, _, _ = motion.at(np.linspace(0.0, motion.duration, 10_000))
+        position, _, _ = motion.sample(np.linspace(0.0, motion.duration, 10_000))
         assert np.abs(position - via).max(axis=1).min() < 2e-3

@@ -12,6 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from support.planner.limits import joint_limits
 from support.planner.sphere_model import clearances, random_objects
 from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
@@ -24,7 +25,8 @@ from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.smoothing import DEVIATION, Smoothing, smooth_path
 from zarm_planner.timing.time_parameterization import time_path
-from zarm_planner.timing.trajectory import Limits, Trajectory
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -50,9 +52,9 @@ def moments(duration: float, step: float) -> Array:
     return np.linspace(0.0, duration, 2 + int(duration / step))
 
 
-def assert_inside(motion: Trajectory, model: RobotModel, limits: Limits) -> None:
+def assert_inside(motion: TimedTrajectory, model: RobotModel, limits: Limits) -> None:
     """From rest to rest, and inside every limit at the samples and between them."""
-    position, velocity, acceleration = motion.at(moments(motion.duration, 0.001))
+    position, velocity, acceleration = motion.sample(moments(motion.duration, 0.001))
     assert np.all(np.abs(velocity) <= limits.velocity * 1.001)
     assert np.all(np.abs(acceleration) <= limits.acceleration * 1.001)
     change = np.abs(np.diff(motion.acceleration, axis=0))
@@ -62,10 +64,10 @@ def assert_inside(motion: Trajectory, model: RobotModel, limits: Limits) -> None
     assert not motion.acceleration[[0, -1]].any()
 
 
-def passings(motion: Trajectory, rows: Array) -> tuple[Array, Array]:
+def passings(motion: TimedTrajectory, rows: Array) -> tuple[Array, Array]:
     """For each row, passed one after the other: when the motion is nearest, and how far any joint is off then."""
     t = moments(motion.duration, 0.0002)
-    position, _, _ = motion.at(t)
+    position, _, _ = motion.sample(t)
     # The least sum of distances over all ways to pass the rows in their order.
     off = np.abs(position[:, None] - rows[None]).max(axis=2)
     total, best = np.zeros(len(t)), []
@@ -83,7 +85,7 @@ def passings(motion: Trajectory, rows: Array) -> tuple[Array, Array]:
 @pytest.mark.parametrize("jerk", [None, 20.0, 2.0])
 @pytest.mark.parametrize("dt", [0.004, 0.02])
 def test_the_limits_hold_between_the_samples_too(model: RobotModel, path: Array, dt: float, jerk: float | None) -> None:
-    limits = Limits.of(model)
+    limits = Limits.of(model.robot)
     if jerk is not None:
         limits = replace(limits, jerk=np.full(model.dof, jerk))
     motion = smooth_path(model, World(WALL, 0.005), path, limits, dt, seed=1, deadline=Deadline(60))
@@ -91,7 +93,7 @@ def test_the_limits_hold_between_the_samples_too(model: RobotModel, path: Array,
 
 
 def test_it_leads_from_rest_to_rest_between_the_ends_of_the_path(model: RobotModel, path: Array) -> None:
-    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model), 0.01, seed=1, deadline=Deadline(60))
+    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model.robot), 0.01, seed=1, deadline=Deadline(60))
     np.testing.assert_allclose(motion.position[[0, -1]], path[[0, -1]], atol=1e-9)
     assert not motion.velocity[[0, -1]].any()
     assert not motion.acceleration[[0, -1]].any()
@@ -99,14 +101,14 @@ def test_it_leads_from_rest_to_rest_between_the_ends_of_the_path(model: RobotMod
 
 
 def test_it_arrives_sooner_than_along_the_path_without_stops(model: RobotModel, path: Array) -> None:
-    limits = Limits.of(model)
+    limits = Limits.of(model.robot)
     motion = smooth_path(model, World(WALL, 0.005), path, limits, 0.01, seed=1, deadline=Deadline(60))
     assert len(path) > 2  # else there is nothing to smooth
     assert motion.duration < time_path(path, limits, 0.01, 0.03).duration
 
 
 def test_the_same_seed_gives_the_same_motion(model: RobotModel, path: Array) -> None:
-    world, limits = World(WALL, 0.005), Limits.of(model)
+    world, limits = World(WALL, 0.005), Limits.of(model.robot)
     first, again = (smooth_path(model, world, path, limits, 0.01, seed=7, deadline=Deadline(60)) for _ in range(2))
     np.testing.assert_array_equal(first.position, again.position)
 
@@ -114,12 +116,12 @@ def test_the_same_seed_gives_the_same_motion(model: RobotModel, path: Array) -> 
 def test_it_is_a_good_motion_also_when_there_is_no_time_left(model: RobotModel, path: Array) -> None:
     stop = Deadline(60)
     stop.cancel()
-    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model), 0.01, seed=1, deadline=stop)
+    motion = smooth_path(model, World(WALL, 0.005), path, Limits.of(model.robot), 0.01, seed=1, deadline=stop)
     np.testing.assert_allclose(motion.position[[0, -1]], path[[0, -1]], atol=1e-9)
 
 
 def test_a_path_that_goes_nowhere_is_a_short_rest(model: RobotModel) -> None:
-    motion = smooth_path(model, World((), 0.0), LEFT[None], Limits.of(model), 0.01, seed=1, deadline=Deadline(60))
+    motion = smooth_path(model, World((), 0.0), LEFT[None], Limits.of(model.robot), 0.01, seed=1, deadline=Deadline(60))
     assert not motion.velocity.any()
     np.testing.assert_array_equal(motion.position, [LEFT, LEFT])
 
@@ -139,8 +141,8 @@ def test_in_random_worlds_the_motion_is_as_free_as_the_path(seed: int) -> None:
     if found is None:
         return
     path = shortcut(model, world, found, seed=seed, deadline=Deadline(1))
-    motion = smooth_path(model, world, path, Limits.of(model), 0.01, seed=seed, deadline=Deadline(60))
-    position, _, _ = motion.at(moments(motion.duration, 0.005))
+    motion = smooth_path(model, world, path, Limits.of(model.robot), 0.01, seed=seed, deadline=Deadline(60))
+    position, _, _ = motion.sample(moments(motion.duration, 0.005))
     assert clearances(model, objects, position).min() > 0.0
 
 
@@ -149,16 +151,16 @@ ZIGZAG = LEFT + 0.3 * np.array([np.zeros(7), *np.random.default_rng(5).uniform(-
 
 def test_in_free_space_it_does_not_stop_at_vias(model: RobotModel) -> None:
     motion = smooth_path(
-        model, World((), 0.0), ZIGZAG, Limits.of(model), 0.01, seed=1, deadline=Deadline(60), vias=range(1, 6)
+        model, World((), 0.0), ZIGZAG, Limits.of(model.robot), 0.01, seed=1, deadline=Deadline(60), vias=range(1, 6)
     )
     times, off = passings(motion, ZIGZAG[1:6])
     assert off.max() <= DEVIATION
-    _, velocity, _ = motion.at(times)
+    _, velocity, _ = motion.sample(times)
     assert np.linalg.norm(velocity, axis=1).min() > 0.05
 
 
 def test_vias_along_the_way_cost_little(model: RobotModel) -> None:
-    world, limits = World((), 0.0), Limits.of(model)
+    world, limits = World((), 0.0), Limits.of(model.robot)
     line = LEFT + np.linspace(0.0, 1.0, 6)[:, None] * (RIGHT - LEFT)
     direct = smooth_path(model, world, line[[0, -1]], limits, 0.01, seed=1, deadline=Deadline(60))
     through = smooth_path(model, world, line, limits, 0.01, seed=1, deadline=Deadline(60), vias=range(1, 5))
@@ -170,7 +172,7 @@ def test_vias_along_the_way_cost_little(model: RobotModel) -> None:
 @pytest.mark.parametrize("jerk", [500.0, 20.0])
 @pytest.mark.parametrize("deviation", [1e-3, 1e-4])
 def test_low_jerk_takes_a_motion_no_further_off_its_vias(model: RobotModel, jerk: float, deviation: float) -> None:
-    limits = replace(Limits.of(model), jerk=np.full(model.dof, jerk))
+    limits = replace(Limits.of(model.robot), jerk=np.full(model.dof, jerk))
     motion = smooth_path(
         model, World((), 0.0), ZIGZAG, limits, 0.01, seed=1, deadline=Deadline(60), vias=[2, 4], deviation=deviation
     )
@@ -180,7 +182,7 @@ def test_low_jerk_takes_a_motion_no_further_off_its_vias(model: RobotModel, jerk
 
 
 def test_rows_that_are_no_vias_need_not_be_passed(model: RobotModel) -> None:
-    world, limits = World((), 0.0), Limits.of(model)
+    world, limits = World((), 0.0), Limits.of(model.robot)
     through, free = (
         smooth_path(model, world, ZIGZAG, limits, 0.01, seed=1, deadline=Deadline(60), vias=vias) for vias in ([3], [])
     )
@@ -198,7 +200,7 @@ def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops
     model = RobotModel.of(load_robot("panda"))
     rng = np.random.default_rng(seed)
     world = World(random_objects(8, 0.2, rng), 0.01)
-    limits = Limits.of(model)
+    limits = Limits.of(model.robot)
     if jerk is not None:
         limits = replace(limits, jerk=np.full(model.dof, jerk))
     rows: list[Array] = []
@@ -222,14 +224,14 @@ def test_in_random_worlds_it_passes_its_vias_and_is_never_slower_than_with_stops
 def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
     rng = np.random.default_rng(2)
     samples = rng.normal(size=(3, 20, model.dof)) * np.array([0.01, 0.5, 5.0])[:, None, None]
-    motion = Trajectory(np.cumsum(rng.uniform(0.05, 0.1, 20)) - 0.05, *samples)
+    motion = TimedTrajectory(np.cumsum(rng.uniform(0.05, 0.1, 20)) - 0.05, *samples)
     t = np.linspace(motion.time[0], motion.time[-1], 20_000)
-    _, velocity, acceleration = motion.at(t[:-1])
+    _, velocity, acceleration = motion.sample(t[:-1])
     ample = np.full(model.dof, 1e9)
-    fast = Limits(np.ones(model.dof), ample, ample)
-    strong = Limits(ample, np.ones(model.dof), ample)
-    assert motion.load(fast) == pytest.approx(np.abs(velocity).max(), rel=0.02)
-    assert motion.load(strong) == pytest.approx(np.sqrt(np.abs(acceleration).max()), rel=0.02)
+    fast = joint_limits(np.ones(model.dof), ample, ample)
+    strong = joint_limits(ample, np.ones(model.dof), ample)
+    assert fast.load(motion) == pytest.approx(np.abs(velocity).max(), rel=0.02)
+    assert strong.load(motion) == pytest.approx(np.sqrt(np.abs(acceleration).max()), rel=0.02)
 
 
 numbers = st.floats(-1.0, 1.0)

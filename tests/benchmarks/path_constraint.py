@@ -32,7 +32,7 @@ from zarm_planner.constraints.constrained_timing import time_constrained
 from zarm_planner.constraints.path_constraint import PathConstraint
 from zarm_planner.deadline import Deadline
 from zarm_planner.kinematics.ik import solve_ik
-from zarm_planner.timing.trajectory import Limits
+from zarm_trajectory.limits import Limits
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def main() -> None:
 def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: float) -> list[str]:
     """Solved, times (median / 95th percentile), mean duration, and the largest part of the tolerance that is used."""
     runs = []
-    limits = Limits.of(model)
+    limits = Limits.of(model.robot)
     for seed, (world, held, start, goals) in zip(range(count), problems(model, name, message), strict=False):
         times = [time.thread_time()]
         path = search_constrained(world, held, start, goals, seed=seed, deadline=Deadline(timeout))
@@ -88,7 +88,7 @@ def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: fl
         times.append(time.thread_time())
         if motion is not None:
             moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))
-            used = held.use(motion.at(moments)[0]).max()
+            used = held.use(motion.sample(moments)[0]).max()
             runs.append((*np.diff(times), times[-1] - times[0], motion.duration, used))
     columns = np.array(runs).reshape(-1, 6).T
     if not runs:

@@ -27,7 +27,8 @@ from zarm_planner.constraints.path_constraint import PathConstraint
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.manifold import CLOSE
 from zarm_planner.kinematics.ik import solve_ik
-from zarm_planner.timing.trajectory import Limits, Trajectory
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -89,17 +90,17 @@ def used(model: RobotModel, message: HeldAxes, start: Array, q: Array) -> float:
     return float(np.max(np.abs(np.concatenate((turn, shift)) / allowed)[list(message.axes)]))
 
 
-def assert_kept(model: RobotModel, message: HeldAxes, motion: Trajectory) -> None:
+def assert_kept(model: RobotModel, message: HeldAxes, motion: TimedTrajectory) -> None:
     """At ten moments per sample, by the second opinion; and inside the limits, from rest to rest."""
     moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))
-    positions, _, _ = motion.at(moments)
+    positions, _, _ = motion.sample(moments)
     held = PathConstraint.of(model, message, model.fk_tip(motion.position[0]))
     assert held.use(positions).max() <= 1.0
     assert held.violation(positions) is None
     worst = np.argsort(held.use(positions))[-20:]
     rows = np.unique(np.concatenate((worst, np.arange(0, len(moments), 25))))
     assert max(used(model, message, motion.position[0], positions[row]) for row in rows) <= 1.0 + 1e-6
-    assert motion.load(Limits.of(model)) <= 1.001
+    assert Limits.of(model.robot).load(motion) <= 1.001
     assert not motion.velocity[[0, -1]].any()
     assert np.all((positions >= model.lower - 1e-4) & (positions <= model.upper + 1e-4))
 
@@ -114,7 +115,7 @@ def plan_held(
     seed: int,
     deadline: Deadline,
     most: int = 10_000,
-) -> Trajectory | None:
+) -> TimedTrajectory | None:
     """A motion that keeps what is held, free of `world` in spheres; None where none is found."""
     path = search_constrained(world, held, start, goals, seed=seed, deadline=deadline, most=most)
     if path is None:
@@ -153,7 +154,9 @@ def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_
     for seed in range(3):
         objects, held, start, goals = problem(model, message, rng)
         world = World(objects, 0.005)
-        motion = plan_held(world, held, start, goals, Limits.of(model), seed=seed, deadline=Deadline(30.0), most=50)
+        motion = plan_held(
+            world, held, start, goals, Limits.of(model.robot), seed=seed, deadline=Deadline(30.0), most=50
+        )
         if motion is None:  # obstacles and joint ranges can cut a goal off
             continue
         planned += 1
@@ -173,7 +176,7 @@ def test_a_glass_is_carried_upright_around_a_wall(sides: tuple[Array, Array], me
     pose = PANDA.fk_tip(goal)
     pose[:3, :3] = PANDA.fk_tip(start)[:3, :3]
     goals = solve_ik(PANDA, pose, start, world=world, max_solutions=16, seed=0, deadline=Deadline(30.0)).solutions
-    motion = plan_held(world, held, start, goals, Limits.of(PANDA), seed=seed, deadline=Deadline(30.0))
+    motion = plan_held(world, held, start, goals, Limits.of(PANDA.robot), seed=seed, deadline=Deadline(30.0))
     assert motion is not None
     assert_kept(PANDA, message, motion)
     assert clearances(PANDA, WALL, motion.position).min() > -RESOLUTION / 2
@@ -184,7 +187,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tup
     start, goal = sides
     world, held = World(WALL, 0.005), PathConstraint.of(PANDA, UPRIGHT, PANDA.fk_tip(start))
     motions = [
-        plan_held(world, held, start, goal[None], Limits.of(PANDA), seed=seed, deadline=Deadline(30.0))
+        plan_held(world, held, start, goal[None], Limits.of(PANDA.robot), seed=seed, deadline=Deadline(30.0))
         for seed in (1, 1, 2)
     ]
     first, same, other = (motion for motion in motions if motion is not None)
@@ -198,7 +201,7 @@ def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still
     goal = held.projected(start + [0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0])
     assert goal is not None
     assert np.abs(goal[0] - start).max() > 0.2
-    motion = plan_held(World((), 0.0), held, start, goal, Limits.of(PANDA), seed=0, deadline=Deadline(30.0))
+    motion = plan_held(World((), 0.0), held, start, goal, Limits.of(PANDA.robot), seed=0, deadline=Deadline(30.0))
     assert motion is not None
     assert_kept(PANDA, STILL, motion)
 
@@ -209,7 +212,7 @@ def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Pat
     held = PathConstraint.of(arm, LEVEL, arm.fk_tip(start))
     goals = held.projected(np.array([6.0, 0.9, 0.9, 0.15]))
     assert goals is not None
-    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm), seed=0, deadline=Deadline(30.0))
+    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm.robot), seed=0, deadline=Deadline(30.0))
     assert motion is not None
     np.testing.assert_array_equal(motion.position[-1], goals[0])
     assert_kept(arm, LEVEL, motion)
@@ -222,7 +225,7 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
     pose[:3, 3] += (0.1, 0.2, 0.9 * LEVEL.position_tolerance)
     held.check_goal(pose, "goal")
     goals = solve_ik(PANDA, pose, start, world=None, max_solutions=4, seed=0, deadline=Deadline(30.0)).solutions
-    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(PANDA), seed=0, deadline=Deadline(30.0))
+    motion = plan_held(World((), 0.0), held, start, goals, Limits.of(PANDA.robot), seed=0, deadline=Deadline(30.0))
     assert motion is not None
     assert np.abs(goals - motion.position[-1]).max(axis=1).min() == 0.0
     assert_kept(PANDA, LEVEL, motion)
@@ -231,7 +234,9 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
 def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
     start = np.array(MODELS["ur5e"].robot.descriptor.home)
     held = PathConstraint.of(MODELS["ur5e"], STILL, MODELS["ur5e"].fk_tip(start))
-    motion = plan_held(World((), 0.0), held, start, start[None], Limits.of(held.model), seed=0, deadline=Deadline(30.0))
+    motion = plan_held(
+        World((), 0.0), held, start, start[None], Limits.of(held.model.robot), seed=0, deadline=Deadline(30.0)
+    )
     assert motion is not None
     assert np.all(motion.position == start)
 
@@ -316,7 +321,7 @@ def test_a_goal_in_reach_that_no_held_motion_leads_to_ends_with_its_samples_and_
         np.abs(found - start).max(axis=1) > 0.1
     ]  # an arm of six joints cannot get there without moving its tip
     assert len(others)
-    world, limits = World((), 0.0), Limits.of(ur5e)
+    world, limits = World((), 0.0), Limits.of(ur5e.robot)
     assert plan_held(world, held, start, others, limits, seed=0, deadline=Deadline(30.0), most=50) is None
     stop = Deadline(60.0)
     canceller = threading.Timer(0.1, stop.cancel)

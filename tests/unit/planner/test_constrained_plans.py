@@ -21,8 +21,8 @@ from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.registry import choose
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.timing.time_parameterization import time_path
-from zarm_planner.timing.trajectory import Limits
 from zarm_planner.verification.verify import VerificationFailed, verify
+from zarm_trajectory.limits import Limits
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 UPRIGHT = HeldAxes(axes=(True, True, False, False, False, False), position_tolerance=0.003, angle_tolerance=0.01)
@@ -47,7 +47,7 @@ def held_plan(
 ) -> Verified:
     world = World(objects, 0.005)
     snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
-    limits, deadline = Limits.of(model), Deadline(60.0)
+    limits, deadline = Limits.of(model.robot), Deadline(60.0)
     context = PlanningContext(snapshot, limits, deadline, path_constraint=held, max_attempts=10, optimize_s=optimize_s)
     return plan(choose("auto", goal, constrains(held)), context, HOME, goal)
 
@@ -56,7 +56,7 @@ def tips(model: RobotModel, found: Verified) -> np.ndarray:
     """The tip's poses (n, 4, 4) along a motion, by forward kinematics that are not the planner's."""
     times = np.arange(0.0, found.trajectory.duration, DENSE)
     tip = model.robot.descriptor.tip_link
-    return np.array([second_opinion.link_pose(model.robot, tip, q) for q in found.trajectory.at(times)[0]])
+    return np.array([second_opinion.link_pose(model.robot, tip, q) for q in found.trajectory.sample(times)[0]])
 
 
 def tilt(poses: np.ndarray) -> float:
@@ -80,7 +80,7 @@ def test_what_is_held_is_kept_around_an_obstacle(model: RobotModel) -> None:
     assert tilt(poses) <= LEVEL.angle_tolerance * np.sqrt(2.0)
     collisions = second_opinion.Collisions(model.robot, [post])
     times = np.arange(0.0, found.trajectory.duration, DENSE)
-    assert not any(collisions.at(q) for q in found.trajectory.at(times)[0])
+    assert not any(collisions.at(q) for q in found.trajectory.sample(times)[0])
 
 
 def test_all_axes_but_one_make_a_straight_line(model: RobotModel) -> None:
@@ -97,7 +97,7 @@ def test_waypoints_are_passed_without_a_stop_with_axes_held(model: RobotModel) -
     assert np.abs(poses[:, 2, 3] - poses[0, 2, 3]).max() <= LEVEL.position_tolerance
     assert len(found.waypoint_times) == 3
     for goal, time in zip(through, found.waypoint_times, strict=True):
-        q, qd, _ = found.trajectory.at(np.array([time]))
+        q, qd, _ = found.trajectory.sample(np.array([time]))
         distance, _ = second_opinion.tip_error(model.robot, q[0], goal.position, goal.orientation)
         assert distance <= 0.005
         assert goal is through[-1] or np.abs(qd).max() > 0.01
@@ -139,7 +139,7 @@ def test_an_axis_is_held_from_a_start_and_to_a_goal_near_a_table(model: RobotMod
 
 def test_verification_refuses_a_motion_that_loses_what_is_held(model: RobotModel) -> None:
     away = HOME + (0.0, 0.2, 0.0, 0.0, 0.0, 0.0)
-    limits, exact = Limits.of(model), ExactScene(model, World((), 0.0))
+    limits, exact = Limits.of(model.robot), ExactScene(model, World((), 0.0))
     motion = time_path(np.array((HOME, away)), limits, 0.01, 0.0)
     held = PathConstraint.of(model, UPRIGHT, model.fk_tip(HOME))
     assert verify(motion, HOME, away, limits, exact, lambda: None) > 0.0
