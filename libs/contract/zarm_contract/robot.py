@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from zarm_contract._document import Document, KeyPath, read_document
 from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Joints, Name, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
 from zarm_contract.urdf import Urdf, load_urdf
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -124,7 +125,7 @@ class StrategyParams(_Section):
     command_topic: str = Field(min_length=1)
     state_topic: Annotated[str, Field(min_length=1)] | None = None
     joint_states_topic: str = Field(min_length=1)
-    strategies: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
+    strategies: tuple[DriverStrategyName, ...] = Field(default=tuple(DRIVER_STRATEGIES), min_length=1)
     joint_order: tuple[str, ...] | None = None
     joint_states_order: tuple[str, ...] | None = None
     point_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
@@ -210,7 +211,8 @@ class RobotDescriptor(_Section):
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
-            if not _is_multiple(chunk, period):
+            streamed = any(DRIVER_STRATEGIES[name] == "chunks" for name in self.strategy_params.strategies)
+            if streamed and not _is_multiple(chunk, period):
                 faults.append(
                     f"strategy_params.chunk_period: {chunk:g} s is no whole number of periods of the control loop, so that "
                     f"chunks would not come evenly; use a multiple of {period:g} s, or change execution.control_rate"
