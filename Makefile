@@ -97,7 +97,7 @@ $(VENV)/.ros: constraints.txt $(MESSAGES) | $(VENV)/.ros_packages
 	@touch $@
 
 # The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
-$(VENV)/.kernels: $(VENV)/.planner $(wildcard services/planner/zarm_planner/kernels/*.py)
+$(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
 	@echo "compiling the planner's kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
 	@touch $@

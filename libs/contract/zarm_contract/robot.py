@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from zarm_contract._document import Document, KeyPath, read_document
 from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Joints, Name, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
 from zarm_contract.urdf import Urdf, load_urdf
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -112,7 +113,9 @@ class Execution(_Section):
     settle_time: Positive = 1.0
     """How long the robot may take to come to rest at the end (s)."""
     joint_state_timeout: Positive = 0.1
-    """Maximum age of the measured joint state (s)."""
+    """Maximum age of the measured joint state (s): older joints hold a motion, and none starts."""
+    hold_timeout: NonNegative = 1.0
+    """How long a motion is held for new joint states before it is a fault (s); 0: at once."""
     stopped_velocity: Positive = 0.01
     """A robot below this joint velocity is at rest (rad/s)."""
     allowed_duration_factor: Annotated[float, Field(ge=1)] = 1.1
@@ -141,9 +144,7 @@ class StrategyParams(_Section):
     """ROS topic on which the driver reports its progress, 0 to 1. Left out: the executor computes the progress from the joint states."""
     joint_states_topic: str = Field(min_length=1)
     """ROS topic of the joint states."""
-    strategies: tuple[Literal["joint_speed", "joint_pose", "joint_trajectory"], ...] = Field(
-        default=("joint_speed", "joint_pose", "joint_trajectory"), min_length=1
-    )
+    strategies: tuple[DriverStrategyName, ...] = Field(default=tuple(DRIVER_STRATEGIES), min_length=1)
     """What the driver can play: streamed velocities, streamed positions, whole trajectories."""
     joint_order: tuple[str, ...] | None = None
     """Order of the columns in commands. Default: `joints`. Joint states are read by name."""
@@ -249,7 +250,8 @@ class RobotDescriptor(_Section):
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
-            if not _is_multiple(chunk, period):
+            streamed = any(DRIVER_STRATEGIES[name] == "chunks" for name in self.strategy_params.strategies)
+            if streamed and not _is_multiple(chunk, period):
                 faults.append(
                     f"strategy_params.chunk_period: {chunk:g} s is not a whole number of periods of the control loop, so that "
                     f"chunks would not be evenly spaced; use a multiple of {period:g} s, or change execution.control_rate"

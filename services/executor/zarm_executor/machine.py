@@ -1,6 +1,6 @@
 """The state machine that owns the robot: who may move it, one goal at a time.
 
-mode      idle -> running -> idle                      a goal that succeeds
+mode      idle -> running -> idle                      a goal that succeeds, or is missed by a robot that rests
           running -> stopping -> paused -> running     pause and resume
           running | paused -> stopping -> idle         cancel, stop, another goal that preempts this one, a switch of
                                                        strategy, the end of the process

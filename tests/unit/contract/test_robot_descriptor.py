@@ -71,7 +71,7 @@ LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
         ("  point_dt: 0.02", "  gain: 10", "", "strategy_params.gain: the robot would oscillate, because 10/s times delay and chunk_period is more than 1; use at most 7.14"),
         ("  point_dt: 0.02", "  point_dt: 0.004\n  chunk_period: 0.004", "  chunk_period: 0.004", "strategy_params.chunk_period: 0.004 s is not a whole number of periods of the control loop, so that chunks would not be evenly spaced; use a multiple of 0.01 s, or change execution.control_rate"),
         ("interpolation_dt: 0.02", "interpolation_dt: 0.02\nexecution: {control_rate: 130}", "strategy_params:", "strategy_params.chunk_period: 0.08 s is not a whole number of periods of the control loop, so that chunks would not be evenly spaced; use a multiple of 0.00769231 s, or change execution.control_rate"),
-        ("  strategies: [joint_speed, ", "  strategies: [joint_force, ", "", "strategy_params.strategies.0: Input should be 'joint_speed', 'joint_pose' or 'joint_trajectory'"),
+        ("  strategies: [joint_speed, ", "  strategies: [joint_force, ", "", "strategy_params.strategies.0: there is no strategy 'joint_force' for drivers; choose among joint_speed, joint_pose, joint_trajectory"),
         ("urdf: doosan_m1013.urdf", "urdf: m1013.urdf", "", "urdf: cannot read the URDF {folder}/m1013.urdf: no such file; the path is relative to the descriptor's folder"),
     ],
 )  # fmt: skip

@@ -52,8 +52,8 @@ class WaypointsGoal(Message):
 
 Goal = Annotated[PoseGoal | JointGoal | WaypointsGoal, Field(discriminator="kind")]
 
-PlannerKind = Literal["auto", "classic", "joint_space", "multi_point"]
-"""`classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints; `auto`: the goal decides."""
+PlannerKind = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+"""A planner of the planner process: `classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints; `auto`: the goal decides."""
 
 
 class HeldAxes(Message):
