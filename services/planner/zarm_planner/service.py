@@ -131,7 +131,9 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
 
 
 def _count(metrics: Metrics, kind: str, outcome: str) -> None:
-    metrics.count("zarm_plans", "Plans requested; outcome is ok or the code of the problem.", planner=kind, outcome=outcome)
+    metrics.count(
+        "zarm_plans", "Plans requested; outcome is ok or the code of the problem.", planner=kind, outcome=outcome
+    )
 
 
 def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Scene]) -> None:

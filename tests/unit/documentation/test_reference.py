@@ -16,7 +16,7 @@ from zarm_contract.errors import Code
 from zarm_contract.keys import Keys
 from zarm_runtime.settings import SETTINGS
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 REFERENCE = ROOT / "docs" / "reference"
 
 
