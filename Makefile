@@ -10,7 +10,7 @@ MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/cu
 
 REQUIREMENTS := deploy/requirements
 
-.PHONY: demo test test-deploy ros lint bench requirements licences audit clean
+.PHONY: demo test test-deploy ros lint docs bench requirements licences audit clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
@@ -37,6 +37,11 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/deptry .
+
+# The reference from the code, then the site, in site/: nothing is fetched, and a broken link is an error.
+docs: $(VENV)/.dev
+	@$(BIN)/python docs/generate.py
+	@$(BIN)/zensical build --clean --strict
 
 bench: $(VENV)/.dev $(VENV)/.kernels
 	@for file in tests/benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
@@ -65,7 +70,7 @@ audit: $(VENV)/.dev
 		$(BIN)/uv tool run --quiet pip-audit@2.10.1 --strict --disable-pip --require-hashes --progress-spinner off -r $$file || exit 1; done
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) site .cache .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find libs services tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # One stamp for what runs zarm, one for what develops it; the second includes the first.
@@ -92,7 +97,7 @@ $(VENV)/.ros: constraints.txt $(MESSAGES) | $(VENV)/.ros_packages
 	@touch $@
 
 # The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
-$(VENV)/.kernels: $(VENV)/.planner $(wildcard services/planner/zarm_planner/kernels/*.py)
+$(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
 	@echo "compiling the planner's kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
 	@touch $@

@@ -43,7 +43,7 @@ from zarm_contract.messages import (
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
-DOCUMENTATION = ROOT / "deploy" / "access.md"
+DOCUMENTATION = ROOT / "docs" / "how-to" / "secure-a-bus.md"
 JOINT_NAMES = [f"joint_{number}" for number in range(1, 7)]
 BALL = Sphere(kind="sphere", name="ball", position=(0.0, -1.0, 0.2), radius=0.1)
 THERE = (0.4, *HOME[1:])
@@ -189,7 +189,7 @@ def test_a_service_can_be_asked_how_it_is_with_no_certificate_but_its_own(
     done(up, "health", "planner", ZARM_CERTS=str(tmp_path), ZARM_ROLE="planner")
     refused = run(up, "status", ZARM_ROLE="boss")
     assert refused.returncode == 1
-    assert "ZARM_ROLE=boss is no role" in the_one_line(refused.stderr)
+    assert "ZARM_ROLE=boss is not a role" in the_one_line(refused.stderr)
 
 
 # -- what is not allowed does nothing --

@@ -30,18 +30,20 @@ from toppra.constraint import JointAccelerationConstraint, JointVelocityConstrai
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench
-from zarm_planner.exact import ExactScene
-from zarm_planner.improve import Improvement
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
-from zarm_planner.shorten import shorten
-from zarm_planner.smooth import smooth_path
-from zarm_planner.stop import Stop
-from zarm_planner.timing import time_path
-from zarm_planner.verify import VerificationFailed, verify
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.search.rrt_connect import search
+from zarm_planner.search.shortcut import shortcut
+from zarm_planner.timing.improvement import Improvement
+from zarm_planner.timing.smoothing import smooth_path
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
-from zarm_planner.world import World
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
@@ -52,15 +54,15 @@ T = TypeVar("T")
 DT = 0.01
 DENSE = 0.1
 BUDGETS = (0.0, 0.02, 0.1, 0.5)
-PLOT = Path(__file__).parent / "plots" / "arrival.png"
-ENDLESS = Stop(1e6)
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "arrival.png"
+ENDLESS = Deadline(1e6)
 COLUMNS = (
     "robot", "scene", "paths", "zarm s", "TOPPRA s", "ratio, worst", *(f"+{budget:g} s" for budget in BUDGETS[1:]), "least",
     "zarm ms", "TOPPRA ms", "verify ms", "refused: zarm", "TOPPRA", "longer",
 )  # fmt: skip
 
 
-class Processor(Stop):
+class Processor(Deadline):
     """A budget of `seconds` of this thread on the processor."""
 
     def __init__(self, seconds: float) -> None:
@@ -123,21 +125,21 @@ def main() -> None:
 
 def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> Run | None:
     """One problem; None where the margin rules it out."""
-    world, limits = World(problem.objects, margin), Limits.of(model)
+    world, limits = World(problem.objects, margin), Limits.of(model.robot)
     scene = ExactScene(model, world)
     start, goals = np.array(problem.start), np.array(problem.goals)
     if not all(is_free(model, world, end) for end in (start, *goals)):
         return None
 
     def route(seed: int) -> tuple[Array, tuple[int, ...]] | None:
-        path = search(model, world, start, goals, seed=seed, stop=ENDLESS, most=10_000)
-        return None if path is None else (shorten(model, world, path, seed=seed, stop=ENDLESS), ())
+        path = search(model, world, start, goals, seed=seed, deadline=ENDLESS, most=10_000)
+        return None if path is None else (shortcut(model, world, path, seed=seed, deadline=ENDLESS), ())
 
     if (found := route(0)) is None:
         return None
     path, _ = found
 
-    def refused(motion: Motion) -> bool:
+    def refused(motion: TimedTrajectory) -> bool:
         try:
             verify(motion, path[0], path[-1], limits, scene, lambda: None)
         except VerificationFailed:
@@ -145,7 +147,7 @@ def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> Run 
         return False
 
     usual, toppra_seconds = timed(lambda: toppra(path, limits))
-    first, zarm_seconds = timed(lambda: smooth_path(model, world, path, limits, DT, seed=0, stop=ENDLESS))
+    first, zarm_seconds = timed(lambda: smooth_path(model, world, path, limits, DT, seed=0, deadline=ENDLESS))
     first_refused, verify_seconds = timed(lambda: refused(first))
     if first_refused:  # as the planner does then
         first = next(
@@ -168,7 +170,7 @@ def run(model: RobotModel, problem: motion_bench.Problem, margin: float) -> Run 
     )  # fmt: skip
 
 
-def toppra(path: Array, limits: Limits) -> Motion:
+def toppra(path: Array, limits: Limits) -> TimedTrajectory:
     """TOPPRA along a cubic spline through the path, made dense; sampled every few milliseconds."""
     rows = [path[:1]]
     for a, b in itertools.pairwise(path):
@@ -180,7 +182,7 @@ def toppra(path: Array, limits: Limits) -> Motion:
     spline = SplineInterpolator(along, dense)
     trajectory = TOPPRA(constraints, spline, parametrizer="ParametrizeConstAccel").compute_trajectory(0.0, 0.0)
     t = np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / 0.002))
-    return Motion(t, trajectory(t), trajectory(t, 1), trajectory(t, 2))
+    return TimedTrajectory(t, trajectory(t), trajectory(t, 1), trajectory(t, 2))
 
 
 def timed(call: Callable[[], T]) -> tuple[T, float]:

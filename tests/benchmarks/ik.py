@@ -3,7 +3,7 @@
 CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes; batches by the clock, since a GPU
 works beside it. Poses are those of random joints. The robots of MotionBenchMaker take part where ../shared/mbm is, and
 EAIK's closed form as a second opinion on branches where it is installed (`pip install --no-deps eaik==1.2.2`). Plots into
-tests/benchmarks/plots/ik.png.
+docs/images/ik.png.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench
 from zarm_contract.messages import Device
 from zarm_contract.robot import load_robot
-from zarm_planner.batches import batch_fk, batch_ik
-from zarm_planner.ik import solve_ik
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.stop import Stop
+from zarm_geometry.robot_model import RobotModel
+from zarm_planner.deadline import Deadline
+from zarm_planner.kinematics.batches import batch_fk, batch_ik
+from zarm_planner.kinematics.ik import solve_ik
 from zarm_planner.warm_up import warm_up
 
 mpl.use("Agg")
@@ -45,7 +45,7 @@ NEAR = 0.1
 MANY = 500
 """Poses of which all branches are asked for."""
 SIZES = (1, 10, 100, 1000)
-PLOT = Path(__file__).parent / "plots" / "ik.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "ik.png"
 
 
 def main() -> None:
@@ -108,8 +108,8 @@ def timed(model: RobotModel, targets: Array, starts: Array, most: int) -> tuple[
     """Seconds and number of solutions of each pose."""
     seconds, found = np.empty(len(targets)), np.empty(len(targets), int)
     for i, (target, start) in enumerate(zip(targets, starts, strict=True)):
-        stop, began = Stop(60.0), time.thread_time()
-        result = solve_ik(model, target, start, world=None, max_solutions=most, seed=i, stop=stop)
+        stop, began = Deadline(60.0), time.thread_time()
+        result = solve_ik(model, target, start, world=None, max_solutions=most, seed=i, deadline=stop)
         seconds[i], found[i] = time.thread_time() - began, len(result.solutions)
     return seconds, found
 
@@ -132,8 +132,10 @@ def closed_form_cells(model: RobotModel, targets: Array) -> list[str]:
         began = time.thread_time()
         answer = arm.IK(target)
         theirs.append(time.thread_time() - began)
-        stop, began = Stop(60.0), time.thread_time()
-        rows = solve_ik(model, target, np.zeros(model.dof), world=None, max_solutions=1000, seed=i, stop=stop).solutions
+        stop, began = Deadline(60.0), time.thread_time()
+        rows = solve_ik(
+            model, target, np.zeros(model.dof), world=None, max_solutions=1000, seed=i, deadline=stop
+        ).solutions
         ours.append(time.thread_time() - began)
         branches = np.array(answer.Q)[~np.array(answer.is_LS)]
         branches -= 2.0 * np.pi * np.ceil((branches - model.upper) / (2.0 * np.pi))  # the highest turn in the limits
@@ -167,7 +169,7 @@ def batches_table(model: RobotModel) -> tuple[Table, dict[str, list[float]]]:
                             max_solutions=1,
                             seed=0,
                             device=device,  # noqa: B023
-                            stop=Stop(600.0),
+                            deadline=Deadline(600.0),
                         )
                     )
                     for _ in range(3 if n < 1000 else 1)

@@ -3,7 +3,7 @@
 All run in turn on each problem, in CPU time of one thread, from Python, after warm-up: on an idle machine the time it takes.
 OMPL is driven by zarm's own compiled checks, and shortens with its simplifyMax; RoboPlan (`pip install roboplan==0.7.0`) checks the same spheres itself. Both
 take fewer runs. The margin is 0 by default, as in published results on these problems; with one, problems whose start or
-goal is not free any more are left out. Needs the problems in ../shared/mbm; plots into tests/benchmarks/plots/mbm.png.
+goal is not free any more are left out. Needs the problems in ../shared/mbm; plots into docs/images/mbm.png.
 """
 
 from __future__ import annotations
@@ -26,16 +26,17 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench, ompl_peer
 from support.planner.ompl_peer import Run
-from zarm_planner.exact import ExactScene
-from zarm_planner.motion import Limits
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
-from zarm_planner.shorten import shorten
-from zarm_planner.smooth import smooth_path
-from zarm_planner.stop import Stop
-from zarm_planner.verify import VerificationFailed, verify
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.search.rrt_connect import search
+from zarm_planner.search.shortcut import shortcut
+from zarm_planner.timing.smoothing import smooth_path
+from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.warm_up import warm_up
-from zarm_planner.world import World
+from zarm_trajectory.limits import Limits
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -60,7 +61,7 @@ PEERS: list[tuple[str, str, Callable[[Result], list[Run | None]]]] = [
     ("RoboPlan RRT-Connect", "tab:green", lambda result: result.roboplan),
 ]
 """Name, colour in the plot, and runs."""
-PLOT = Path(__file__).parent / "plots" / "mbm.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "mbm.png"
 
 
 @dataclass(frozen=True)
@@ -132,12 +133,12 @@ def run(
     motion = None
     for seed in range(seeds):
         began = time.thread_time()
-        path = search(model, world, start, goals, seed=seed, stop=Stop(TIMEOUT))
+        path = search(model, world, start, goals, seed=seed, deadline=Deadline(TIMEOUT))
         searched = time.thread_time()
         if path is None:
             runs.append(None)
             continue
-        path = shorten(model, world, path, seed=seed, stop=Stop(TIMEOUT))
+        path = shortcut(model, world, path, seed=seed, deadline=Deadline(TIMEOUT))
         runs.append(Run(searched - began, time.thread_time() - searched, length(path)))
         if motion is None:
             motion = timed(model, world, ExactScene(model, world), path)
@@ -152,8 +153,8 @@ def run(
 
 def timed(model: RobotModel, world: World, exact: ExactScene, path: Array) -> Motion:
     """Smooth a path and verify the motion."""
-    limits, began = Limits.of(model), time.thread_time()
-    motion = smooth_path(model, world, path, limits, 0.01, seed=0, stop=Stop(60.0))
+    limits, began = Limits.of(model.robot), time.thread_time()
+    motion = smooth_path(model, world, path, limits, 0.01, seed=0, deadline=Deadline(60.0))
     smoothed = time.thread_time()
     try:
         clearance = verify(motion, path[0], path[-1], limits, exact, lambda: None)

@@ -5,7 +5,7 @@ clients at once, each a process. On two cores clients and planner compete there.
 With objects: times of one thread against the number of objects, in clutter out of the arm's reach and around the arm; what
 stands in the way of a plan in the empty scene is left out, so that there is always a way.
 
-Prints tables and draws them into plots/scaling.png. Needs the problems in ../shared/mbm.
+Prints tables and draws them into docs/images/scaling.png. Needs the problems in ../shared/mbm.
 """
 
 from __future__ import annotations
@@ -41,23 +41,26 @@ from zarm_contract.messages import (
     SceneEdited,
     SceneObject,
 )
-from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.pipeline import Options, plan
-from zarm_planner.planner import Planner
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.scene import SceneStore
-from zarm_planner.stop import Stop
-from zarm_planner.world import World
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.handlers import Handlers
+from zarm_planner.pipeline import plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.scene.store import SceneStore
 from zarm_runtime.bus import Bus
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 Array = NDArray[np.float64]
 
-PLOT = Path(__file__).parent / "plots" / "scaling.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "scaling.png"
 COUNTS = (10, 100, 1000, 10_000)
 CLEAR = 0.03
 """Metres that clutter around the arm keeps away from the motion through the empty scene."""
@@ -107,7 +110,7 @@ def requests(problem: motion_bench.Problem, count: int) -> list[PlanRequest]:
 def in_process(model: RobotModel, folder: Path, problems: list[motion_bench.Problem], plans: int) -> dict[int, float]:
     """Plans per second by number of threads."""
     store = SceneStore(folder)
-    planner = Planner(model, ROBOT, store, lambda: np.zeros(model.dof))
+    planner = Handlers(model, ROBOT, store, lambda: np.zeros(model.dof))
     planner.warm_up(lambda _: None)
     spent = dict.fromkeys((1, 2), 0.0)
     for problem in problems:
@@ -213,16 +216,16 @@ def by_objects(model: RobotModel, problems: list[motion_bench.Problem], counts: 
 
 def timed_plan(
     model: RobotModel, problem: motion_bench.Problem, objects: list[SceneObject]
-) -> tuple[Motion, PlanTimings, float]:
+) -> tuple[TimedTrajectory, PlanTimings, float]:
     """A motion among other objects than the problem's, where its time went, and the seconds that it took to make the scene ready."""
     began = time.perf_counter()
     world = World(objects, 0.005)
-    snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
+    snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
     ready = time.perf_counter() - began
     goal = JointGoal(kind="joints", position=problem.goals[0])
-    options = Options(Limits.of(model), held=None, max_attempts=100, optimize_s=0.0, seed=0)
-    found, timings = plan(snapshot, np.array(problem.start), goal, options, Stop(60.0))
-    return found.motion, timings, ready
+    context = PlanningContext(snapshot, Limits.of(model.robot), Deadline(60.0))
+    found = plan(FreePlanner(), context, np.array(problem.start), goal)
+    return found.trajectory, context.timer.timings(), ready
 
 
 def clutter(

@@ -7,7 +7,7 @@ lateness is against the last deadline. A command's latency is from before it is 
 process has it, a joint state's from the driver's stamp until the executor has it.
 "ordinary" is without real-time priority, as where it is not allowed, of the executor, the driver and the other process.
 
-Prints tables and draws them into plots/tick.png. Needs no more than a minute and a half.
+Prints tables and draws them into docs/images/tick.png. Needs no more than a minute and a half.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ from matplotlib import pyplot as plt
 
 Array = NDArray[np.float64]
 
-PLOT = Path(__file__).parent / "plots" / "tick.png"
+PLOT = Path(__file__).parents[2] / "docs" / "images" / "tick.png"
 CLIENTS = 2 * (os.cpu_count() or 1)
 """Clients of the planner: more than it needs to be busy all the time."""
 WARM_UP = 1.0

@@ -73,7 +73,7 @@ def test_on_another_cpu_the_planner_compiles_kernels_of_its_own_and_keeps_them()
     script = """
 import numpy as np
 from zarm_contract.robot import load_robot
-from zarm_planner.robot_model import RobotModel
+from zarm_geometry.robot_model import RobotModel
 model = RobotModel.of(load_robot("doosan_m1013"))
 print(model.fk_tip(np.array(model.robot.descriptor.home)))
 """

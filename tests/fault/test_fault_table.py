@@ -46,10 +46,21 @@ AT_ONCE = OWN_BRAKE, "v/a of the driver"
 LEFT_PATH = BRAKE, "v/a of the executor, from path_tolerance on"
 LAGS = 0.5 + BRAKE, "half a second until it shows, then v/a of the executor"
 GOES_ON = REST_OF_MOTION, "the motion goes on to its end"
+HELD = BRAKE + 0.8 + REST_OF_MOTION, "0.8 s, v/a of the executor, and the motion goes on to its end"
 PLAYS_ON = REST_OF_MOTION, "the driver plays what it has to the end"
 
 MUTE = DriverFault(silent=True)
 SOUND = DriverFault()
+
+
+def wait_for(place: Arena, since: int, seconds: float) -> None:
+    """Wait until so long has passed for the arm since its step `since`."""
+    eventually(lambda: (place.samples() - since) * STEP >= seconds, f"{seconds:g} s have passed")
+
+
+def wait_until_given_up(place: Arena, struck: int) -> None:
+    """Wait until the executor, which may not be heard, holds the motion no longer for joints that do not come."""
+    wait_for(place, struck, EXECUTION.joint_state_timeout + EXECUTION.hold_timeout + 2 * LATE)
 
 
 # --- faults of the executor's process, and of those beside it ---
@@ -65,8 +76,7 @@ def executor_killed(place: Arena) -> Iterator[str | None]:
 def executor_frozen(place: Arena) -> Iterator[str | None]:
     yield place.go()
     os.kill(place.executor.process.pid, signal.SIGSTOP)
-    frozen = place.samples()
-    eventually(lambda: (place.samples() - frozen) * STEP > 1.2 * STALL_LIMIT, "the executor has been away for long")
+    wait_for(place, place.samples(), 1.2 * STALL_LIMIT)
     yield None
     os.kill(place.executor.process.pid, signal.SIGCONT)
     place.client.mode("fault")
@@ -125,6 +135,17 @@ def driver_silent(place: Arena) -> Iterator[str | None]:
     place.client.mode("fault")
     place.suffer(SOUND)
     place.all_heard()
+
+
+def silent_for(seconds: float) -> Fault:
+    def fault(place: Arena) -> Iterator[str | None]:
+        yield place.go()
+        place.suffer(MUTE)
+        wait_for(place, place.samples(), seconds)
+        place.suffer(SOUND)
+        yield None
+
+    return fault
 
 
 def driver_stalls(place: Arena) -> Iterator[str | None]:
@@ -227,7 +248,9 @@ def other_order(place: Arena) -> Iterator[str | None]:
 def router_restarted(place: Arena) -> Iterator[str | None]:
     yield place.go()
     place.stop_router()
+    struck = place.samples()
     yield None
+    wait_until_given_up(place, struck)
     place.start_router()
 
 
@@ -235,7 +258,9 @@ def link_cut(name: str) -> Fault:
     def fault(place: Arena) -> Iterator[str | None]:
         yield place.go()
         place.links[name].cut()
+        struck = place.samples()
         yield None
+        wait_until_given_up(place, struck)
         place.links[name].restore()
         place.all_heard()
 
@@ -246,7 +271,9 @@ def link_silent(name: str) -> Fault:
     def fault(place: Arena) -> Iterator[str | None]:
         yield place.go()
         place.links[name].swallow()
+        struck = place.samples()
         yield None
+        wait_until_given_up(place, struck)
         place.links[name].restore()
         place.all_heard()
 
@@ -293,6 +320,8 @@ ROWS = (
     Row("client killed", client_killed, both(GOES_ON, GOES_ON)),
     Row("second executor", second_executor, {STREAMED: Promise(*GOES_ON)}),
     Row("driver silent", driver_silent, both(STALE, STALE, *NO_JOINTS)),
+    Row("driver silent for 0.35 s", silent_for(0.35), both(HELD, HELD)),
+    Row("driver silent for 0.8 s", silent_for(0.8), both(HELD, HELD)),
     Row(
         "driver stalls",
         driver_stalls,

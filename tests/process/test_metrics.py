@@ -117,7 +117,7 @@ def test_a_port_that_is_taken_and_what_is_no_address_end_the_service_with_a_sent
 ) -> None:
     with metered("executor", endpoint, tmp_path) as (first, where):
         first.wait_ready(bus, KEYS)
-        for wrong, reason in ((where, "cannot serve metrics at"), ("here", "is no address for metrics")):
+        for wrong, reason in ((where, "cannot serve metrics at"), ("here", "is not an address for metrics")):
             with ServiceProcess("planner", endpoint, tmp_path, arguments=("--metrics", wrong)) as second:
                 assert second.process.wait(PATIENCE) == 1
                 assert reason in second.output()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 from support.harness import ServiceProcess
+from support.markdown import section, shell_blocks
 from support.paths import ROOT
 from zarm_contract.keys import Keys
 from zarm_runtime.bus import Bus
@@ -18,14 +18,8 @@ README = ROOT / "README.md"
 KEYS = Keys("doosan_m1013")
 
 
-def _zenoh_lines() -> str:
-    section = README.read_text().split("## With the zenoh command line", 1)[1]
-    block = re.search(r"```sh\n(.*?)```", section, re.DOTALL)
-    assert block, "the README has lost its zenoh example"
-    return block.group(1)
-
-
 def test_the_zenoh_lines_of_the_readme_work_as_written(endpoint: str, bus: Bus, tmp_path: Path) -> None:
+    (lines,) = shell_blocks(section(README.read_text(), "With the zenoh command line"))
     with (
         ServiceProcess("planner", endpoint, tmp_path) as planner,
         ServiceProcess("executor", endpoint, tmp_path) as executor,
@@ -36,9 +30,7 @@ def test_the_zenoh_lines_of_the_readme_work_as_written(endpoint: str, bus: Bus, 
             "ZARM_CONNECT": endpoint,
             "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         }
-        done = subprocess.run(
-            ["bash", "-c", _zenoh_lines()], env=environment, capture_output=True, text=True, timeout=60
-        )
+        done = subprocess.run(["bash", "-c", lines], env=environment, capture_output=True, text=True, timeout=60)
     state, scene, plan, accepted, goal, *joints = (json.loads(line) for line in done.stdout.splitlines())
     assert done.stderr == ""
     assert state["mode"] == "idle"

@@ -25,7 +25,7 @@ M1013 = load_robot("doosan_m1013").descriptor
 JOINTS = list(M1013.joints)
 NONSENSE = {
     "name: joint_6 missing among": JointState(name=[*JOINTS[:-1], "wrist"], position=list(HOME)),
-    "name.1: the joint  stands twice": JointState(name=[""] * 6, position=list(HOME)),
+    "name.1: the joint  appears twice": JointState(name=[""] * 6, position=list(HOME)),
     "position: a position is not finite": JointState(name=JOINTS, position=[*HOME[:-1], math.nan]),
     "position: 0 values for 6 joints": JointState(name=JOINTS),
     "position: 7 values for 6 joints": JointState(name=JOINTS, position=[*HOME, 0.0]),

@@ -167,7 +167,7 @@ def test_joint_states_that_cannot_be_read_go_no_further_and_are_complained_of_on
     eventually(publisher.get_subscription_count, "the bridge listens")
     bad = {
         "name: joint_6 missing": _state(HUMBLE[:-1] + ["wrist"], VALUES),
-        "name.6: the joint joint_1 stands twice": _state([*HUMBLE, "joint_1"], [*VALUES, 1.0]),
+        "name.6: the joint joint_1 appears twice": _state([*HUMBLE, "joint_1"], [*VALUES, 1.0]),
         "position: 5 values for 6 joints": _state(HUMBLE, VALUES[:-1]),
         "velocity: 2 values for 6 joints": _state(HUMBLE, VALUES, [0.0, 0.0]),
         "position: a position is not finite": _state(HUMBLE, [*VALUES[:-1], math.nan]),

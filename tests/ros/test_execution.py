@@ -252,7 +252,7 @@ def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Rob
 def test_mpc_move_is_refused_in_a_sentence(running: Stack) -> None:
     status, result = Actions(running.ros.node, "mpc_move", MpcMove).send(target_pose=TARGET).ended()
     assert (status, result.success) == (ABORTED, False)
-    assert "not there yet" in result.message
+    assert "not available yet" in result.message
 
 
 def test_a_pose_for_mpc_move_moves_nothing_and_is_said_to(running: Stack) -> None:

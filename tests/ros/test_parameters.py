@@ -170,7 +170,7 @@ def test_control_strategy_switches_at_once(running: Stack, parameters: Node) -> 
 def test_a_switch_that_fails_is_refused_with_the_executors_reason(running: Stack, parameters: Node) -> None:
     reason = parameters.set("control_strategy", "joint_speed")
     assert reason is not None
-    assert "no driver tells the robot's joints" in reason
+    assert "no driver publishes the robot's joints" in reason
     assert (parameters.get("control_strategy"), parameters.get("robot_type")) == ("emulator", "emulator")
 
 

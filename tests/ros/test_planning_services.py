@@ -289,7 +289,7 @@ def test_an_update_makes_every_service_take_the_changed_file_of_the_robot(arm: S
         descriptor.write_text(slow)
         update = arm.ros.call(Trigger, "update_motion_gen_config")
         assert update.success, update.message
-        assert "executor and planner have started anew" in update.message
+        assert "executor and planner have restarted" in update.message
         response = generate(arm, **goal)
         assert response.success, response.message
         assert np.abs([state.velocity for state in response.trajectory]).max() <= 0.2 * 1.001

@@ -1,4 +1,4 @@
-"""Both tutorials of the reference, command by command, each in a process of its own: the replies are those shown there."""
+"""Both tutorials, command by command, each in a process of its own: those of curobo_ros, and what zarm's say of ROS."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.markdown import PAGES, commands
 from support.paths import PROGRAMS, SHARED
 from support.ros.stack import KEYS
 from zarm_contract.messages import JointState
 from zarm_runtime.bus import Bus
 
-TUTORIALS = SHARED / "reference"
+REFERENCE = SHARED / "reference"
 NODE = "/unified_planner"
 PLAN = f"ros2 service call {NODE}/generate_trajectory curobo_msgs/srv/TrajectoryGeneration "
 PLAN_1 = PLAN + '"{target_pose: {position: {x: 0.5, y: 0.2, z: 0.3}, orientation: {w: 1.0}}}"'
@@ -73,8 +75,8 @@ def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
                 assert process.process.poll() is None, process.output()
 
 
-def test_every_command_of_the_tutorials_is_run_here() -> None:
-    texts = [TUTORIALS / name for name in ("robot-execution-v1.txt", "robot-execution-v2.txt")]
+def test_every_command_of_the_reference_is_run_here() -> None:
+    texts = [REFERENCE / name for name in ("robot-execution-v1.txt", "robot-execution-v2.txt")]
     if not all(text.exists() for text in texts):
         pytest.skip("the tutorials are not here")
     for text in texts:
@@ -83,6 +85,16 @@ def test_every_command_of_the_tutorials_is_run_here() -> None:
         assert found
         for start in found:
             assert any(plain.startswith(command, start) for command in COMMANDS), plain[start : start + 120]
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page.parent.name == "tutorials"], ids=lambda page: page.stem
+)
+def test_every_command_of_a_tutorial_is_run_here(page: Path) -> None:
+    known = [shlex.split(command) for command in COMMANDS]
+    for words in commands(page.read_text(), "ros2"):
+        typed = words[: words.index("|")] if "|" in words else words
+        assert typed in known, " ".join(words)
 
 
 def test_version_1_ghost(bus: Bus) -> None:

@@ -61,7 +61,7 @@ class Goals:
             if state is not seen:
                 seen, heard = state, now
             elif now - heard > silence:
-                raise self._unknown(f"has told nothing of the goal {goal_id} for {silence:g} s")
+                raise self._unknown(f"has reported nothing about the goal {goal_id} for {silence:g} s")
             elif now - max(heard, asked) > _ASK_AFTER:
                 interrupts.attend(lambda: self._ask(goal_id))
                 asked = time.monotonic()

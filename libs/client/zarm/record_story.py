@@ -68,7 +68,7 @@ def robot_of(key: str) -> str:
     chunks = key.split("/")
     if chunks[0] != "zarm" or len(chunks) < 3:
         raise InvalidRequest(
-            f"the file holds {key!r}, which is no key of zarm; it is no record of a robot", field="file"
+            f"the file holds {key!r}, which is not a key of zarm; it is no record of a robot", field="file"
         )
     return chunks[1]
 

@@ -57,7 +57,7 @@ def read_document(path: Path) -> Document:
     for key, line in _places(node):
         if key in lines and not any(key[:end] in repeated for end in range(len(key) + 1)):
             dotted = one_line(".".join(map(str, key)))
-            repeated[key] = f"{path}:{line}: {dotted}: stands in line {lines[key]} too; keep one"
+            repeated[key] = f"{path}:{line}: {dotted}: also appears in line {lines[key]}; keep one"
         lines.setdefault(key, line)
     if repeated:
         raise InvalidRequest("\n".join(repeated.values()))

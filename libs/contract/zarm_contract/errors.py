@@ -14,7 +14,8 @@ ZarmError                       carries a Problem; every error that a user meets
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, get_args
+from collections.abc import Mapping
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 from zarm_contract._model import Message
 
@@ -38,11 +39,60 @@ Code = Literal[
 ]
 
 
-class Problem(Message):
-    """Why a request was refused or a goal ended badly.
+class Meaning(NamedTuple):
+    """What a code says, and what to do about it."""
 
-    `message` is a sentence a person can act on; `field` is the dotted path of the offending field of the
-    request (`goal.position.2`), `joint` the offending joint.
+    means: str
+    remedy: str
+
+
+MEANINGS: Mapping[Code, Meaning] = {
+    "invalid_request": Meaning(
+        "The request cannot be read or breaks a rule. Nothing was done.", "Correct the field that it names."
+    ),
+    "unreachable": Meaning("There is no joint solution for the pose.", "Move the goal, or choose another orientation."),
+    "start_in_collision": Meaning(
+        "The measured or given start touches something.", "Move the robot free, or correct the scene."
+    ),
+    "goal_in_collision": Meaning("The goal touches something.", "Move the goal, or correct the scene."),
+    "no_path": Meaning("The search found no path.", "Allow more attempts or time, or clear the scene."),
+    "timeout": Meaning("The deadline of the request passed.", "Give a longer `timeout`."),
+    "stale_plan": Meaning(
+        "The scene or the robot has changed since the plan was made or the paused goal was started.",
+        "Plan again. Cancel a paused goal first.",
+    ),
+    "start_state_mismatch": Meaning(
+        "The robot is not at the start of the trajectory.", "Plan again from where the robot is."
+    ),
+    "no_joint_state": Meaning("There is no fresh measured joint state.", "Check the driver."),
+    "limit_violated": Meaning(
+        "A limit of position, velocity or acceleration is exceeded.", "Slow the trajectory down, or retime it."
+    ),
+    "busy": Meaning(
+        "The service has no room for this request, or for more from this client.",
+        "Wait for the running request or goal, or cancel it.",
+    ),
+    "unavailable": Meaning(
+        "Nobody answered, or the service cannot do this now.", "Look at `zarm status`: it shows what runs."
+    ),
+    "tolerance_violated": Meaning(
+        "The robot left its path or missed its goal.", "Find out why; in `fault`, then send `reset`."
+    ),
+    "driver_stalled": Meaning(
+        "The driver reported nothing new or made no progress, so the robot was stopped.",
+        "Check the driver, then send `reset`.",
+    ),
+    "cancelled": Meaning("A client cancelled it.", "Nothing: somebody asked for it."),
+    "internal": Meaning("zarm has a bug.", "Report it with the trace in the log of the service."),
+}
+"""Every code, for `docs/reference/problems.md`."""
+
+
+class Problem(Message):
+    """Why a request was refused, or why a goal did not succeed.
+
+    `message` says what to do next. `field` is the path of the wrong field in the request (`goal.position.2`), `joint` the joint
+    with the problem.
     """
 
     code: Code
@@ -135,8 +185,8 @@ class InternalError(ZarmError):
 
 
 _BY_CODE: dict[str, type[ZarmError]] = {code: cls for cls in ZarmError.__subclasses__() for code in cls.codes}
-if set(_BY_CODE) != set(get_args(Code)):
-    raise TypeError("every problem code needs exactly one exception class")
+if not set(_BY_CODE) == set(MEANINGS) == set(get_args(Code)):
+    raise TypeError("every problem code needs exactly one exception class and one meaning")
 
 
 def from_problem(problem: Problem) -> ZarmError:

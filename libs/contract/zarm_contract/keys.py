@@ -26,167 +26,167 @@ class Keys:
     # planner: queries
     @property
     def plan(self) -> str:
-        """PlanRequest -> Plan."""
+        """PlanRequest -> Plan. Plan a verified motion; nothing moves."""
         return self._key("planner", "plan")
 
     @property
     def plan_cancel(self) -> str:
-        """CancelPlan -> CancelledPlan."""
+        """CancelPlan -> CancelledPlan. End the planning of one request."""
         return self._key("planner", "cancel")
 
     @property
     def ik(self) -> str:
-        """IkRequest -> IkSolutions."""
+        """IkRequest -> IkSolutions. Inverse kinematics of up to 1000 poses."""
         return self._key("planner", "ik")
 
     @property
     def fk(self) -> str:
-        """FkRequest -> FkPoses."""
+        """FkRequest -> FkPoses. Forward kinematics of up to 1000 joint vectors."""
         return self._key("planner", "fk")
 
     @property
     def check(self) -> str:
-        """CheckRequest -> CheckResults."""
+        """CheckRequest -> CheckResults. Exact distances of joint vectors to the scene and of the robot to itself."""
         return self._key("planner", "check")
 
     @property
     def occupancy(self) -> str:
-        """OccupancyRequest -> Occupancy."""
+        """OccupancyRequest -> Occupancy. The grid cells that objects of the scene reach into."""
         return self._key("planner", "occupancy")
 
     @property
     def settings(self) -> str:
-        """SettingsChange -> PlannerSettings; latched."""
+        """SettingsChange -> PlannerSettings. Defaults for plan requests; an empty request reads them."""
         return self._key("planner", "settings")
 
     @property
     def plans(self) -> str:
-        """Plan; every successful one; latched."""
+        """Plan. Every successful plan."""
         return self._key("planner", "plans")
 
     # scene, owned by the planner service
     @property
     def scene(self) -> str:
-        """Scene; latched."""
+        """Scene. The whole scene."""
         return self._key("scene")
 
     def scene_object(self, name: str) -> str:
-        """SceneObject; query. `name` may be `*`."""
+        """Cuboid, Sphere, Capsule, Cylinder, Mesh or Voxels. One object of the scene; `name` may be `*`."""
         return self._key("scene", "object", name)
 
     @property
     def scene_revision(self) -> str:
-        """SceneEdited; the present revision alone, for those who need no more; latched."""
+        """SceneEdited. The present revision alone, for those who need no more."""
         return self._key("scene", "revision")
 
     @property
     def scene_edit(self) -> str:
-        """SceneEdit -> SceneEdited."""
+        """SceneEdit -> SceneEdited. Change the scene; an edit is applied as a whole or not at all."""
         return self._key("scene", "edit")
 
     # executor
     @property
     def execute(self) -> str:
-        """ExecuteRequest -> Accepted."""
+        """ExecuteRequest -> Accepted. Start a goal: the last plan, a plan by its id, or any trajectory."""
         return self._key("executor", "execute")
 
     def goal(self, goal_id: str) -> str:
-        """GoalState; latched. `goal_id` may be `*`."""
+        """GoalState. One goal, from acceptance to its end; `goal_id` may be `*`."""
         return self._key("executor", "goal", goal_id)
 
     @property
     def cancel(self) -> str:
-        """CancelRequest -> ExecutorState."""
+        """CancelRequest -> ExecutorState. Cancel one goal, or whichever runs; the robot brakes to rest."""
         return self._key("executor", "cancel")
 
     @property
     def stop(self) -> str:
-        """Nothing -> ExecutorState, at once; the robot decelerates to rest."""
+        """Nothing -> ExecutorState. Brake to rest now; also ends goals that have not started yet."""
         return self._key("executor", "stop")
 
     @property
     def pause(self) -> str:
-        """Nothing -> ExecutorState."""
+        """Nothing -> ExecutorState. Brake to rest and keep the goal."""
         return self._key("executor", "pause")
 
     @property
     def resume(self) -> str:
-        """Nothing -> ExecutorState."""
+        """Nothing -> ExecutorState. Continue the paused goal."""
         return self._key("executor", "resume")
 
     @property
     def reset(self) -> str:
-        """Nothing -> ExecutorState: leave `fault`."""
+        """Nothing -> ExecutorState. Leave `fault`."""
         return self._key("executor", "reset")
 
     @property
     def strategy(self) -> str:
-        """StrategyRequest -> Strategies; latched."""
+        """StrategyRequest -> Strategies. Switch the control strategy; an empty request reads it."""
         return self._key("executor", "strategy")
 
     @property
     def speed(self) -> str:
-        """SpeedRequest -> Speed; latched."""
+        """SpeedRequest -> Speed. Scale the speed, also in motion; an empty request reads it."""
         return self._key("executor", "speed")
 
     @property
     def stream(self) -> str:
-        """StreamChunk; published by a closed-loop planner."""
+        """StreamChunk. What a closed-loop planner wants next."""
         return self._key("executor", "stream")
 
     @property
     def executor_state(self) -> str:
-        """ExecutorState; latched."""
+        """ExecutorState. Mode, active goal and problem of the executor."""
         return self._key("executor", "state")
 
     # driver: what a robot's driver takes from the executor, and tells it
     @property
     def driver_command(self) -> str:
-        """DriverCommand; published by the executor."""
+        """DriverCommand. Exactly what the executor sends to the driver."""
         return self._key("driver", "command")
 
     @property
     def driver_progress(self) -> str:
-        """DriverProgress; published by the driver."""
+        """DriverProgress. How much of the command the driver has played."""
         return self._key("driver", "progress")
 
     @property
     def driver_joint_states(self) -> str:
-        """JointState; published by the driver, joints in whatever order it has."""
+        """JointState. What the driver measures, in its own joint order."""
         return self._key("driver", "joint_states")
 
     @property
     def simulated_fault(self) -> str:
-        """DriverFault -> Nothing; what a simulated driver is to suffer."""
+        """DriverFault -> Nothing. A fault that the simulated driver is to have; an empty request ends all faults."""
         return self._key("leeloo_sim", "fault")
 
     # robot and ghost
     @property
     def joint_states(self) -> str:
-        """JointState; the measured robot, whatever the strategy."""
+        """JointState. The measured robot, whatever the strategy."""
         return self._key("joint_states")
 
     @property
     def preview_trajectory(self) -> str:
-        """Trajectory; what the ghost plays."""
+        """Trajectory. What the ghost plays."""
         return self._key("preview", "trajectory")
 
     @property
     def preview_joint_states(self) -> str:
-        """JointState; the ghost."""
+        """JointState. The ghost."""
         return self._key("preview", "joint_states")
 
     # every service
     def health(self, service: str) -> str:
-        """Nothing -> Health."""
+        """Nothing -> Health. What the service is and whether it is ready."""
         return self._key(service, "health")
 
     def reread(self, service: str) -> str:
-        """Nothing -> Health: take the robot's file as it is now, and start anew where it has changed."""
+        """Nothing -> Health. Read the robot's files again; the service restarts itself where they have changed."""
         return self._key(service, "reread")
 
     def alive(self, service: str, instance: str) -> str:
-        """Liveliness token. `service` and `instance` may be `*`."""
+        """Liveliness token. It exists as long as the service runs; `service` and `instance` may be `*`."""
         return self._key(service, "@alive", instance)
 
 

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from zarm_contract._document import Document, KeyPath, read_document
 from zarm_contract._faults import field_path, one_line, sentence
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Joints, Name, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
+from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
 from zarm_contract.urdf import Urdf, load_urdf
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -31,8 +32,11 @@ class CollisionSphere(_Section):
     """A ball of `radius` m around `center` in its link's frame."""
 
     kind: Literal["sphere"] = "sphere"
+    """May be left out for a sphere."""
     center: Vector3
+    """Centre in the frame of the link (m)."""
     radius: Positive
+    """Radius (m)."""
 
 
 class CollisionCapsule(_Section):
@@ -40,8 +44,11 @@ class CollisionCapsule(_Section):
 
     kind: Literal["capsule"]
     a: Vector3
+    """One end of the segment, in the frame of the link (m)."""
     b: Vector3
+    """The other end (m)."""
     radius: Positive
+    """The capsule is every point within this distance of the segment (m)."""
 
 
 class CollisionCylinder(_Section):
@@ -49,8 +56,11 @@ class CollisionCylinder(_Section):
 
     kind: Literal["cylinder"]
     a: Vector3
+    """Centre of one end face, in the frame of the link (m)."""
     b: Vector3
+    """Centre of the other (m)."""
     radius: Positive
+    """Radius (m)."""
 
 
 class CollisionCuboid(_Section):
@@ -58,8 +68,11 @@ class CollisionCuboid(_Section):
 
     kind: Literal["cuboid"]
     center: Vector3
+    """Centre in the frame of the link (m)."""
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    """Rotation in the frame of the link, `[x, y, z, w]`."""
     size: tuple[Positive, Positive, Positive]
+    """Full edge lengths along its own x, y, z (m)."""
 
 
 CollisionPrimitive = Annotated[
@@ -68,35 +81,49 @@ CollisionPrimitive = Annotated[
 
 
 class CSpace(_Section):
-    """Limits per joint, in descriptor order: rad/s, rad/s^2, rad/s^3. The speed of the robot is set here."""
+    """Joint limits, one value for each of `joints`."""
 
     velocity: tuple[Positive, ...]
+    """Maximum joint velocities (rad/s). How fast the robot moves is set here."""
     acceleration: tuple[Positive, ...]
+    """Maximum joint accelerations (rad/s²), also for every stop."""
     jerk: tuple[Positive, ...]
+    """Maximum joint jerks (rad/s³)."""
 
 
 class Execution(_Section):
-    """What the executor demands before and during motion. Angles in rad, times in s.
+    """What the executor checks before and during motion.
 
-    Defaults: start 0.05 (MoveIt 0.01), path 0.2 and goal 0.01 (ros2_control), settle 1.0 (ros2_control),
-    allowed duration 1.1 x + 0.5 s (MoveIt), stopped below 0.01 rad/s (ros2_control). The allowed duration is that of a
-    driver at 0.05 of the speed it was told, so that one with a speed slider of its own (UR) is waited for while it makes
-    progress. `progress_timeout` is how long a moving robot's driver may stay at one point of the path. `control_rate` is that of the control loop in Hz, `speed_scale`
-    the share of the planned speed at which the robot moves until a client changes it.
+    Sources of the defaults: MoveIt for the allowed duration, ros2_control for the path and goal tolerances, the settle time
+    and the stopped velocity. The duration is allowed at 0.05 of the planned speed, so that the executor waits for a driver
+    with a speed slider of its own (UR) while it makes progress.
     """
 
     control_rate: Annotated[float, Field(ge=100, le=500)] = 100.0
+    """Rate of the control loop (Hz)."""
     speed_scale: SpeedScale = 1.0
+    """Share of the planned speed at which the robot moves until a client changes it."""
 
     start_tolerance: Positive = 0.05
+    """How far each joint may be from the start of the trajectory (rad)."""
     path_tolerance: Positive = 0.2
+    """How far each joint may leave the trajectory in motion (rad)."""
     goal_tolerance: Positive = 0.01
+    """How close each joint must be to the goal at the end (rad)."""
     settle_time: Positive = 1.0
+    """How long the robot may take to come to rest at the end (s)."""
     joint_state_timeout: Positive = 0.1
+    """Maximum age of the measured joint state (s): older joints hold a motion, and none starts."""
+    hold_timeout: NonNegative = 1.0
+    """How long a motion is held for new joint states before it is a fault (s); 0: at once."""
     stopped_velocity: Positive = 0.01
+    """A robot below this joint velocity is at rest (rad/s)."""
     allowed_duration_factor: Annotated[float, Field(ge=1)] = 1.1
+    """A motion may take this many times its planned duration ..."""
     allowed_duration_margin: NonNegative = 0.5
+    """... and this much more (s)."""
     progress_timeout: Positive = 1.0
+    """How long the driver of a moving robot may stay at one point of its path (s)."""
 
     @property
     def control_period(self) -> float:
@@ -109,29 +136,36 @@ def _is_multiple(span: float, step: float) -> bool:
 
 
 class StrategyParams(_Section):
-    """How the robot's driver is spoken to. Times in s, angles in rad.
-
-    `strategies` are those of the executor that this driver can play, all of them where it is left out. The topics are those of
-    the ROS side; without `state_topic` the driver tells no progress. A command has one point
-    every `point_dt`, its columns in `joint_order`; `joint_states_order` is that of joint states without names. The streaming strategies send one every `chunk_period`, which reaches
-    `look_ahead` further than the next; the robot follows `delay` later. `velocity` and `acceleration` bound what is
-    streamed. Defaults: `cspace` for the bounds and `joints` for the order; 0.02 and 0.08 from the Doosan bridge.
-    """
+    """How to speak to the driver of the robot. The defaults of `point_dt` and `chunk_period` are those of the Doosan driver."""
 
     command_topic: str = Field(min_length=1)
+    """ROS topic on which the driver takes trajectories. On Zenoh it is `driver/command`."""
     state_topic: Annotated[str, Field(min_length=1)] | None = None
+    """ROS topic on which the driver reports its progress, 0 to 1. Left out: the executor computes the progress from the joint states."""
     joint_states_topic: str = Field(min_length=1)
-    strategies: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
+    """ROS topic of the joint states."""
+    strategies: tuple[DriverStrategyName, ...] = Field(default=tuple(DRIVER_STRATEGIES), min_length=1)
+    """What the driver can play: streamed velocities, streamed positions, whole trajectories."""
     joint_order: tuple[str, ...] | None = None
+    """Order of the columns in commands. Default: `joints`. Joint states are read by name."""
     joint_states_order: tuple[str, ...] | None = None
+    """Order of joint states without names. Default: `joints`."""
     point_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
+    """Time between two points of a command (s)."""
     chunk_period: Positive = 0.08
+    """How often the streaming strategies send (s): a multiple of `point_dt` and, for these strategies, of the period of the control loop."""
     look_ahead: Positive = 0.08
+    """How far each chunk continues beyond the next one, before it brakes to rest (s): a multiple of `point_dt`."""
     delay: Annotated[float, Field(ge=0, le=1)] = 0.06
+    """Measured time from a command to the motion (s)."""
     gain: NonNegative = 2.0
+    """Share of the position error that `joint_speed` corrects per second (1/s)."""
     velocity: tuple[Positive, ...] | None = None
+    """Maximum of streamed velocities (rad/s). Default: `cspace.velocity`."""
     acceleration: tuple[Positive, ...] | None = None
+    """Maximum change of streamed velocities (rad/s²). Default: `cspace.acceleration`."""
     stop: Literal["path", "empty"] = "path"
+    """`path`: brake along the path. `empty`: send an empty trajectory, so that the driver brakes by itself."""
 
     def faults(self, joints: tuple[str, ...]) -> Iterator[str]:
         """What is wrong beside these joints, as `key: message`."""
@@ -143,36 +177,45 @@ class StrategyParams(_Section):
                 yield f"{name}: {len(bounds)} values for {len(joints)} joints"
         for name, span in (("chunk_period", self.chunk_period), ("look_ahead", self.look_ahead)):
             if not _is_multiple(span, self.point_dt):
-                yield f"{name}: {span:g} s is no whole number of points; use a multiple of point_dt {self.point_dt:g} s"
+                yield f"{name}: {span:g} s is not a whole number of points; use a multiple of point_dt {self.point_dt:g} s"
         if self.gain * (self.delay + self.chunk_period) > 1.0:
             yield (
-                f"gain: the robot would swing, because {self.gain:g}/s times delay and chunk_period is more than 1; use "
+                f"gain: the robot would oscillate, because {self.gain:g}/s times delay and chunk_period is more than 1; use "
                 f"at most {1.0 / (self.delay + self.chunk_period):.3g}"
             )
 
 
 class RobotDescriptor(_Section):
-    """A robot as every service needs it. `urdf` is a path relative to the descriptor's file.
-
-    `joints` are the moving joints from `base_link` to `tip_link` in kinematic order; every joint vector of zarm follows
-    it. `spheres` cover `collision` link by link: the first serve fast checks, the second are the exact geometry.
-    `interpolation_dt` (s) is the longest time between samples of planned trajectories.
-    """
+    """One robot: a YAML file with its URDF beside it. Lengths in m, angles in rad, times in s."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+    """Lower-case letters, digits and `_`; part of every key on the bus. Use the name of the file."""
     urdf: str
+    """The URDF file, relative to the descriptor."""
     base_link: str
+    """The link that does not move. Poses are given in its frame."""
     tip_link: str
+    """The link whose pose a goal gives: the flange, or the tool centre point."""
     joints: tuple[str, ...] = Field(min_length=1, max_length=32)
+    """The moving joints from `base_link` to `tip_link`, in this order. Every joint vector follows it."""
     home: Joints
+    """A pose to start from (rad): elbow bent, far from joint limits and singularities, free of self-collision."""
     cspace: CSpace
+    """Joint limits."""
     spheres: dict[str, tuple[CollisionSphere, ...]]
+    """For each link, spheres that contain its exact geometry. The search uses them."""
     collision: dict[str, tuple[CollisionPrimitive, ...]]
+    """For each link, its exact geometry. Every trajectory is verified against it."""
     self_collision_ignore: tuple[tuple[str, str], ...]
+    """Pairs of links that are never checked against each other."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.01
+    """Maximum time between two samples of a planned trajectory (s)."""
     execution: Execution = Execution()
+    """What the executor checks before and during motion."""
     strategy: str = "emulator"
+    """The control strategy at the start. `emulator` moves no hardware."""
     strategy_params: StrategyParams | None = None
+    """How to speak to the driver of the robot. Left out: there is no driver, only the emulator."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -183,7 +226,7 @@ class RobotDescriptor(_Section):
             "cspace.acceleration": self.cspace.acceleration,
             "cspace.jerk": self.cspace.jerk,
         }
-        faults = ["joints: a name stands twice"] if len(set(self.joints)) != count else []
+        faults = ["joints: a name appears twice"] if len(set(self.joints)) != count else []
         faults += [
             f"{name}: {len(vector)} values for {count} joints"
             for name, vector in vectors.items()
@@ -207,10 +250,11 @@ class RobotDescriptor(_Section):
         if self.strategy_params is not None:
             faults += [f"strategy_params.{fault}" for fault in self.strategy_params.faults(self.joints)]
             period, chunk = self.execution.control_period, self.strategy_params.chunk_period
-            if not _is_multiple(chunk, period):
+            streamed = any(DRIVER_STRATEGIES[name] == "chunks" for name in self.strategy_params.strategies)
+            if streamed and not _is_multiple(chunk, period):
                 faults.append(
-                    f"strategy_params.chunk_period: {chunk:g} s is no whole number of periods of the control loop, so that "
-                    f"chunks would not come evenly; use a multiple of {period:g} s, or change execution.control_rate"
+                    f"strategy_params.chunk_period: {chunk:g} s is not a whole number of periods of the control loop, so that "
+                    f"chunks would not be evenly spaced; use a multiple of {period:g} s, or change execution.control_rate"
                 )
         if faults:
             raise ValueError("\n".join(map(one_line, faults)))
@@ -318,7 +362,7 @@ def _mount(robot: RobotDescriptor, urdf: Urdf, link: str) -> Iterator[str]:
         return
     for joint in chain:
         if joint.type != "fixed" and joint.name not in robot.joints:
-            yield f'it hangs on {joint.name}, which is none of the robot\'s joints; give that joint type="fixed" in the URDF'
+            yield f'it hangs on {joint.name}, which is not a joint of the robot; give that joint type="fixed" in the URDF'
 
 
 def _explain(document: Document, loc: KeyPath, message: str, kind: str) -> str:
@@ -333,11 +377,11 @@ def _explain(document: Document, loc: KeyPath, message: str, kind: str) -> str:
 def _remedy(kind: str, key: str) -> str:
     match kind:
         case "missing":
-            return "; robots/README.md explains what to write here"
+            return "; docs/reference/robot.md explains what to write here"
         case "extra_forbidden":
             known = {name for section in _Section.__subclasses__() for name in section.model_fields}
             close = difflib.get_close_matches(key, known, 1)
-            return f"; did you mean {close[0]}?" if close else "; robots/README.md lists the keys"
+            return f"; did you mean {close[0]}?" if close else "; docs/reference/robot.md lists the keys"
         case "union_tag_not_found":
             return "; write kind: sphere, capsule, cylinder or cuboid"
         case "tuple_type":

@@ -176,7 +176,9 @@ class _Source:
         try:
             return _finite(text)
         except ValueError as error:
-            raise self._fault(element, f"joint {joint}: {name}={text!r} is no finite number{_macro(text)}") from error
+            raise self._fault(
+                element, f"joint {joint}: {name}={text!r} is not a finite number{_macro(text)}"
+            ) from error
 
     def _vector(
         self, element: ET.Element | None, name: str, default: tuple[float, float, float], joint: str

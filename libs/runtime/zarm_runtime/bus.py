@@ -251,7 +251,7 @@ class Bus:
             other = None if reply.any_contract else other_contract(str(first.ok.encoding))
             if other is not None:
                 raise InternalError(
-                    f"whoever answers on {key} speaks contract {other}, and this client {CONTRACT}; run the same version of "
+                    f"the service on {key} speaks contract {other}, and this client {CONTRACT}; run the same version of "
                     "zarm on both sides (`zarm status` shows who runs which)"
                 )
             try:
@@ -472,7 +472,7 @@ def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:
         return error.code
     except Exception:
         log.exception("handler failed key=%s", key)
-        _reply_problem(query, InternalError(f"{key} failed on this request; its log holds the trace"))
+        _reply_problem(query, InternalError(f"{key} failed on this request; its log has the trace"))
         return "internal"
     query.reply(key, payload, encoding=encoding_of(type(message)))
     return "ok"

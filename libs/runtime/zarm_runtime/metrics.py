@@ -130,7 +130,9 @@ def serve_metrics(where: str | None) -> Iterator[Callable[[str], Metrics]]:
         return
     found = re.fullmatch(r"\[?([^\[\]]+)\]?:(\d{1,5})", where)
     if found is None or int(found[2]) > 65535:
-        raise InvalidRequest(f"{where!r} is no address for metrics; write it like 127.0.0.1:9464", field="--metrics")
+        raise InvalidRequest(
+            f"{where!r} is not an address for metrics; write it like 127.0.0.1:9464", field="--metrics"
+        )
     try:
         from prometheus_client import CollectorRegistry, ProcessCollector, start_http_server
     except ImportError as error:

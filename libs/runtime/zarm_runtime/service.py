@@ -108,7 +108,7 @@ class Service:
         if robot.hash != self.robot.hash:
             self.interruptible()
             self._ready, self.outdated = False, True
-            self.starting("ending to start anew with the changed robot")
+            self.starting("restarting with the changed robot")
             self.end()
         return self.health()
 
@@ -117,16 +117,25 @@ class Service:
 
         def answered(key: str, outcome: str) -> None:
             relative = key.removeprefix(f"zarm/{self.keys.robot}/")
-            self.metrics.count("zarm_queries", "Queries answered, by outcome.", key=relative, outcome=outcome)
+            self.metrics.count(
+                "zarm_queries",
+                "Requests answered; outcome is ok, the code of the problem, or unsent where no reply could be sent.",
+                key=relative,
+                outcome=outcome,
+            )
 
         health = self.health()
         self.bus.watch_answers(answered)
-        self.metrics.read("gauge", "zarm_ready", "Whether the service is ready.", lambda: float(self.health().ready))
-        self.metrics.read("gauge", "zarm_connected", "Whether it has a router.", lambda: float(self.bus.connected))
+        self.metrics.read(
+            "gauge", "zarm_ready", "Whether the service is ready (0 or 1).", lambda: float(self.health().ready)
+        )
+        self.metrics.read(
+            "gauge", "zarm_connected", "Whether the service has a router (0 or 1).", lambda: float(self.bus.connected)
+        )
         self.metrics.read(
             "gauge",
             "zarm_service_info",
-            "What runs here; always 1.",
+            "What runs here; the value is always 1.",
             lambda: 1.0,
             service=self.name,
             version=health.version,
@@ -253,7 +262,7 @@ def _robots(options: argparse.Namespace) -> list[tuple[Robot, Keys]]:
     if len(names) != len(robots):
         raise InvalidRequest(f"{len(names)} names for {len(robots)} robots; give one for each, or none", field="--name")
     if len(set(names)) < len(names):
-        raise InvalidRequest("a name stands twice; give each robot a name of its own", field="--name")
+        raise InvalidRequest("a name appears twice; give each robot a name of its own", field="--name")
     return [(robot, _keys(name)) for robot, name in zip(robots, names, strict=True)]
 
 
@@ -283,23 +292,23 @@ def service_parser(name: str, *, several: bool = False) -> argparse.ArgumentPars
     parser.add_argument(
         "--robot",
         default=[robot] if several else robot,
-        help="descriptor: a name or a .yaml",
+        help="the robot: the name of a descriptor, or the path of a .yaml file",
         nargs=count,
     )
     parser.add_argument(
         "--name",
         default=[instance] if several and instance is not None else instance,
-        help="the robot's name on the bus (default: the descriptor's)",
+        help="the name of the robot on the bus (default: the name in the descriptor)",
         nargs=count,
     )
     parser.add_argument(
-        "--connect", default=os.environ.get("ZARM_CONNECT", DEFAULT_ENDPOINT), help="the router's endpoint"
+        "--connect", default=os.environ.get("ZARM_CONNECT", DEFAULT_ENDPOINT), help="the endpoint of the router"
     )
     parser.add_argument(
         "--metrics",
         default=os.environ.get("ZARM_METRICS") or None,
         metavar="HOST:PORT",
-        help="serve metrics for Prometheus there (default: nowhere)",
+        help="serve metrics for Prometheus at this address (default: none)",
     )
-    parser.add_argument("--state", type=Path, default=default_state(), help="folder for what outlives the process")
+    parser.add_argument("--state", type=Path, default=default_state(), help="the folder for saved state")
     return parser

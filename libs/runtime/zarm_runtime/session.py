@@ -55,7 +55,7 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Ro
 def spoken(endpoint: str) -> str:
     """An endpoint as it is used: with ZARM_SECURITY on, `tcp/...` is `tls/...`. Raises InvalidRequest for what is none."""
     if not _ENDPOINT.fullmatch(endpoint):
-        raise InvalidRequest(f"{endpoint!r} is no endpoint; write it like {DEFAULT_ENDPOINT}")
+        raise InvalidRequest(f"{endpoint!r} is not an endpoint; write it like {DEFAULT_ENDPOINT}")
     protocol, _, address = endpoint.partition("/")
     if not security_on():
         if protocol in ("tls", "quic"):
@@ -216,7 +216,7 @@ def _read(file: Path) -> zenoh.Config:
     except zenoh.ZError as error:
         reason = str(error).rpartition(" at /")[0]  # less the place in Zenoh's source
         raise InvalidRequest(
-            f"{file} is no configuration of Zenoh that can be read ({reason}); deploy/router.json5 is one",
+            f"{file} is not a configuration of Zenoh that can be read ({reason}); deploy/router.json5 is one",
             field="--config",
         ) from error
 

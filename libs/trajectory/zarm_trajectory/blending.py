@@ -48,8 +48,8 @@ def blended(path: TimedTrajectory, now: float, chunk: TimedTrajectory, start: fl
     if first is None:
         off = float(np.abs(_states(chunk, np.array([begin - start]))[0] - before[0, :1]).max())
         raise ExecutionRefused(
-            f"the chunk is {off:.4f} rad from the motion that it is to go on from, at {begin:.2f} s of the stream, and cannot "
-            f"be reached within {BLENDS[-1]:g} s inside the limits; send what goes on from where the robot is by then",
+            f"the chunk is {off:.4f} rad from the motion that it must continue, at {begin:.2f} s of the stream, and cannot "
+            f"be reached within {BLENDS[-1]:g} s inside the limits; send a chunk that continues from where the robot is then",
             code="limit_violated",
         )
     join = float(joins[first])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Self
@@ -75,19 +74,20 @@ class Limits:
         """How far the limits are used, 1 being fully: slower by this factor, the trajectory just keeps all of them.
 
         Velocity and acceleration are taken also between samples, at eight moments each; jerk as the mean from sample to sample.
+        NaN where the trajectory holds no numbers.
         """
         step = trajectory.steps[:, None]
-        slope = quintic.derivative(trajectory.coefficients)
-        velocity = _largest(slope) / step
-        acceleration = _largest(quintic.derivative(slope)) / step**2
-        jerk = np.abs(np.diff(trajectory.acceleration, axis=0)) / step
-        return float(
-            max(
+        with np.errstate(all="ignore"):
+            slope = quintic.derivative(trajectory.coefficients)
+            velocity = _largest(slope) / step
+            acceleration = _largest(quintic.derivative(slope)) / step**2
+            jerk = np.abs(np.diff(trajectory.acceleration, axis=0)) / step
+            uses = (
                 np.max(velocity / self.velocity),
-                math.sqrt(np.max(acceleration / self.acceleration)),
-                math.cbrt(np.max(jerk / self.jerk)),
+                np.sqrt(np.max(acceleration / self.acceleration)),
+                np.cbrt(np.max(jerk / self.jerk)),
             )
-        )
+        return float(np.max(uses))
 
     def check(self, trajectory: TimedTrajectory) -> None:
         """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not looked at."""

@@ -34,19 +34,19 @@ def mismatches(services: Mapping[str, Health]) -> Iterator[Mismatch]:
     if len(set(contracts.values())) > 1:
         yield Mismatch(
             "contract",
-            f"different contracts are spoken: {_grouped(contracts)}. They refuse each other's requests; install one version "
-            "of zarm everywhere, then start anew whatever differs",
+            f"the services have different contracts: {_grouped(contracts)}. They refuse each other's requests; install one version "
+            "of zarm everywhere, then restart the ones that differ",
         )
     if len(set(robots.values())) > 1:
         yield Mismatch(
             "robot",
             f"the services have different files of the robot: {_grouped(robots)}. Motions would be checked against another "
-            "robot than the one that moves; give all of them the same descriptor and URDF, then start them anew",
+            "robot than the one that moves; give all of them the same descriptor and URDF, then restart them",
         )
     if len(set(versions.values())) > 1:
         yield Mismatch(
             "version",
-            f"different versions of zarm run: {_grouped(versions)}. They understand each other; bring the update to its end",
+            f"different versions of zarm run: {_grouped(versions)}. They understand each other; finish the update",
         )
 
 

@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
 
 def certs(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where certificates and keys are written.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder for certificates and keys.")],
     host: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="A name or address by which a router is reached; may be given again."),
+        typer.Option(metavar="NAME", help="A name or address of a router; repeatable."),
     ] = None,
     authority: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Where the authority's key is kept.  [default: FOLDER-authority]"),
+        typer.Option(metavar="FOLDER", help="Folder for the key of the authority.  [default: FOLDER-authority]"),
     ] = None,
 ) -> None:
-    """Make certificates for ZARM_SECURITY=on; run again, renew those about to end and add hosts, with the same authority."""
+    """Make certificates for ZARM_SECURITY=on. Run it again to renew those that end soon and to add hosts."""
     if find_spec("cryptography") is None:
         raise Unavailable(
             "certificates are made with the package cryptography; `pip install 'zarm[certs]'` installs it"

@@ -18,11 +18,11 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 
-Connect = Annotated[str, typer.Option(envvar="ZARM_CONNECT", help="The router's endpoint.")]
+Connect = Annotated[str, typer.Option(envvar="ZARM_CONNECT", help="Endpoint of the router.")]
 Name = Annotated[
-    str | None, typer.Option(envvar="ZARM_NAME", help="The robot's name on the bus; left out: the only one there.")
+    str | None, typer.Option(envvar="ZARM_NAME", help="Name of the robot on the bus (default: the only one there).")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, as it goes over the bus.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one line of JSON: the message on the bus.")]
 
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")

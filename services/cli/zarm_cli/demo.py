@@ -28,7 +28,7 @@ _SCALE = 0.4  # of the robot's limits: slow enough to watch
 
 
 def demo() -> None:
-    """Watch an emulated robot plan around a post and go there; nothing to set up, nothing left behind."""
+    """Watch an emulated robot plan around a post and move there. Nothing to set up, nothing left behind."""
     began = time.monotonic()
     with (
         tempfile.TemporaryDirectory(prefix="zarm-demo-") as state,

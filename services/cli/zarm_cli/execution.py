@@ -22,16 +22,16 @@ def execute(
     to: To = None,
     joints_goal: JointsGoal = None,
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
-    plan_id: Annotated[str | None, typer.Option(help="A plan that was published on this bus.")] = None,
+    plan_id: Annotated[str | None, typer.Option(help="Id of a plan published on this bus.")] = None,
     velocity_scale: VelocityScale = None,
     preempt: Annotated[
-        bool, typer.Option("--preempt", help="Cancel a goal that runs, and start when the robot rests.")
+        bool, typer.Option("--preempt", help="Cancel the active goal first, and start when the robot rests.")
     ] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Move the robot along the last plan, a given one, or one made now (--to, --joints). Ctrl-C stops the robot."""
+    """Move the robot along the last plan, a given one, or a new one (--to, --joints). Ctrl-C stops the robot."""
     goal = None if not to and joints_goal is None else typed_goal(to, joints_goal)
     if [plan, plan_id, goal].count(None) < 2:
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
@@ -128,19 +128,19 @@ def _order(give: Callable[[Robot], ExecutorState], doc: str) -> Callable[[bool, 
     return order
 
 
-stop = _order(Robot.stop, "Stop the robot now; it decelerates to rest.")
-pause = _order(Robot.pause, "Hold the motion; `zarm resume` goes on with it.")
-resume = _order(Robot.resume, "Go on with a motion that was paused.")
-reset = _order(Robot.reset, "Leave the fault state, once its reason is mended.")
+stop = _order(Robot.stop, "Stop the robot now; it brakes to rest.")
+pause = _order(Robot.pause, "Pause the motion; `zarm resume` continues it.")
+resume = _order(Robot.resume, "Continue a paused motion.")
+reset = _order(Robot.reset, "Leave the fault state, once its cause is fixed.")
 
 
 def cancel(
-    goal_id: Annotated[str | None, typer.Argument(help="Left out: the goal that runs.")] = None,
+    goal_id: Annotated[str | None, typer.Argument(help="The goal (default: the active one).")] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Cancel a goal; the robot decelerates to rest."""
+    """Cancel a goal; the robot brakes to rest."""
     with connected(connect, name) as robot:
         _print_state(robot.cancel(goal_id), as_json)
 
@@ -157,13 +157,13 @@ def _print_state(state: ExecutorState, as_json: bool) -> None:
 
 def speed(
     to: Annotated[
-        float | None, typer.Argument(metavar="[0.05..1]", help="The share of the planned speed; left out: show it.")
+        float | None, typer.Argument(metavar="[0.05..1]", help="Share of the planned speed (default: show it).")
     ] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Show at which share of the planned speed the robot moves, or change it, also while it moves."""
+    """Show or change the share of the planned speed at which the robot moves, also in motion."""
     with connected(connect, name) as robot:
         scale = robot.speed(to)
     if as_json:
@@ -173,7 +173,9 @@ def speed(
 
 
 def strategy(
-    to: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Switch to it; left out: show them.")] = None,
+    to: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="The strategy to switch to (default: show all).")
+    ] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,

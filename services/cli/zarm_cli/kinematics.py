@@ -16,12 +16,12 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 
 At = Annotated[
     str | None,
-    typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad); left out: the measured ones."),
+    typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad; default: measured)."),
 ]
 
 
 def fk(at: At = None, as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """Where the tip is at these joint positions."""
+    """Forward kinematics: the tip pose at these joint positions."""
     where = joints(at, "--joints")
     with connected(connect, name) as robot:
         poses = FkPoses(poses=tuple(robot.fk([where or robot.joint_state().position])))
@@ -36,19 +36,20 @@ def ik(
         str,
         typer.Option(
             metavar="X,Y,Z[,QX,QY,QZ,QW]",
-            help="Pose of the tip in the base frame (m); without an orientation the tip keeps the one it has.",
+            help="Pose of the tip in the base frame (m). Without an orientation the tip keeps its own.",
         ),
     ],
     near: Annotated[
-        str | None, typer.Option(metavar="A,B,C,...", help="Solutions near these joints first; left out: the measured.")
+        str | None,
+        typer.Option(metavar="A,B,C,...", help="Joint positions to sort the solutions by (rad; default: measured)."),
     ] = None,
-    max_solutions: Annotated[int, typer.Option(help="How many at most.")] = 8,
-    colliding: Annotated[bool, typer.Option("--colliding", help="Solutions that collide as well.")] = False,
+    max_solutions: Annotated[int, typer.Option(help="Maximum number of solutions.")] = 8,
+    colliding: Annotated[bool, typer.Option("--colliding", help="Also list solutions in collision.")] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Joint positions that bring the tip to a pose, one solution a line."""
+    """Inverse kinematics: joint positions for a tip pose, one solution per line."""
     pose, at = floats(to, "--to", 3, 7), joints(near, "--near")
     with connected(connect, name) as robot:
         request = message(
@@ -73,12 +74,14 @@ def ik(
 
 def check(
     at: At = None,
-    spheres: Annotated[bool, typer.Option("--spheres", help="The distance of each collision sphere as well.")] = False,
+    spheres: Annotated[
+        bool, typer.Option("--spheres", help="Also list the distance of each collision sphere.")
+    ] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """How close the robot comes to the scene and to itself at these joint positions."""
+    """Collision check: the distance to the scene and of the robot to itself."""
     where = joints(at, "--joints")
     with connected(connect, name) as robot:
         (result,) = robot.check(None if where is None else [where], spheres=spheres)

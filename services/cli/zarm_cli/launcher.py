@@ -132,7 +132,9 @@ def launch(
 def _next_port(address: str, step: int) -> str:
     host, _, port = address.rpartition(":")
     if not (host and port.isdecimal()):
-        raise InvalidRequest(f"{address!r} is no address for metrics; write it like 127.0.0.1:9464", field="--metrics")
+        raise InvalidRequest(
+            f"{address!r} is not an address for metrics; write it like 127.0.0.1:9464", field="--metrics"
+        )
     return f"{host}:{int(port) + step}"
 
 
@@ -162,19 +164,18 @@ def _refuse_second(bus: Bus, keys: Keys, endpoint: str) -> None:
 
 
 def up(
-    robot: Annotated[str, typer.Option(envvar="ZARM_ROBOT", help="A robot of zarm's, or a descriptor (.yaml).")] = (
-        "doosan_m1013"
-    ),
+    robot: Annotated[
+        str, typer.Option(envvar="ZARM_ROBOT", help="A robot that comes with zarm, or a descriptor (.yaml).")
+    ] = ("doosan_m1013"),
     name: Annotated[
-        str | None, typer.Option(envvar="ZARM_NAME", help="Its name on the bus; left out: the descriptor's.")
+        str | None,
+        typer.Option(envvar="ZARM_NAME", help="Name of the robot on the bus (default: as in the descriptor)."),
     ] = None,
     strategy: Annotated[
-        str | None, typer.Option(help="Control strategy to start with; left out: the descriptor's.")
+        str | None, typer.Option(help="Control strategy at the start (default: as in the descriptor).")
     ] = None,
-    driver: Annotated[
-        Driver | None, typer.Option(help="Start a simulated driver as well, for the strategies that need one.")
-    ] = None,
-    ros: Annotated[bool, typer.Option("--ros", help="Start the bridge to ROS 2 as well.")] = False,
+    driver: Annotated[Driver | None, typer.Option(help="Also start a simulated driver.")] = None,
+    ros: Annotated[bool, typer.Option("--ros", help="Also start the ROS 2 bridge.")] = False,
     connect: Annotated[
         str | None, typer.Option(envvar="ZARM_CONNECT", help="Join the router at this endpoint instead of running one.")
     ] = None,
@@ -184,9 +185,7 @@ def up(
             envvar="ZARM_LISTEN", help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}]", show_default=False
         ),
     ] = None,
-    state: Annotated[
-        Path | None, typer.Option(help=f"Folder for what outlives the processes.  [default: {default_state()}]")
-    ] = None,
+    state: Annotated[Path | None, typer.Option(help=f"Folder for saved state.  [default: {default_state()}]")] = None,
     metrics: Annotated[
         str | None,
         typer.Option(
@@ -203,7 +202,7 @@ def up(
         ),
     ] = None,
 ) -> None:
-    """Start router, planner and executor for one robot, and with --ros its bridge; Ctrl-C stops them, the robot first."""
+    """Start router, planner and executor of one robot; Ctrl-C stops them, the robot first."""
     if connect is not None and listen is not None:
         raise typer.BadParameter(
             "one joins a router, the other runs one (ZARM_CONNECT and ZARM_LISTEN count)",

@@ -22,7 +22,7 @@ To = Annotated[
     list[str] | None,
     typer.Option(
         metavar="X,Y,Z[,QX,QY,QZ,QW]",
-        help="Pose of the tip in the base frame (m); without an orientation the tip keeps the one it has. "
+        help="Pose of the tip in the base frame (m). Without an orientation the tip keeps its own. "
         "Given several times: one motion through all of them in this order, without stopping.",
     ),
 ]
@@ -39,22 +39,22 @@ def plan(
     joints_goal: JointsGoal = None,
     start: Annotated[
         str | None,
-        typer.Option(metavar="A,B,C,...", help="Joint positions to start from; left out: the measured ones."),
+        typer.Option(metavar="A,B,C,...", help="Joint positions at the start (default: measured)."),
     ] = None,
     hold: Annotated[
         str | None,
         typer.Option(
             metavar="AXIS,...",
-            help=f"Keep the tip's {', '.join(AXES)} (those that are named) as they are at the start.",
+            help=f"Keep the tip's {', '.join(AXES)} (those you name) as at the start: a path constraint.",
         ),
     ] = None,
     hold_frame: Annotated[
-        Literal["base", "tool"] | None, typer.Option(help="In which frame axes are held; base if left out.")
+        Literal["base", "tool"] | None, typer.Option(help="Frame of the path constraint (default: base).")
     ] = None,
-    timeout: Annotated[float | None, typer.Option(help="Deadline of the planning (s).")] = None,
-    optimize: Annotated[float | None, typer.Option(help="How long to look for faster motions (s).")] = None,
+    timeout: Annotated[float | None, typer.Option(help="Deadline for planning (s).")] = None,
+    optimize: Annotated[float | None, typer.Option(help="How long to look for faster trajectories (s).")] = None,
     velocity_scale: VelocityScale = None,
-    seed: Annotated[int, typer.Option(help="Same seed, scene and request: same motion.")] = 0,
+    seed: Annotated[int, typer.Option(help="The same seed, scene and request give the same plan.")] = 0,
     save: Annotated[Path | None, typer.Option(help="Write the plan to this file, for `zarm execute --plan`.")] = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,

@@ -16,8 +16,8 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 
 
 def record(
-    file: Annotated[Path | None, typer.Argument(help="Left out: <robot>_<time in UTC>.mcap, here.")] = None,
-    seconds: Annotated[float | None, typer.Option(min=0, help="How long; left out: until Ctrl-C.")] = None,
+    file: Annotated[Path | None, typer.Argument(help="The file (default: <robot>_<UTC time>.mcap, here).")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0, help="How long to record (s; default: until Ctrl-C).")] = None,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:

@@ -19,18 +19,18 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="A record: of `zarm record`, or of an executor that came to a fault.")],
+    file: Annotated[Path, typer.Argument(help="A file of `zarm record`, or of the flight recorder of an executor.")],
     publish: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Instead: publish the messages again as those of the robot NAME, all but commands to a driver.",
+            help="Publish the messages again as the robot NAME, except driver commands and streams.",
         ),
     ] = None,
-    speed: Annotated[float | None, typer.Option(help="How many times as fast as it was, with --publish.")] = None,
+    speed: Annotated[float | None, typer.Option(help="With --publish: how many times as fast.")] = None,
     connect: Connect = DEFAULT_ENDPOINT,
 ) -> None:
-    """Tell what happened in a record, or publish it again."""
+    """Tell what happened in a record, or publish its messages again."""
     if speed is not None and (publish is None or speed <= 0):
         raise typer.BadParameter("belongs to --publish, and is above 0", param_hint="--speed")
     if publish is None:

@@ -26,10 +26,12 @@ def show() -> None:
 
 @app.command()
 def check(
-    robot: Annotated[str, typer.Argument(metavar="FILE", help="A descriptor (.yaml), or the name of one of zarm's.")],
+    robot: Annotated[
+        str, typer.Argument(metavar="FILE", help="A descriptor (.yaml), or the name of a robot that comes with zarm.")
+    ],
     as_json: AsJson = False,
 ) -> None:
-    """Say what a descriptor holds, or what is wrong with it, fault by fault with file and line."""
+    """Show what a descriptor contains, or list every fault with file and line."""
     try:
         loaded = load_robot(robot)
     except InvalidRequest as error:

@@ -18,19 +18,19 @@ def router(
         str | None,
         typer.Option(
             envvar="ZARM_LISTEN",
-            help=f"Where it listens; left out: where the file says.  [default: {DEFAULT_ENDPOINT}]",
+            help=f"Endpoint to listen at.  [default: {DEFAULT_ENDPOINT}]",
             show_default=False,
         ),
     ] = None,
     link: Annotated[
         list[str] | None,
-        typer.Option(metavar="ENDPOINT", help="The router of another machine, to make one bus; may be given again."),
+        typer.Option(metavar="ENDPOINT", help="Endpoint of the router of another machine; repeatable."),
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A configuration of Zenoh's, such as deploy/router.json5.")
+        Path | None, typer.Option(metavar="FILE", help="A configuration file of Zenoh, such as deploy/router.json5.")
     ] = None,
 ) -> None:
-    """Run a router alone, until Ctrl-C or SIGTERM. A link that breaks is made again by itself."""
+    """Run only a router, until Ctrl-C or SIGTERM. Broken links are restored by themselves."""
     settings = router_config(listen, link or (), config=config)
     with suppress(KeyboardInterrupt), run_router(settings):  # the ordinary end
         endpoints = [("endpoint", endpoint) for endpoint in listens_at(settings)]

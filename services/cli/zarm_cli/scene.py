@@ -13,12 +13,12 @@ from zarm_cli.output import counted, numbers, out, print_json
 from zarm_contract.messages import SceneEdit, SceneEdited, Voxels
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
-app = typer.Typer(no_args_is_help=True, help="Show and change the objects that motions are planned around.")
+app = typer.Typer(no_args_is_help=True, help="Show and change the obstacles and attached objects.")
 
 
 @app.command("list")
 def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """List the objects, what the robot carries, and the links that are not looked at."""
+    """List objects, attached objects, and links whose collisions are ignored."""
     with connected(connect, name) as robot:
         scene = robot.scene.read()
     if as_json:
@@ -41,7 +41,7 @@ def show(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Nam
         touches = f"; it may touch {', '.join(carried.touch_links)}" if carried.touch_links else ""
         out.print(f"the robot carries {carried.object.name}, placed from its tip{touches}")
     if scene.ignored_links:
-        out.print(f"links that are not looked at: {', '.join(scene.ignored_links)}")
+        out.print(f"links whose collisions are ignored: {', '.join(scene.ignored_links)}")
     out.print(f"revision {scene.revision}")
 
 
@@ -57,15 +57,15 @@ def add(
     object_name: Annotated[str, typer.Argument(metavar="NAME")],
     at: Annotated[str, typer.Option(metavar="X,Y,Z[,QX,QY,QZ,QW]", help="Pose of its centre in the base frame (m).")],
     size: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Edge lengths of a cuboid (m).")] = None,
-    radius: Annotated[float | None, typer.Option(help="Of a sphere, capsule or cylinder (m).")] = None,
-    length: Annotated[float | None, typer.Option(help="Of a capsule or cylinder, along its own z (m).")] = None,
+    radius: Annotated[float | None, typer.Option(help="Radius of a sphere, capsule or cylinder (m).")] = None,
+    length: Annotated[float | None, typer.Option(help="Length of a capsule or cylinder along its own z (m).")] = None,
     file: Annotated[
-        str | None, typer.Option(help="Of a mesh: an STL or OBJ file (m), as named in a mesh folder of the planner's.")
+        str | None, typer.Option(help="STL or OBJ file of a mesh (m), in a mesh folder of the planner.")
     ] = None,
     scale: Annotated[
-        str | None, typer.Option(metavar="S or X,Y,Z", help="Of a mesh: what its file is multiplied by; 0.001 for mm.")
+        str | None, typer.Option(metavar="S or X,Y,Z", help="Scale of a mesh; 0.001 for files in mm.")
     ] = None,
-    replace: Annotated[bool, typer.Option("--replace", help="Take the place of an object of that name.")] = False,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace an object with the same name.")] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -107,7 +107,7 @@ def clear(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Na
 
 At = Annotated[
     str | None,
-    typer.Option("--joints", metavar="A,B,C,...", help="Where the robot is (rad); left out: the measured joints."),
+    typer.Option("--joints", metavar="A,B,C,...", help="Joint positions of the robot (rad; default: measured)."),
 ]
 
 
@@ -115,14 +115,14 @@ At = Annotated[
 def attach(
     object_name: Annotated[str, typer.Argument(metavar="NAME")],
     touch: Annotated[
-        list[str] | None, typer.Option(metavar="LINK", help="A link that it may touch; repeatable.")
+        list[str] | None, typer.Option(metavar="LINK", help="A link that the object may touch; repeatable.")
     ] = None,
     at: At = None,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """From now on the robot carries an object: `zarm scene attach box --touch link_5`."""
+    """Attach an object to the tip: `zarm scene attach box --touch link_5`."""
     where = joints(at, "--joints")
     _edit(connect, name, as_json, op="attach", name=object_name, touch_links=touch or [], joints=where)
 
@@ -135,37 +135,37 @@ def detach(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Put down what the robot carries, where it is now."""
+    """Detach an object and leave it where it is now."""
     _edit(connect, name, as_json, op="detach", name=object_name, joints=joints(at, "--joints"))
 
 
 @app.command()
 def links(
     names: Annotated[list[str], typer.Argument(metavar="LINK...")],
-    enabled: Annotated[bool, typer.Option("--on/--off", help="Look at their collisions, or no longer.")],
+    enabled: Annotated[bool, typer.Option("--on/--off", help="Check the collisions of these links, or ignore them.")],
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Switch the collisions of links of the robot off, and on again: `zarm scene links link_6 --off`."""
+    """Ignore collisions of links, or check them again: `zarm scene links link_6 --off`."""
     _edit(connect, name, as_json, op="links", names=names, enabled=enabled)
 
 
 @app.command()
 def load(
-    file: Annotated[Path, typer.Argument(help="YAML: `objects`, a list with the fields that `scene save` writes.")],
+    file: Annotated[Path, typer.Argument(help="YAML file, as `zarm scene save` writes it.")],
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Replace the whole scene by that of a file."""
+    """Replace all objects by those of a file."""
     with connected(connect, name) as robot:
         _print_edited(robot.scene.load(file), as_json)
 
 
 @app.command()
 def save(file: Path, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """Write the objects of the scene to a YAML file that `scene load` reads; what the robot carries is not among them."""
+    """Write the objects to a YAML file for `zarm scene load`; attached objects are left out."""
     with connected(connect, name) as robot:
         count = robot.scene.save(file)
     out.print(f"{counted(count, 'object')} in {file}")

@@ -134,7 +134,7 @@ def health(
 
 
 def watch(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """Show live what the robot does, until Ctrl-C; with --json ten lines a second."""
+    """Show live what the robot does, until Ctrl-C. With --json: ten lines a second."""
     with connected(connect, name) as robot:
         looks = _looks(robot)
         if as_json:

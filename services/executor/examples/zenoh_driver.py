@@ -30,8 +30,7 @@ class Arm:
     """An arm that has at once the velocity that it is told. Yours talks to a controller instead."""
 
     def __init__(self, position: list[float]) -> None:
-        self.position = position
-        self.velocity = [0.0] * len(position)
+        self.position, self.velocity = position, [0.0] * len(position)
 
     def move(self, velocity: list[float], dt: float) -> None:
         """Take on these velocities (rad/s) for `dt` s."""
@@ -62,14 +61,15 @@ class Driver:
     def step(self) -> None:
         """One period: play what is due, and tell where the arm is."""
         now, stamp, (began, command) = time.monotonic(), time.time(), self._newest
-        times, rows = command.get("time", []), command.get("velocity", [])
-        played, velocity = sum(moment <= now - began for moment in times), [0.0] * len(self._joints)
-        point_dt = times[1] if len(times) > 1 else PERIOD
-        if rows and now - began < times[-1] + point_dt:
-            row = dict(zip(command["joint_names"], rows[played - 1], strict=True))
-            velocity = [row[joint] for joint in self._joints]
-        self._arm.move(velocity, now - self._stepped)
-        self._stepped = now
+        times, rows, played = command.get("time", []), command.get("velocity", []), 0
+        while self._stepped < now:  # a machine that is late leaves no point out
+            dt, self._stepped = min(now - self._stepped, PERIOD), min(now, self._stepped + PERIOD)
+            at = self._stepped - began
+            played = max(1, sum(moment <= at for moment in times))
+            velocity = self._arm.velocity if at < 0.0 else [0.0] * len(self._joints)
+            if rows and 0.0 <= at < times[-1] + PERIOD:
+                velocity = [rows[played - 1][command["joint_names"].index(joint)] for joint in self._joints]
+            self._arm.move(velocity, dt)
         if times:
             self._progress.put(json.dumps({"sequence": command["sequence"], "fraction": played / len(times)}))
         joints = {"joint_names": self._joints, "position": self._arm.position, "velocity": self._arm.velocity}

@@ -54,9 +54,7 @@ class Admission:
     def demand_presence(self) -> None:
         """Raises Busy where what is asked now may have been asked long ago, and given up since."""
         if self._machine.was_away(time.monotonic()):
-            raise Busy(
-                "the executor stood still for so long that whoever asked may have given up; ask again in a moment"
-            )
+            raise Busy("the executor stood still for so long that the client may have given up; try again in a moment")
 
     @contextmanager
     def turn(self, arrival: int, *, preempt: bool = False) -> Iterator[Turn]:

@@ -84,7 +84,7 @@ class Executor:
         running = self._reporter.publish().goal_id  # a goal that has just ended is known from now on
         if goal_id is not None and (goal_id == running or self._reporter.knows(goal_id)):
             raise InvalidRequest(
-                f"there has been a goal {goal_id} already; give each a name of its own", field="goal_id"
+                f"there has been a goal {goal_id} already; give every goal a new goal_id", field="goal_id"
             )
         return goal_id or f"goal-{secrets.token_hex(4)}"
 
@@ -92,7 +92,7 @@ class Executor:
         """Raises Busy unless the robot rests and nothing is wrong."""
         mode = self._machine.state().mode
         if mode != "idle":
-            raise Busy(f"the executor is in the mode {mode}; let the goal end, or reset what is wrong, and ask again")
+            raise Busy(f"the executor is in the mode {mode}; let the goal end, or reset the fault, and try again")
 
     def cancel(self, request: CancelRequest, arrival: int) -> ExecutorState:
         """Cancel one goal, or the one that runs."""

@@ -87,7 +87,7 @@ class Goal:
         return Problem(
             code="timeout",
             message=f"no chunk came within {waited:.3f} s of chunk {self.chunk.sequence} (deadline {self.chunk.deadline:g} s); "
-            "see what held the client up, then begin a new stream from where the robot is",
+            "find out what delayed the client, then start a new stream from where the robot is",
         )
 
     def state(self, progress: Progress) -> GoalState:

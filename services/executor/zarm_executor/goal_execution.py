@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 
 from zarm_contract.errors import ExecutionFailed, ExecutionRefused, Unavailable
@@ -10,6 +11,8 @@ from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
+
+log = logging.getLogger(__name__)
 
 
 class GoalExecution:
@@ -22,6 +25,7 @@ class GoalExecution:
         self.goal = goal
         self._strategy = strategy
         self._changes = changes
+        self._seen = True
         if goal.chunk is not None:
             self._steerable()
 
@@ -50,9 +54,8 @@ class GoalExecution:
         if goal.outcome is None and goal.pausing:
             if goal.scene != scene:
                 raise ExecutionRefused(
-                    f"the scene is not the one that {goal.goal_id} was begun in (revision {goal.scene}, now {scene}), so that "
-                    "what is left of it may lead through something; it stays held: cancel it, and plan again from where the "
-                    "robot is",
+                    f"the scene is not the one that {goal.goal_id} started in (revision {goal.scene}, now {scene}), so "
+                    "the rest of it may collide; it stays paused: cancel it, and plan again from where the robot is",
                     code="stale_plan",
                 )
             goal.pausing = False
@@ -109,13 +112,17 @@ class GoalExecution:
             self._become("running")
         try:
             if goal.outcome is None:
-                goal.monitor.follow(now, dt, progress, measured)
+                self._see(goal.monitor.follow(now, dt, progress, measured))
             if goal.moving:
                 late = goal.late(now)
                 if late is not None:
                     self.end(Outcome("aborted", late))
-                elif goal.complete and goal.monitor.at_goal(now, progress, measured):
-                    return self._finish(Outcome("succeeded"))
+                elif self._seen and goal.complete:
+                    if goal.monitor.at_goal(now, progress, measured):
+                        return self._finish(Outcome("succeeded"))
+                    missed = goal.monitor.missed(now, progress, measured)
+                    if missed is not None:
+                        return self._finish(Outcome("aborted", missed))
             else:
                 goal.held_until = now
         except ExecutionFailed as failure:
@@ -123,6 +130,14 @@ class GoalExecution:
         if goal.moving or goal.status == "paused":
             return None
         return self._come_to_rest(now, progress, measured)
+
+    def _see(self, seen: bool) -> None:
+        """Note whether the robot's joints are reported; the log says when that changes."""
+        if seen and not self._seen:
+            log.warning("the robot's joints are reported again goal_id=%s", self.goal.goal_id)
+        elif self._seen and not seen:
+            log.warning("the robot is held, its joints are not reported goal_id=%s", self.goal.goal_id)
+        self._seen = seen
 
     def _come_to_rest(self, now: float, progress: Progress, measured: Measured | None) -> Outcome | None:
         try:

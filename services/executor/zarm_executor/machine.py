@@ -1,6 +1,6 @@
 """The state machine that owns the robot: who may move it, one goal at a time.
 
-mode      idle -> running -> idle                      a goal that succeeds
+mode      idle -> running -> idle                      a goal that succeeds, or is missed by a robot that rests
           running -> stopping -> paused -> running     pause and resume
           running | paused -> stopping -> idle         cancel, stop, another goal that preempts this one, a switch of
                                                        strategy, the end of the process
@@ -76,7 +76,7 @@ class Machine:
                 raise Unavailable("the executor is ending; execute again when it has been started again")
             if self._problem is not None:
                 raise Unavailable(
-                    f"the executor is in fault: {self._problem.message}; when that is put right, reset it (executor/reset)"
+                    f"the executor is in fault: {self._problem.message}; fix that, then reset it (executor/reset)"
                 )
             if self._motion is not None and not preempt:
                 raise Busy(f"{self._motion.goal.goal_id} is not at its end; cancel it or wait, then execute again")
@@ -119,9 +119,9 @@ class Machine:
     def _demand_not_overtaken(self, arrival: float, goal_id: str) -> None:
         """Raise Cancelled where a stop, a pause or a cancel of this goal arrived after the request to begin it."""
         if goal_id in self._withdrawn:
-            raise Cancelled(f"{goal_id} was cancelled before it began; the robot has not moved")
+            raise Cancelled(f"{goal_id} was cancelled before it started; the robot has not moved")
         if self._overtaken(arrival):
-            raise Cancelled("the robot was told to stop or to pause after this was asked; this motion has not begun")
+            raise Cancelled("a stop or a pause came after this request; this motion has not started")
 
     def _overtaken(self, arrival: float) -> bool:
         """Whether what would move the robot comes after a command to stop or to pause that arrived later."""
@@ -237,7 +237,7 @@ class Machine:
 
     def _demand_no_stop_since(self, arrival: float) -> None:
         if arrival < self._stopped_by:
-            raise Busy("the robot was told to stop after the switch was asked for; ask for it again")
+            raise Busy("a stop came after the request to switch; send it again")
 
     def _reopened(self, why: str) -> Unavailable:
         """Open the strategy again after a switch that failed; what to answer."""
@@ -245,7 +245,7 @@ class Machine:
             self._strategy.open()
         except ZarmError as error:
             message = (
-                f"{why}; and {self._strategy.name} cannot start again: {error}; when that is put right, reset "
+                f"{why}; and {self._strategy.name} cannot start again: {error}; fix that, then reset "
                 "(executor/reset) or switch to another strategy and reset"
             )
             self._problem = Problem(code="unavailable", message=message)
@@ -348,7 +348,7 @@ def _cancelled(why: str) -> Outcome:
 
 def _stalled(dt: float) -> ExecutionFailed:
     return ExecutionFailed(
-        f"the executor's control loop was away for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); see "
-        "what holds up this machine, then reset",
+        f"the executor's control loop was away for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); find "
+        "out what slows this machine down, then reset",
         code="driver_stalled",
     )

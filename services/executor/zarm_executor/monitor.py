@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_contract.errors import ExecutionFailed
+from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.robot import RobotDescriptor
 from zarm_executor.strategies.base import Measured, Progress
 from zarm_trajectory.follower import CATCH_UP
@@ -34,7 +34,7 @@ class Monitor:
         self._rest_since: float | None = None
         self._reached = 0.0
         self._reached_at: float | None = None
-        self._listening_until = -np.inf
+        self._heard_at: float | None = None
 
     def steer(self, path: TimedTrajectory) -> None:
         """The motion goes on along `path`, which is at its present time where the one before is there."""
@@ -44,8 +44,10 @@ class Monitor:
         """The motion goes on after a stop."""
         self._stopping_since = self._rest_since = None
 
-    def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> None:
-        """Raises ExecutionFailed where the robot does not follow: `tolerance_violated` or `driver_stalled`.
+    def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> bool:
+        """Whether the robot is seen to follow; while its joints are not reported the strategy holds it, for `hold_timeout`.
+
+        Raises ExecutionFailed where it does not follow: `tolerance_violated` or `driver_stalled`.
 
         The allowed duration counts time at path speed 1; what the executor itself slows down or holds is not held
         against the robot. A driver that is slower than it was told is on the path all the same: the allowed duration is
@@ -53,20 +55,11 @@ class Monitor:
         """
         if not progress.at_rest:
             self._rest_since = None
-        age = np.inf if measured is None else now - measured.time
-        if dt > CATCH_UP:  # the executor stood still: what the driver told meanwhile is still to be read
-            self._listening_until = now + self._execution.joint_state_timeout
-        if age > self._execution.joint_state_timeout and now < self._listening_until:
-            return
-        if measured is None or age > self._execution.joint_state_timeout:
-            raise ExecutionFailed(
-                f"the robot has reported no new joints for {age:.2f} s (joint_state_timeout "
-                f"{self._execution.joint_state_timeout:g} s); check its driver, then reset",
-                code="driver_stalled",
-            )
-        self._within(
-            np.abs(measured.position - progress.command), self._execution.path_tolerance, "path_tolerance", "left"
-        )
+        if measured is None or now - measured.time > self._execution.joint_state_timeout:
+            self._wait_for_joints(now, dt, measured)
+            return False
+        self._heard_at = now
+        self._on_path(measured, progress)
         self._advancing(now, progress)
         self._commanded += 0.0 if progress.at_rest else dt * progress.speed
         execution = self._execution
@@ -79,6 +72,20 @@ class Monitor:
                 f"{self._commanded:.2f} s, more than allowed; check its driver, then reset",
                 code="driver_stalled",
             )
+        return True
+
+    def _wait_for_joints(self, now: float, dt: float, measured: Measured | None) -> None:
+        if self._heard_at is None or dt > CATCH_UP:  # what came during a pause of the executor is still to be read
+            self._heard_at = now
+        if now - self._heard_at > self._execution.hold_timeout:
+            age = np.inf if measured is None else now - measured.time
+            raise ExecutionFailed(
+                f"the robot has reported no new joints for {age:.2f} s (joint_state_timeout "
+                f"{self._execution.joint_state_timeout:g} s, hold_timeout {self._execution.hold_timeout:g} s); check its "
+                "driver, then reset",
+                code="driver_stalled",
+            )
+        self._rest_since = self._reached_at = None
 
     def _advancing(self, now: float, progress: Progress) -> None:
         if self._reached_at is None or progress.at_rest or progress.time > self._reached:
@@ -94,17 +101,32 @@ class Monitor:
     def at_goal(self, now: float, progress: Progress, measured: Measured | None) -> bool:
         """Whether the robot rests at the end of the path, which is commanded.
 
-        Raises ExecutionFailed (`tolerance_violated`) when it does not within `settle_time`.
+        Raises ExecutionFailed (`tolerance_violated`) when it still moves after `settle_time`.
         """
         if measured is None or not progress.finished:
             return False
-        error = np.abs(measured.position - self._path.end)
-        if self._stopped(measured) and np.all(error <= self._execution.goal_tolerance):
+        if self._stopped(measured) and np.all(self._beside_goal(measured) <= self._execution.goal_tolerance):
             return True
-        if self._overdue(now):
-            self._within(error, self._execution.goal_tolerance, "goal_tolerance", "missed")
+        if self._overdue(now) and not self._stopped(measured):
             self._refuse_to_move(measured)
         return False
+
+    def missed(self, now: float, progress: Progress, measured: Measured | None) -> Problem | None:
+        """How far beside the end of the path the robot rests when the `settle_time` is over; None where it does not.
+
+        That is no fault: it rests, and the next motion starts from where it is.
+        """
+        if measured is None or not progress.finished or not self._stopped(measured) or not self._overdue(now):
+            return None
+        error = self._beside_goal(measured)
+        worst = int(error.argmax())
+        return Problem(
+            code="tolerance_violated",
+            message=f"{self._joints[worst]} missed the end of the motion by {error[worst]:.4f} rad (goal_tolerance "
+            f"{self._execution.goal_tolerance:g}) and rests there; see what holds or pushes the robot, then plan again from "
+            "where it is",
+            joint=self._joints[worst],
+        )
 
     def at_rest(self, now: float, progress: Progress, measured: Measured | None) -> bool:
         """Whether the robot stands still after it was told to stop; asked at every tick from then on.
@@ -118,8 +140,7 @@ class Monitor:
         if progress.at_rest:
             fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
             if measured is not None and fresh and self._stopped(measured):
-                error = np.abs(measured.position - progress.command)
-                self._within(error, self._execution.path_tolerance, "path_tolerance", "left")
+                self._on_path(measured, progress)
                 return True
             if self._overdue(now):
                 if measured is None or not fresh:
@@ -145,13 +166,16 @@ class Monitor:
             self._rest_since = now
         return now - self._rest_since > self._execution.settle_time
 
-    def _within(self, error: Array, tolerance: float, setting: str, verb: str) -> None:
+    def _beside_goal(self, measured: Measured) -> Array:
+        return np.abs(measured.position - self._path.end)
+
+    def _on_path(self, measured: Measured, progress: Progress) -> None:
+        error, tolerance = np.abs(measured.position - progress.command), self._execution.path_tolerance
         worst = int(error.argmax())
         if not error[worst] <= tolerance:
-            what = "the commanded path" if verb == "left" else "the end of the motion"
             raise ExecutionFailed(
-                f"{self._joints[worst]} {verb} {what} by {error[worst]:.4f} rad ({setting} {tolerance:g}); see what holds "
-                "or pushes the robot, then reset",
+                f"{self._joints[worst]} left the commanded path by {error[worst]:.4f} rad (path_tolerance {tolerance:g}); "
+                "see what holds or pushes the robot, then reset",
                 code="tolerance_violated",
                 joint=self._joints[worst],
             )

@@ -146,10 +146,10 @@ class Reporter:
         return state
 
     def _count_goal(self, status: str, by: int) -> None:
-        self._metrics.count("zarm_goals", "Goals at their end, by how they ended.", by, status=status)
+        self._metrics.count("zarm_goals", "Goals that ended, by their status.", by, status=status)
 
     def _count_fault(self, code: str, by: int) -> None:
-        self._metrics.count("zarm_faults", "Faults of the executor, by the code of the problem.", by, code=code)
+        self._metrics.count("zarm_faults", "Faults, by the code of the problem.", by, code=code)
 
 
 def _log(event: str, *values: object, problem: Problem | None) -> None:

@@ -49,7 +49,7 @@ class PresentScene:
             return present
         if present is None:
             raise Unavailable(
-                f"{what} was verified in revision {verified_in} of the scene, and nobody has told yet which one there is now; "
+                f"{what} was verified in revision {verified_in} of the scene, and the present revision is not known yet; "
                 "start the planner, then execute again"
             )
         raise ExecutionRefused(

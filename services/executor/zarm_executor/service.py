@@ -181,11 +181,14 @@ def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
         return None if measured is None else time.monotonic() - measured.time
 
     metrics.read(
-        "counter", "zarm_ticks_missed", "Ticks of the control loop left out.", lambda: machine.state().missed_ticks
+        "counter",
+        "zarm_ticks_missed",
+        "Ticks of the control loop that were left out.",
+        lambda: machine.state().missed_ticks,
     )
-    metrics.read("gauge", "zarm_joint_state_age_seconds", "How long ago the robot's joints were measured.", age)
+    metrics.read("gauge", "zarm_joint_state_age_seconds", "Age of the measured joint state.", age)
     metrics.read_histogram(
-        "zarm_tick_lateness_seconds", "How late ticks of the control loop began.", LATE, loop.lateness
+        "zarm_tick_lateness_seconds", "How late the ticks of the control loop began.", LATE, loop.lateness
     )
 
 
@@ -241,7 +244,7 @@ def main() -> int:
     parser = service_parser("executor")
     strategy = os.environ.get("ZARM_STRATEGY")
     parser.add_argument(
-        "--strategy", default=strategy, help="control strategy at the start (default: the descriptor's)"
+        "--strategy", default=strategy, help="the control strategy at the start (default: as in the descriptor)"
     )
     # A thread that is put aside while it holds the interpreter holds up the control loop, whatever the priority of that.
     ask_for_realtime(PROCESS_PRIORITY)

@@ -81,19 +81,27 @@ def _on_ros(service: Service, axes: Axes) -> AbstractContextManager[RosSide]:
 def main() -> int:
     """Run the simulated driver of one robot until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("leeloo_sim")
-    parser.add_argument("--at", type=float, nargs="+", metavar="RAD", help="where the arm stands (default: home)")
+    parser.add_argument(
+        "--at", type=float, nargs="+", metavar="RAD", help="joint positions at the start (default: home)"
+    )
     parser.add_argument(
         "--plays",
         choices=("velocity", "position"),
         default="velocity",
-        help="what of a point it plays (default: velocity)",
+        help="which part of a point it plays (default: velocity)",
     )
     parser.add_argument(
-        "--ceiling", type=float, default=70.0, metavar="DEG", help="deg/s and deg/s^2 of every joint (default: 70)"
+        "--ceiling",
+        type=float,
+        default=70.0,
+        metavar="DEG",
+        help="maximum of every joint, in deg/s and in deg/s^2 (default: 70)",
     )
-    parser.add_argument("--no-progress", action="store_true", help="tell no progress, as some drivers do not")
-    parser.add_argument("--ros", action="store_true", help="speak on the descriptor's ROS topics instead of the bus")
-    parser.add_argument("--trace", type=Path, metavar="FILE", help="append where the arm truly is, whatever it tells")
+    parser.add_argument("--no-progress", action="store_true", help="report no progress, like some drivers")
+    parser.add_argument("--ros", action="store_true", help="use the ROS topics of the descriptor instead of the bus")
+    parser.add_argument(
+        "--trace", type=Path, metavar="FILE", help="append the true motion of the arm to this file, whatever it reports"
+    )
     ask_for_realtime(PROCESS_PRIORITY)  # as the executor's: beside busy processes it would play its points late
     return run_service("leeloo_sim", parser, start)
 

@@ -29,11 +29,11 @@ from zarm_contract.messages import (
     SceneObject,
     SettingsChange,
 )
-from zarm_planner.joints import MeasuredJoints
-from zarm_planner.meshes import Meshes
-from zarm_planner.planner import PLANNERS, Planner
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.scene import SceneStore
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
+from zarm_planner.goals.joints import MeasuredJoints
+from zarm_planner.handlers import Handlers
+from zarm_planner.scene.store import SceneStore
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_runtime.state_file import owned
@@ -61,7 +61,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
     measured = MeasuredJoints(model, bus.latest(keys.joint_states, JointState))
-    planner = Planner(model, keys.robot, store, measured, bus.is_there)
+    handlers = Handlers(model, keys.robot, store, measured, bus.is_there)
     warm = False
 
     def when_warm(handler: Callable[[Request], Message]) -> Callable[[Request], Message]:
@@ -78,19 +78,20 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     plans = bus.latched(keys.plans, Plan)
 
     def plan(request: PlanRequest) -> Plan:
+        kind = handlers.planner_name(request)
         try:
-            answer = planner.plan(request)
+            answer = handlers.plan(request)
         except ZarmError as error:
-            _count(service.metrics, request, error.code)
+            _count(service.metrics, kind, error.code)
             log.info("no plan request=%s code=%s reason=%s", request.request_id, error.code, error)
             raise
         plans.set(answer)
-        _count(service.metrics, request, "ok")
+        _count(service.metrics, kind, "ok")
         service.metrics.time(
             "zarm_planning_seconds",
-            "How long plans took that were found.",
+            "How long successful plans took.",
             answer.timings.total,
-            planner=PLANNERS[request.goal.kind],
+            planner=kind,
         )
         log.info(
             "planned request=%s plan=%s seconds=%.3f clearance=%.4f duration=%.2f",
@@ -105,32 +106,34 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     settings = bus.publisher(keys.settings, PlannerSettings)
 
     def change_settings(change: SettingsChange) -> PlannerSettings:
-        answer = planner.change_settings(change)
+        answer = handlers.change_settings(change)
         if change != SettingsChange():
             settings.put(answer)
         return answer
 
     try:
-        _serve_scene(service, store.scene, planner.edit)
+        _serve_scene(service, store.scene, handlers.edit)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
-        bus.serve(keys.plan_cancel, CancelPlan, planner.cancel)
-        bus.serve(keys.fk, FkRequest, when_warm(planner.fk))
+        bus.serve(keys.plan_cancel, CancelPlan, handlers.cancel)
+        bus.serve(keys.fk, FkRequest, when_warm(handlers.fk))
         compute(keys.plan, PlanRequest, plan)
-        compute(keys.ik, IkRequest, planner.ik)
-        compute(keys.check, CheckRequest, planner.check)
-        compute(keys.occupancy, OccupancyRequest, planner.occupancy)
-        bus.watch_clients(planner.leave)
-        planner.warm_up(service.starting)
+        compute(keys.ik, IkRequest, handlers.ik)
+        compute(keys.check, CheckRequest, handlers.check)
+        compute(keys.occupancy, OccupancyRequest, handlers.occupancy)
+        bus.watch_clients(handlers.leave)
+        handlers.warm_up(service.starting)
         gc.freeze()  # what is loaded stays; looking for garbage in it again and again would delay a plan by 0.1 s at times
         warm = True
         service.ready()
         yield
     finally:
-        planner.close()
+        handlers.close()
 
 
-def _count(metrics: Metrics, request: PlanRequest, outcome: str) -> None:
-    metrics.count("zarm_plans", "Plans asked for, by outcome.", planner=PLANNERS[request.goal.kind], outcome=outcome)
+def _count(metrics: Metrics, kind: str, outcome: str) -> None:
+    metrics.count(
+        "zarm_plans", "Plans requested; outcome is ok or the code of the problem.", planner=kind, outcome=outcome
+    )
 
 
 def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Scene]) -> None:
@@ -171,7 +174,7 @@ def main() -> int:
         action="append",
         default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
         metavar="FOLDER",
-        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES; may stand more than once",
+        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES; repeatable",
     )
     return run_service("planner", parser, start)
 

@@ -13,17 +13,18 @@ import numpy as np
 
 from zarm_contract.messages import HeldAxes
 from zarm_contract.robot import load_robot
-from zarm_planner.exact import ExactScene
-from zarm_planner.held import Held
-from zarm_planner.held_motion import search_held, shorten_held
-from zarm_planner.ik import solve_ik
-from zarm_planner.motion import Limits
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
-from zarm_planner.shorten import quickest_of, shorten
-from zarm_planner.smooth import smooth_path
-from zarm_planner.stop import Stop
-from zarm_planner.world import World
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.deadline import Deadline
+from zarm_planner.kinematics.ik import solve_ik
+from zarm_planner.search.rrt_connect import search
+from zarm_planner.search.shortcut import quickest_of, shortcut
+from zarm_planner.timing.smoothing import smooth_path
+from zarm_trajectory.limits import Limits
 
 STAGES = 8
 
@@ -38,34 +39,34 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     def begin(stage: str) -> None:
         report(f"loading {stage} ({next(number)} of {STAGES})")
 
-    world, stop = World((), 0.0), Stop(60.0)
+    world, deadline = World((), 0.0), Deadline(60.0)
     home = np.array(model.robot.descriptor.home)
     begin("forward kinematics")
     pose = model.fk_tip(home)
     begin("collision checks")
     is_free(model, world, home)
     begin("inverse kinematics")
-    solve_ik(model, pose, home, world=world, max_solutions=1, seed=0, stop=stop)
+    solve_ik(model, pose, home, world=world, max_solutions=1, seed=0, deadline=deadline)
     begin("the search")
-    search(model, world, home, home, seed=0, stop=stop)
-    begin("the shortening of paths")
-    shorten(model, world, np.array((home, home)), seed=0, stop=stop)
-    quickest_of(model, world, home, home, seeds=(0,), stop=stop, most=1)
+    search(model, world, home, home, seed=0, deadline=deadline)
+    begin("the shortcuts of paths")
+    shortcut(model, world, np.array((home, home)), seed=0, deadline=deadline)
+    quickest_of(model, world, home, home, seeds=(0,), deadline=deadline, most=1)
     begin("the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
-    limits = Limits.of(model)
-    motion = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, stop=stop)
+    limits = Limits.of(model.robot)
+    trajectory = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, deadline=deadline)
     begin("the verification of motions")
     exact = ExactScene(model, world)
-    motion.load(limits)
-    motion.travel(exact.reach)
-    exact.nearest(motion.at(motion.time)[0])
-    begin("the search for motions that hold axes")
-    held = Held.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
-    held.use(home)
-    path = search_held(world, held, home, home[None], seed=0, stop=stop)
+    limits.load(trajectory)
+    trajectory.travel(exact.reach)
+    exact.nearest(trajectory.sample(trajectory.time)[0])
+    begin("the search under path constraints")
+    constraint = PathConstraint.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
+    constraint.use(home)
+    path = search_constrained(world, constraint, home, home[None], seed=0, deadline=deadline)
     if path is not None:
-        shorten_held(world, held, path, seed=0, stop=stop)
+        shortcut_constrained(world, constraint, path, seed=0, deadline=deadline)
 
 
 def _print_line(text: str) -> None:

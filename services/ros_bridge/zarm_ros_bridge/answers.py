@@ -48,7 +48,7 @@ def _outcome(handler: Handler, request: Any, response: Any) -> tuple[bool, str]:
         return False, shortened(str(error))
     except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
         log.exception("handler failed request=%s", type(request).__name__)
-        return False, str(InternalError("the ROS bridge failed on this request; its log holds the trace"))
+        return False, str(InternalError("the ROS bridge failed on this request; its log has the trace"))
 
 
 def shortened(text: str) -> str:

@@ -85,7 +85,7 @@ class Drivers:
 
     def _state(self, message: Float32) -> None:
         if not math.isfinite(message.data):
-            self._complain(f"progress: {message.data} is no number from 0 to 1")
+            self._complain(f"progress: {message.data} is not a number from 0 to 1")
             return
         with self._turn:
             progress = self._progress.read(message.data)

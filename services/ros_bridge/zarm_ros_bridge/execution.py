@@ -34,7 +34,7 @@ REST_SECONDS = 15.0
 RESULT_SECONDS = 60
 """How long a result can be asked for."""
 _NO_MPC = (
-    "mpc_move is not there yet, because zarm has no closed-loop planner; use execute_trajectory with a target_pose"
+    "mpc_move is not available yet, because zarm has no closed-loop planner; use execute_trajectory with a target_pose"
 )
 _END_SECONDS = 3.0
 _JITTER = 0.05  # s by which a state of the executor may be early
@@ -115,7 +115,7 @@ class Execution:
             return self._failed(run, error)
         except Exception:  # as on the bus: one goal fails, and the service goes on
             log.exception("goal failed")
-            return self._failed(run, InternalError("the ROS bridge failed on this goal; its log holds the trace"))
+            return self._failed(run, InternalError("the ROS bridge failed on this goal; its log has the trace"))
         else:
             handle.succeed()
             return SendTrajectory.Result(success=True, message="Trajectory executed successfully")

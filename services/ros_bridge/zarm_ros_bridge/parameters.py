@@ -144,7 +144,7 @@ class Parameters:
             return SetParametersResult(successful=False, reason=shortened(str(error)))
         except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
             log.exception("parameters failed names=%s", ",".join(change.name for change in changes))
-            reason = "the ROS bridge failed on this change; its log holds the trace"
+            reason = "the ROS bridge failed on this change; its log has the trace"
             return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 

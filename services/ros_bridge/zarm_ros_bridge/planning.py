@@ -116,7 +116,7 @@ class Planning:
         response.previous_planner = response.current_planner = before
         if request.planner_type >= len(PLANNERS):
             known = ", ".join(f"{name} {number}" for number, name in enumerate(PLANNERS))
-            raise InvalidRequest(f"{request.planner_type} is no planner; use one of {known}", field="planner_type")
+            raise InvalidRequest(f"{request.planner_type} is not a planner; use one of {known}", field="planner_type")
         planner = PLANNERS[request.planner_type]
         _choosable(planner)
         self._parameters.set("planner_type", planner)
@@ -147,4 +147,4 @@ class Planning:
 def _choosable(planner: str) -> None:
     """Raises Unavailable for a planner that zarm does not have yet."""
     if planner in _WITHOUT_ENGINE:
-        raise Unavailable(f"the planner {planner} is not there yet; choose another one of get_planners")
+        raise Unavailable(f"the planner {planner} is not available yet; choose another one of get_planners")

@@ -38,7 +38,7 @@ def reread_robot(engine: Engine) -> str:
     if engine.client.strategy().active != strategy:
         engine.client.strategy(strategy)
     engine.robot = robot
-    return f"{' and '.join(renewed)} have started anew with it" if renewed else ""
+    return f"{' and '.join(renewed)} have restarted with it" if renewed else ""
 
 
 def _wait_for(engine: Engine, service: str, robot_hash: str) -> None:

@@ -106,7 +106,7 @@ class SceneServices:
         try:
             for kind in kinds:
                 if (count := getattr(request, kind)) < -1:
-                    raise InvalidRequest(f"{count} is no number of obstacles; -1 leaves it as it is", field=kind)
+                    raise InvalidRequest(f"{count} is not a number of obstacles; -1 leaves it as it is", field=kind)
             for kind in kinds:
                 if (count := getattr(request, kind)) >= 0:
                     self._parameters.set(f"{kind}_cache_size", count)

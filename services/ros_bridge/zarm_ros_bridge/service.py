@@ -75,7 +75,7 @@ def main() -> int:
     """Bridge one robot or several until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("ros_bridge", several=True)
     parser.add_argument(
-        "--namespace", help="ROS namespace of its names (default: none for one robot, the robot's name for several)"
+        "--namespace", help="the ROS namespace (default: none for one robot, the name of each robot for several)"
     )
     insist()
     return run_service("ros_bridge", parser, start)

@@ -49,7 +49,9 @@ def _read(path: Path) -> Mapping[str, Any]:
     except yaml.YAMLError as error:
         raise InvalidRequest(f"is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise InvalidRequest("is no mapping; a scene has the key objects, a world of cuRobo the kinds of its obstacles")
+        raise InvalidRequest(
+            "is not a mapping; a scene has the key objects, a world of cuRobo the kinds of its obstacles"
+        )
     return data
 
 
@@ -63,16 +65,16 @@ def _objects(data: Mapping[str, Any]) -> Iterator[Any]:
     for kind, named in data.items():
         if kind not in _KINDS:
             raise InvalidRequest(
-                f"{kind} is no kind of obstacle that is read from a file; those are {', '.join(_KINDS)}"
+                f"{kind} is not a kind of obstacle that is read from a file; those are {', '.join(_KINDS)}"
             )
         if not isinstance(named, dict):
-            raise InvalidRequest("is no mapping of names to obstacles", field=str(kind))
+            raise InvalidRequest("is not a mapping of names to obstacles", field=str(kind))
         for name, obstacle in named.items():
             try:
                 yield {"kind": kind, "name": name, **_obstacle(kind, obstacle)}
             except (KeyError, TypeError, ValueError) as error:
                 raise InvalidRequest(
-                    f"the {kind} {name} is not as in a world of cuRobo: {error}; see services/ros_bridge/README.md"
+                    f"the {kind} {name} is not as in a world of cuRobo: {error}; see docs/reference/ros.md"
                 ) from error
 
 

@@ -97,7 +97,7 @@ def test_the_robot_picks_up_and_puts_down(up: Up, empty_scene: None) -> None:
 def test_links_are_switched_off_and_on(up: Up, empty_scene: None) -> None:
     done(up, "scene", "links", "link_6", "link_5", "--off")
     assert data(up, "scene", "list")["ignored_links"] == ["link_6", "link_5"]
-    assert "not looked at: link_6, link_5" in done(up, "scene", "list")
+    assert "are ignored: link_6, link_5" in done(up, "scene", "list")
     done(up, "scene", "links", "link_5", "link_6", "--on")
     assert data(up, "scene", "list")["ignored_links"] == []
 

@@ -15,6 +15,7 @@ from support.executor.client import Client
 from support.executor.driven import FAR, LIMIT, THERE, driven
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import EXAMPLES
+from support.resources import ahead_of_others, favour
 from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
@@ -205,7 +206,8 @@ def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
     bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: told.append(state))
     joints, at = reversed(ROBOT.descriptor.joints), [str(value) for value in reversed(HOME.tolist())]
     command = [sys.executable, str(EXAMPLE), "--connect", endpoint, "--joints", *joints, "--at", *at]
-    process = subprocess.Popen(command)
+    with ahead_of_others():
+        process = subprocess.Popen(command)
     try:
         eventually(lambda: told or process.poll() is not None, "the example tells its joints")
         assert process.poll() is None
@@ -222,6 +224,7 @@ def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path
         ServiceProcess("executor", endpoint, tmp_path, arguments=("--strategy", strategy)) as process,
     ):
         process.wait_ready(bus, KEYS)
+        favour(process)
         client = Client(bus)
         goal_id = client.execute(THERE)
         assert client.ended(goal_id).status == "succeeded", client.goal(goal_id)

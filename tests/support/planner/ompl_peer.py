@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from ompl import base, geometric, util
 
-from zarm_planner.kernels.arrays import memory
-from zarm_planner.kernels.edge import path_free
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.world import World
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.kernels.edge import path_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
 

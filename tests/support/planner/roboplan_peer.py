@@ -12,8 +12,8 @@ from roboplan import core, rrt
 
 from support.planner.ompl_peer import STEP, Run
 from zarm_contract.messages import Cuboid, SceneObject
-from zarm_planner.frames import matrix
-from zarm_planner.robot_model import RobotModel
+from zarm_geometry.frames import matrix
+from zarm_geometry.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

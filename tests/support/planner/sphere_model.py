@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
-from zarm_planner.frames import matrix
-from zarm_planner.robot_model import RobotModel
+from zarm_geometry.frames import matrix
+from zarm_geometry.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -10,21 +10,29 @@ import numpy as np
 
 from zarm_contract.messages import Cuboid, HeldAxes, JointGoal, PoseGoal, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
-from zarm_planner import kernels
-from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import pose_of
-from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Options, plan
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.stop import Stop
+from zarm_geometry import kernels as geometry_kernels
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner import kernels as planner_kernels
+from zarm_planner.constraints.path_constraint import constrains
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import plan
+from zarm_planner.planners.registry import choose
+from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.warm_up import warm_up
-from zarm_planner.world import World
+from zarm_trajectory.limits import Limits
 
 
 def compiled() -> dict[str, int]:
     """How often each kernel is compiled in this process."""
-    names = [f"{kernels.__name__}.{module.name}" for module in pkgutil.iter_modules(kernels.__path__)]
+    names = [
+        f"{kernels.__name__}.{module.name}"
+        for kernels in (geometry_kernels, planner_kernels)
+        for module in pkgutil.iter_modules(kernels.__path__)
+    ]
     return {
         f"{name}.{key}": len(value.signatures)
         for name in names
@@ -49,10 +57,12 @@ def every_kind_of_plan(model: RobotModel) -> None:
     upright = HeldAxes(axes=(True, True, False, False, False, False), angle_tolerance=0.1)
     for objects in ((), (ball, post)):
         world = World(objects, 0.005)
-        snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
+        snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
         for goal in (to_joints, to_pose, through):
             for held in (None, upright):
-                plan(snapshot, home, goal, Options(Limits.of(model), held, 10, 0.05, 0), Stop(60.0))
+                limits, deadline = Limits.of(model.robot), Deadline(60.0)
+                context = PlanningContext(snapshot, limits, deadline, held, max_attempts=10, optimize_s=0.05)
+                plan(choose("auto", goal, constrains(held)), context, home, goal)
 
 
 if __name__ == "__main__":

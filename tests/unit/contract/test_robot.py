@@ -96,7 +96,7 @@ def test_a_missing_file_and_an_unknown_name_are_refused(tmp_path: Path) -> None:
         ('<link name="tip"/>', "<link/>", "a <link> has no name="),
         ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "has the axis 0 0 0"),
         ('<origin xyz="0 0 0.1"/>', '<origin xyz="0 0 nan"/>', "xyz='0 0 nan' must be three finite numbers"),
-        ('lower="-1.5"', 'lower="inf"', "lower='inf' is no finite number"),
+        ('lower="-1.5"', 'lower="inf"', "lower='inf' is not a finite number"),
         ('<parent link="base"/>', "", "joint swing has no <parent>"),
         ('name="flange"', 'name="swing"', "two joints are named swing"),
         ('<child link="tip"/>', '<child link="arm"/>', "the link arm has two parent joints"),

@@ -10,7 +10,7 @@ import pytest
 
 from support.planner.containment import contains
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.robot import ROBOTS, CSpace, Execution, RobotDescriptor, StrategyParams, load_robot
+from zarm_contract.robot import ROBOTS, load_robot
 
 
 @pytest.fixture
@@ -46,8 +46,8 @@ LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
     [
         ("tip_link: link_6", "tip_link: [link_6", "joints:", "not valid YAML: did not find expected ',' or ']'"),
         ("interpolation_dt", "interpolation_time", "", "interpolation_time: Extra inputs are not permitted; did you mean interpolation_dt?"),
-        ("strategy: emulator", "colour: white", "", "colour: Extra inputs are not permitted; robots/README.md lists the keys"),
-        ("strategy: emulator", HOME, "", "home: stands in line {home} too; keep one"),
+        ("strategy: emulator", "colour: white", "", "colour: Extra inputs are not permitted; docs/reference/robot.md lists the keys"),
+        ("strategy: emulator", HOME, "", "home: also appears in line {home}; keep one"),
         ("name: doosan_m1013", "name: M1013", "", "name: String should match pattern '^[a-z][a-z0-9_]{0,63}$'; use small letters, digits and _, a letter first"),
         (HOME, "home: [0.0, 0.0, 1.57]", "", "home: 3 values for 6 joints"),
         (HOME, "home: 0.0", "", "home: Input should be a valid tuple; write a list: [0.1, 0.2, 0.3]"),
@@ -57,21 +57,21 @@ LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
         ("tip_link: link_6", "tip_link: flange", "", f"tip_link: the link flange is not in doosan_m1013.urdf; the links there are {LINKS}"),
         ("base_link: base_link\n", "base_link: link_6\n", "joints:", "joints: the moving joints from base_link to tip_link are []; list them in this order"),
         (JOINTS, JOINTS.replace("1, joint_2", "2, joint_1"), "", "joints: the moving joints from base_link to tip_link are ['joint_1', 'joint_2', 'joint_3', 'joint_4', 'joint_5', 'joint_6']; list them in this order"),
-        (JOINTS, JOINTS.replace("joint_2", "joint_1"), "", "joints: a name stands twice"),
+        (JOINTS, JOINTS.replace("joint_2", "joint_1"), "", "joints: a name appears twice"),
         ("  link_6: *link_6\n", "", "spheres:", "spheres: the link link_6 has collision geometry but no sphere that covers it"),
         ("  - [link_4, link_6]", "  - [link_4, tool]", "", f"self_collision_ignore.12.1: the link tool is not in doosan_m1013.urdf; the links there are {LINKS}"),
-        ("  - [link_4, link_6]", "  - [link_4]", "", "self_collision_ignore.12.1: Field required; robots/README.md explains what to write here"),
+        ("  - [link_4, link_6]", "  - [link_4]", "", "self_collision_ignore.12.1: Field required; docs/reference/robot.md explains what to write here"),
         (LINK_6, LINK_6.replace("sphere", "ball"), "", "collision.link_6.0: Input tag 'ball' found using 'kind' does not match any of the expected tags: 'sphere', 'capsule', 'cylinder', 'cuboid'"),
         (LINK_6, LINK_6.replace("kind: sphere, ", ""), "", "collision.link_6.0: Unable to extract tag using discriminator 'kind'; write kind: sphere, capsule, cylinder or cuboid"),
         ("  state_topic: /leeloo", "  state_topik: /leeloo", "", "strategy_params.state_topik: Extra inputs are not permitted; did you mean state_topic?"),
-        ("  command_topic: /leeloo/execute_trajectory\n", "", "strategy_params:", "strategy_params.command_topic: Field required; robots/README.md explains what to write here"),
+        ("  command_topic: /leeloo/execute_trajectory\n", "", "strategy_params:", "strategy_params.command_topic: Field required; docs/reference/robot.md explains what to write here"),
         ("  joint_order: [joint_1, joint_2", "  joint_order: [joint_1, joint_1", "", "strategy_params.joint_order: name each of joint_1, joint_2, joint_3, joint_4, joint_5, joint_6 once, in the order of the driver"),
         ("  acceleration: [1.2, ", "  acceleration: [", "", "strategy_params.acceleration: 5 values for 6 joints"),
-        ("  point_dt: 0.02", "  point_dt: 0.03", "strategy_params:", "strategy_params.chunk_period: 0.08 s is no whole number of points; use a multiple of point_dt 0.03 s"),
-        ("  point_dt: 0.02", "  gain: 10", "", "strategy_params.gain: the robot would swing, because 10/s times delay and chunk_period is more than 1; use at most 7.14"),
-        ("  point_dt: 0.02", "  point_dt: 0.004\n  chunk_period: 0.004", "  chunk_period: 0.004", "strategy_params.chunk_period: 0.004 s is no whole number of periods of the control loop, so that chunks would not come evenly; use a multiple of 0.01 s, or change execution.control_rate"),
-        ("interpolation_dt: 0.02", "interpolation_dt: 0.02\nexecution: {control_rate: 130}", "strategy_params:", "strategy_params.chunk_period: 0.08 s is no whole number of periods of the control loop, so that chunks would not come evenly; use a multiple of 0.00769231 s, or change execution.control_rate"),
-        ("  strategies: [joint_speed, ", "  strategies: [joint_force, ", "", "strategy_params.strategies.0: Input should be 'joint_speed', 'joint_pose' or 'joint_trajectory'"),
+        ("  point_dt: 0.02", "  point_dt: 0.03", "strategy_params:", "strategy_params.chunk_period: 0.08 s is not a whole number of points; use a multiple of point_dt 0.03 s"),
+        ("  point_dt: 0.02", "  gain: 10", "", "strategy_params.gain: the robot would oscillate, because 10/s times delay and chunk_period is more than 1; use at most 7.14"),
+        ("  point_dt: 0.02", "  point_dt: 0.004\n  chunk_period: 0.004", "  chunk_period: 0.004", "strategy_params.chunk_period: 0.004 s is not a whole number of periods of the control loop, so that chunks would not be evenly spaced; use a multiple of 0.01 s, or change execution.control_rate"),
+        ("interpolation_dt: 0.02", "interpolation_dt: 0.02\nexecution: {control_rate: 130}", "strategy_params:", "strategy_params.chunk_period: 0.08 s is not a whole number of periods of the control loop, so that chunks would not be evenly spaced; use a multiple of 0.00769231 s, or change execution.control_rate"),
+        ("  strategies: [joint_speed, ", "  strategies: [joint_force, ", "", "strategy_params.strategies.0: there is no strategy 'joint_force' for drivers; choose among joint_speed, joint_pose, joint_trajectory"),
         ("urdf: doosan_m1013.urdf", "urdf: m1013.urdf", "", "urdf: cannot read the URDF {folder}/m1013.urdf: no such file; the path is relative to the descriptor's folder"),
     ],
 )  # fmt: skip
@@ -180,7 +180,7 @@ def test_geometry_that_the_joints_do_not_carry_is_refused(arm: Path) -> None:
     edit(arm, "  link_6: *link_6", "  finger: *finger\n  link_6: *link_6")
     (fault,) = faults(arm)
     assert fault.endswith(
-        'collision.finger: it hangs on slide, which is none of the robot\'s joints; give that joint type="fixed" in the URDF'
+        'collision.finger: it hangs on slide, which is not a joint of the robot; give that joint type="fixed" in the URDF'
     )
     edit(urdf, 'name="slide" type="prismatic"', 'name="slide" type="fixed"')
     assert "finger" in load_robot(str(arm)).descriptor.collision
@@ -197,35 +197,21 @@ def test_a_list_that_contains_itself_is_refused(arm: Path) -> None:
     assert all(fault.startswith(f"{arm}:{line}: home") for fault in faults(arm))
 
 
-# -- robots/README.md --
-
-
-def keys_of(table_after: str) -> list[str]:
-    """Every `key` in the first column of the first table after a heading."""
-    section = (ROBOTS / "README.md").read_text().split(f"## {table_after}\n")[1]
-    table = section.split("\n|---")[1].split("\n\n")[0]
-    return [key for row in table.splitlines()[1:] for key in re.findall(r"`([^`]+)`", row.split("|")[1])]
-
-
-def test_the_readme_explains_every_key() -> None:
-    def under(section: str, model: type[CSpace | Execution | StrategyParams]) -> list[str]:
-        return [f"{section}.{key}" for key in model.model_fields]
-
-    fields = [key for key in RobotDescriptor.model_fields if key not in ("cspace", "execution")]
-    fields += under("cspace", CSpace) + under("execution", Execution) + under("strategy_params", StrategyParams)
-    assert sorted(keys_of("The keys")) == sorted(fields)
+# -- the documentation --
 
 
 def test_the_readme_lists_every_robot() -> None:
-    assert sorted(keys_of("The robots")) == sorted(file.stem for file in ROBOTS.glob("*.yaml"))
+    listed = re.findall(r"^\| `(\w+)`", (ROBOTS / "README.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(file.stem for file in ROBOTS.glob("*.yaml"))
 
 
 def example(fence: str) -> str:
-    (block,) = re.findall(rf"```{fence}\n(.*?)```", (ROBOTS / "README.md").read_text(), re.DOTALL)
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "add-a-robot.md"
+    (block,) = re.findall(rf"```{fence}\n(.*?)```", page.read_text(), re.DOTALL)
     return str(block)
 
 
-def test_the_example_of_the_readme_is_a_robot(tmp_path: Path) -> None:
+def test_the_example_of_the_documentation_is_a_robot(tmp_path: Path) -> None:
     (tmp_path / "my_arm.yaml").write_text(example("yaml"))
     (tmp_path / "my_arm.urdf").write_text(example("xml"))
     descriptor = load_robot(str(tmp_path / "my_arm.yaml")).descriptor

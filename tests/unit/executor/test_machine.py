@@ -278,7 +278,7 @@ def test_a_motion_that_was_asked_for_before_a_stop_a_cancel_or_a_pause_does_not_
         lambda: bench.execute(asked=early),
         lambda: bench.machine.preempt("goal-2", early, PATIENCE),
     ):
-        with pytest.raises(Cancelled, match="after this was asked"):
+        with pytest.raises(Cancelled, match="came after this request"):
             command()
     bench.execute()
     bench.until("idle")
@@ -290,7 +290,7 @@ def test_a_stop_wins_over_a_switch_that_arrived_before_it_and_a_cancel_does_not(
     bench.machine.cancel(None, "enough", arrival())
     bench.machine.switch(bench.arm, PATIENCE, early)
     bench.machine.stop("enough", arrival())
-    with pytest.raises(Busy, match="told to stop"):
+    with pytest.raises(Busy, match="a stop came after"):
         bench.machine.switch(other, PATIENCE, early)
     assert other.calls == []
 

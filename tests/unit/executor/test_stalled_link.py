@@ -1,4 +1,4 @@
-"""What a link that stalls holds up never moves the arm when it comes at last, whatever the strategy."""
+"""What a link that stalls holds up never moves the arm when it comes at last; a short stall holds the motion, whatever the strategy."""
 
 from __future__ import annotations
 
@@ -28,15 +28,17 @@ def stalled_for(folder: Folder, case: Case, after: float, seconds: float, rate: 
     path = bench.execute(timed=trapezoid)
     bench.run(after)
     bench.stall(seconds)
-    bench.run(seconds + 4.0)
+    bench.run(seconds + 6.0)
     unheard = [command for moment, command in bench.commands if bench.stalled_at + 0.12 < moment < bench.stalled_until]
     assert all(not command.time for command in unheard), "while the driver is not heard it is sent stops alone"
     assert bench.machine.state().mode in ("fault", "idle")
     assert max(distance_from(path, position) for position, _ in bench.truth[::5]) <= tolerance
     assert bench.acceleration() <= CEILING * 1.1
-    speeds = np.array([np.abs(velocity).max() for _, velocity in bench.truth])
-    moving = np.flatnonzero(speeds > STILL)
-    assert np.all(np.diff(moving) < 20), "the arm came to rest and moved again"
+    if bench.last().status != "succeeded":
+        assert bench.machine.state().mode == "fault"
+        speeds = np.array([np.abs(velocity).max() for _, velocity in bench.truth])
+        moving = np.flatnonzero(speeds > STILL)
+        assert np.all(np.diff(moving) < 20), "the arm came to rest and moved again"
     return bench
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path as Folder
 
 import numpy as np
@@ -12,8 +13,8 @@ from support.executor.driven import FAR, LIMIT
 from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
 from support.executor.waves import target
 from support.trajectories import HOME, trapezoid
-from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_executor import strategies
+from zarm_contract.errors import Unavailable
+from zarm_contract.strategies import DRIVER_STRATEGIES
 from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.strategies.joint_speed import JointSpeed
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -360,12 +361,6 @@ def test_a_driver_that_cannot_play_a_strategy_rules_it_out_with_the_reason(tmp_p
         bench.repertoire.find("joint_pose")
 
 
-def test_a_strategy_that_there_is_not_is_refused_with_the_file_and_the_key(tmp_path: Folder) -> None:
-    with pytest.raises(InvalidRequest, match=r"doosan_m1013\.yaml: there is no strategy 'joint_sped'") as refusal:
-        DriverBench(Case("emulator", params=(("strategies", ("joint_sped",)),)), tmp_path)
-    assert refusal.value.problem.field == "strategy_params.strategies"
-
-
 class Slowly(JointSpeed):
     """Moves at half the speed that was asked for."""
 
@@ -375,8 +370,9 @@ class Slowly(JointSpeed):
         super().start(path, speed / 2)
 
 
-def test_a_new_strategy_is_a_class_in_the_list(tmp_path: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(strategies, "DRIVER_STRATEGIES", (*strategies.DRIVER_STRATEGIES, Slowly))
+def test_a_new_strategy_is_a_module_and_a_line_in_the_list(tmp_path: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zarm_executor.strategies.slowly", sys.modules[__name__])
+    monkeypatch.setitem(DRIVER_STRATEGIES, "slowly", "chunks")  # type: ignore[arg-type]
     bench = DriverBench(Case("slowly", params=(("strategies", ("slowly",)),)), tmp_path)
     assert [info.name for info in bench.repertoire.describe() if info.available] == ["emulator", "ghost", "slowly"]
     path = bench.execute()

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from support.planner.small_arm import small_arm
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere
-from zarm_planner.exact import FARTHEST, ExactScene
-from zarm_planner.frames import matrix, rotation_to
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.shapes import Shape, distance, obstacle_shape
-from zarm_planner.world import World
+from zarm_geometry.exact import FARTHEST, ExactScene
+from zarm_geometry.frames import matrix, rotation_to
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.shapes import Shape, distance, obstacle_shape
+from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
 

@@ -20,14 +20,14 @@ from support.planner.sphere_model import (
 )
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, PlannerSettings, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner.frames import rotation
-from zarm_planner.kernels.arrays import Single
-from zarm_planner.kernels.collision import RESOLUTION, sine_cosine
-from zarm_planner.kernels.lanes import LANES, load, pointer, store
+from zarm_geometry.collision import is_free
+from zarm_geometry.frames import rotation
+from zarm_geometry.kernels.arrays import Single
+from zarm_geometry.kernels.collision import RESOLUTION, sine_cosine
+from zarm_geometry.kernels.simd import LANES, load, pointer, store
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.kernels.trees import Trees, add, make_trees, nearest_node
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
-from zarm_planner.world import World
 
 Array = NDArray[np.float64]
 

@@ -16,15 +16,15 @@ from support.planner.sphere_model import gaps_to_itself, random_joints, spheres
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit
 from zarm_contract.robot import load_robot
-from zarm_planner import meshes as limits
-from zarm_planner import rows, solid
-from zarm_planner.exact import FARTHEST, ExactScene
-from zarm_planner.frames import matrix
-from zarm_planner.meshes import Meshes
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.scene import SceneStore
-from zarm_planner.search import is_free
-from zarm_planner.world import World
+from zarm_geometry import meshes as limits
+from zarm_geometry import rows, solid
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import FARTHEST, ExactScene
+from zarm_geometry.frames import matrix
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.scene.store import SceneStore
 
 Array = NDArray[np.float64]
 

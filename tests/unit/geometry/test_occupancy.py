@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Primitive, SceneObject, Sphere, Voxels
-from zarm_planner import rows
-from zarm_planner.occupancy import reached_cells
-from zarm_planner.world import World
+from zarm_geometry import rows
+from zarm_geometry.occupancy import reached_cells
+from zarm_geometry.world import World
 
 SAMPLES = np.linspace(-0.5, 0.5, 9)
 IN_A_CELL = np.stack(np.meshgrid(SAMPLES, SAMPLES, SAMPLES), axis=-1).reshape(-1, 3)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from support.planner.sphere_model import distance as gap_to
 from support.planner.sphere_model import random_objects
 from zarm_contract.robot import CollisionCuboid, CollisionCylinder
-from zarm_planner import rows
-from zarm_planner.kernels.arrays import Single
-from zarm_planner.kernels.collision import squared_distance
-from zarm_planner.kernels.convex import core_gap
-from zarm_planner.kernels.lanes import LANES, load, pointer, store
-from zarm_planner.shapes import distance, link_shape, obstacle_shape
-from zarm_planner.world import World
+from zarm_geometry import rows
+from zarm_geometry.kernels.arrays import Single
+from zarm_geometry.kernels.collision import squared_distance
+from zarm_geometry.kernels.convex import core_gap
+from zarm_geometry.kernels.simd import LANES, load, pointer, store
+from zarm_geometry.shapes import distance, link_shape, obstacle_shape
+from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
 

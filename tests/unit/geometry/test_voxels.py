@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import AddObjects, PointCloud, SceneEdit, Voxels
-from zarm_planner import scene
-from zarm_planner.scene import SceneStore
-from zarm_planner.voxels import FARTHEST_CELL, distinct, edges, merged, occupied
-from zarm_planner.world import World
+from zarm_geometry.voxels import FARTHEST_CELL, distinct, edges, merged, occupied
+from zarm_geometry.world import World
+from zarm_planner.scene.store import SceneStore
 
 Cells = NDArray[np.int64]
 
@@ -85,11 +84,11 @@ def test_a_scene_of_too_many_parts_or_bytes_is_refused(tmp_path: Path, monkeypat
     one = Voxels(kind="voxels", name="one", resolution=0.1, cells=tuple((i, 0, 0) for i in range(60)))
     store.edit(add(one))
     other = one.model_copy(update={"name": "other"})
-    monkeypatch.setattr(scene, "MAX_PARTS", 100)
+    monkeypatch.setattr("zarm_planner.scene.store.MAX_PARTS", 100)
     with pytest.raises(InvalidRequest, match="120 objects, cells and triangles"):
         store.edit(add(other))
-    monkeypatch.setattr(scene, "MAX_PARTS", 1000)
-    monkeypatch.setattr(scene, "MAX_BYTES", 1000)
+    monkeypatch.setattr("zarm_planner.scene.store.MAX_PARTS", 1000)
+    monkeypatch.setattr("zarm_planner.scene.store.MAX_BYTES", 1000)
     with pytest.raises(InvalidRequest, match="coarser resolution"):
         store.edit(add(other))
     assert store.scene.objects == (one,)

@@ -13,12 +13,12 @@ from support.planner.sphere_model import random_joints
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Device, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner import batches
-from zarm_planner.batches import WORTH_A_GPU, batch_fk, batch_ik
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
-from zarm_planner.stop import Stop
-from zarm_planner.world import World
+from zarm_geometry.collision import is_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.kinematics import batches
+from zarm_planner.kinematics.batches import WORTH_A_GPU, batch_fk, batch_ik
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def ur5e() -> RobotModel:
 def solved(
     model: RobotModel, poses: Array, near: Array, device: Device, most: int = 1, world: World | None = None
 ) -> list[Array]:
-    return batch_ik(model, poses, near, world=world, max_solutions=most, seed=3, device=device, stop=Stop(60.0))
+    return batch_ik(model, poses, near, world=world, max_solutions=most, seed=3, device=device, deadline=Deadline(60.0))
 
 
 def test_poses_on_torch_are_those_of_the_kernels(model: RobotModel) -> None:
@@ -112,11 +112,11 @@ def test_the_same_seed_gives_the_same_solutions(ur5e: RobotModel, device: Device
 
 @pytest.mark.parametrize("device", ["kernels", "cpu"])
 def test_a_batch_ends_on_cancel(ur5e: RobotModel, device: Device) -> None:
-    stop = Stop(60.0)
+    stop = Deadline(60.0)
     stop.cancel()
     poses = ur5e.fk_tip(random_joints(ur5e, 5, np.random.default_rng(5)))
     with pytest.raises(Cancelled):
-        batch_ik(ur5e, poses, np.zeros(6), world=None, max_solutions=1, seed=0, device=device, stop=stop)
+        batch_ik(ur5e, poses, np.zeros(6), world=None, max_solutions=1, seed=0, device=device, deadline=stop)
 
 
 @pytest.mark.skipif(batches._has_gpu(), reason="there is a GPU here")

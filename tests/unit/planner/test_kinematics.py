@@ -17,11 +17,11 @@ from support.planner.sphere_model import random_joints
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Cuboid, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner.ik import solve_ik
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free
-from zarm_planner.stop import Stop
-from zarm_planner.world import World
+from zarm_geometry.collision import is_free
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.kinematics.ik import solve_ik
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def test_every_one_of_300_reachable_poses_is_solved_within_the_limits(name: str)
         zip(random_joints(model, 300, rng), random_joints(model, 300, rng), strict=True)
     ):
         pose = model.fk_tip(target)
-        result = solve_ik(model, pose, near, world=None, max_solutions=1, seed=seed, stop=Stop(10.0))
+        result = solve_ik(model, pose, near, world=None, max_solutions=1, seed=seed, deadline=Deadline(10.0))
         for q in result.solutions:
             assert reached(model, q, pose)
             assert np.all((q >= model.lower) & (q <= model.upper))
@@ -126,7 +126,7 @@ def test_solutions_are_distinct_and_the_nearest_comes_first(name: str) -> None:
     model, rng = RobotModel.of(load_robot(name)), np.random.default_rng(4)
     for target, near in zip(random_joints(model, 20, rng), random_joints(model, 20, rng), strict=True):
         found = solve_ik(
-            model, model.fk_tip(target), near, world=None, max_solutions=16, seed=0, stop=Stop(10.0)
+            model, model.fk_tip(target), near, world=None, max_solutions=16, seed=0, deadline=Deadline(10.0)
         ).solutions
         assert len(found) > 1
         assert np.all(np.diff(np.linalg.norm(found - near, axis=1)) >= 0.0)
@@ -137,7 +137,7 @@ def test_solutions_are_distinct_and_the_nearest_comes_first(name: str) -> None:
 def test_a_ur_reaches_a_pose_in_eight_ways_and_each_of_them_with_every_full_turn(ur5e: RobotModel) -> None:
     home = np.array(ur5e.robot.descriptor.home)
     pose = ur5e.fk_tip(home + 0.3)
-    found = solve_ik(ur5e, pose, home, world=None, max_solutions=1000, seed=0, stop=Stop(10.0)).solutions
+    found = solve_ik(ur5e, pose, home, world=None, max_solutions=1000, seed=0, deadline=Deadline(10.0)).solutions
     ways = {tuple(np.round(np.mod(q + 1e-3, 2 * math.pi), 2)) for q in found}
     assert len(ways) == 8
     for q in found:
@@ -151,7 +151,9 @@ def test_a_ur_reaches_a_pose_in_eight_ways_and_each_of_them_with_every_full_turn
 
 def test_the_solution_near_the_start_is_found_first(ur5e: RobotModel) -> None:
     home = np.array(ur5e.robot.descriptor.home)
-    result = solve_ik(ur5e, ur5e.fk_tip(home + 0.05), home, world=None, max_solutions=1, seed=0, stop=Stop(10.0))
+    result = solve_ik(
+        ur5e, ur5e.fk_tip(home + 0.05), home, world=None, max_solutions=1, seed=0, deadline=Deadline(10.0)
+    )
     np.testing.assert_allclose(result.solutions[0], home + 0.05, atol=1e-3)
 
 
@@ -159,7 +161,7 @@ def test_a_tip_turned_by_half_a_turn_is_solved(ur5e: RobotModel) -> None:
     home = np.array(ur5e.robot.descriptor.home)
     pose = ur5e.fk_tip(home)
     pose[:3, :3] = pose[:3, :3] @ np.diag([-1.0, -1.0, 1.0])
-    result = solve_ik(ur5e, pose, home, world=None, max_solutions=1, seed=0, stop=Stop(10.0))
+    result = solve_ik(ur5e, pose, home, world=None, max_solutions=1, seed=0, deadline=Deadline(10.0))
     assert reached(ur5e, result.solutions[0], pose)
 
 
@@ -169,7 +171,7 @@ def test_solutions_in_a_world_are_free_and_the_others_are_told(ur5e: RobotModel)
     elbow = ur5e.link_transforms(home + 0.3)[ur5e.links.index("forearm_link"), :3, 3]
     x, y, z = elbow.tolist()
     world = World((Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.05),), 0.0)
-    result = solve_ik(ur5e, pose, home, world=world, max_solutions=16, seed=0, stop=Stop(10.0))
+    result = solve_ik(ur5e, pose, home, world=world, max_solutions=16, seed=0, deadline=Deadline(10.0))
     assert len(result.solutions) > 0
     assert all(is_free(ur5e, world, q) for q in result.solutions)
     assert len(result.colliding) > 0
@@ -182,7 +184,7 @@ def test_a_pose_inside_an_object_has_only_colliding_solutions(ur5e: RobotModel) 
     pose = ur5e.fk_tip(home)
     x, y, z = pose[:3, 3].tolist()
     world = World((Cuboid(kind="cuboid", name="block", position=(x, y, z), size=(0.2, 0.2, 0.2)),), 0.0)
-    result = solve_ik(ur5e, pose, home, world=world, max_solutions=4, seed=0, stop=Stop(10.0))
+    result = solve_ik(ur5e, pose, home, world=world, max_solutions=4, seed=0, deadline=Deadline(10.0))
     assert len(result.solutions) == 0
     assert len(result.colliding) > 0
 
@@ -191,7 +193,7 @@ def test_an_unreachable_pose_says_how_near_the_arm_comes(ur5e: RobotModel) -> No
     pose = np.eye(4)
     pose[:3, 3] = (3.0, 0.0, 0.2)
     home = np.array(ur5e.robot.descriptor.home)
-    result = solve_ik(ur5e, pose, home, world=None, max_solutions=1, seed=0, stop=Stop(10.0))
+    result = solve_ik(ur5e, pose, home, world=None, max_solutions=1, seed=0, deadline=Deadline(10.0))
     assert len(result.solutions) == 0
     assert 1.8 < result.distance < 2.5
 
@@ -199,7 +201,9 @@ def test_an_unreachable_pose_says_how_near_the_arm_comes(ur5e: RobotModel) -> No
 def test_the_same_seed_gives_the_same_solutions(model: RobotModel) -> None:
     target, near = random_joints(model, 2, np.random.default_rng(5))
     first, second = (
-        solve_ik(model, model.fk_tip(target), near, world=None, max_solutions=4, seed=7, stop=Stop(10.0)).solutions
+        solve_ik(
+            model, model.fk_tip(target), near, world=None, max_solutions=4, seed=7, deadline=Deadline(10.0)
+        ).solutions
         for _ in range(2)
     )
     np.testing.assert_array_equal(first, second)
@@ -207,6 +211,8 @@ def test_the_same_seed_gives_the_same_solutions(model: RobotModel) -> None:
 
 def test_nothing_is_solved_after_a_cancel(ur5e: RobotModel) -> None:
     home = np.array(ur5e.robot.descriptor.home)
-    stop = Stop(10.0)
+    stop = Deadline(10.0)
     stop.cancel()
-    assert len(solve_ik(ur5e, ur5e.fk_tip(home), home, world=None, max_solutions=1, seed=0, stop=stop).solutions) == 0
+    assert (
+        len(solve_ik(ur5e, ur5e.fk_tip(home), home, world=None, max_solutions=1, seed=0, deadline=stop).solutions) == 0
+    )

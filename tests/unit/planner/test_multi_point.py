@@ -9,17 +9,19 @@ from support.planner import second_opinion
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
-from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import pose_of
-from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.stop import Stop
-from zarm_planner.timing import time_path
-from zarm_planner.verify import VerificationFailed
-from zarm_planner.waypoints import passing_times
-from zarm_planner.world import World
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import Verified, plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_planner.verification.verify import VerificationFailed
+from zarm_planner.verification.waypoints import passing_times
+from zarm_trajectory.limits import Limits
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 STOPS = [HOME + turn for turn in ([0.6, 0.1, 0, 0, 0, 0], [0.9, -0.2, 0.3, 0, 0, 0.4], [0.3, 0.2, -0.3, 0.2, 0, 0.4])]
@@ -45,9 +47,10 @@ def through(
     seed: int = 0,
 ) -> Verified:
     world = World(objects, 0.005)
-    snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
-    options = Options(Limits.of(model), held=None, max_attempts=10, optimize_s=optimize_s, seed=seed)
-    return plan(snapshot, HOME, WaypointsGoal(kind="waypoints", through=goals), options, Stop(60.0))[0]
+    snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    limits, deadline = Limits.of(model.robot), Deadline(60.0)
+    context = PlanningContext(snapshot, limits, deadline, max_attempts=10, optimize_s=optimize_s, seed=seed)
+    return plan(FreePlanner(), context, HOME, WaypointsGoal(kind="waypoints", through=goals))
 
 
 def test_every_pose_is_passed_in_order_within_tolerance_and_without_a_stop(model: RobotModel) -> None:
@@ -55,9 +58,9 @@ def test_every_pose_is_passed_in_order_within_tolerance_and_without_a_stop(model
     found = through(model, *goals)
     assert len(found.waypoint_times) == 3
     assert list(found.waypoint_times) == sorted(found.waypoint_times)
-    assert found.waypoint_times[-1] == pytest.approx(found.motion.duration, abs=DENSE)
+    assert found.waypoint_times[-1] == pytest.approx(found.trajectory.duration, abs=DENSE)
     for goal, time in zip(goals, found.waypoint_times, strict=True):
-        q, qd, _ = found.motion.at(np.array([time]))
+        q, qd, _ = found.trajectory.sample(np.array([time]))
         distance, angle = second_opinion.tip_error(model.robot, q[0], goal.position, goal.orientation)
         assert distance <= 0.005
         assert angle <= 0.02
@@ -70,15 +73,15 @@ def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint_and_than_r
 ) -> None:
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     found = through(model, *goals)
-    snapshot = Snapshot("1-000000000000", model, EMPTY, ExactScene(model, EMPTY))
-    options = Options(Limits.of(model), held=None, max_attempts=10, optimize_s=0.0, seed=0)
+    snapshot = PlanningScene("1-000000000000", model, EMPTY, ExactScene(model, EMPTY))
+    context = PlanningContext(snapshot, Limits.of(model.robot), Deadline(60.0), max_attempts=10)
     alone = [
-        plan(snapshot, start, goal, options, Stop(60.0))[0].motion.duration
+        plan(FreePlanner(), context, start, goal).trajectory.duration
         for start, goal in zip([HOME, *STOPS], goals, strict=False)
     ]
-    assert found.motion.duration < sum(alone)
-    rounded = time_path(np.array([HOME, *STOPS]), Limits.of(model), 0.01, 0.03)
-    assert found.motion.duration < 0.95 * rounded.duration
+    assert found.trajectory.duration < sum(alone)
+    rounded = time_path(np.array([HOME, *STOPS]), Limits.of(model.robot), 0.01, 0.03)
+    assert found.trajectory.duration < 0.95 * rounded.duration
 
 
 def test_obstacles_between_waypoints_are_avoided(model: RobotModel) -> None:
@@ -86,8 +89,8 @@ def test_obstacles_between_waypoints_are_avoided(model: RobotModel) -> None:
     post = Cylinder(kind="cylinder", name="post", position=(x, y, z - 0.1), radius=0.02, length=0.2)
     found = through(model, *(pose_goal(model, q) for q in STOPS), objects=(post,))
     collisions = second_opinion.Collisions(model.robot, [post])
-    times = np.arange(0.0, found.motion.duration, DENSE)
-    assert not any(collisions.at(q) for q in found.motion.at(times)[0])
+    times = np.arange(0.0, found.trajectory.duration, DENSE)
+    assert not any(collisions.at(q) for q in found.trajectory.sample(times)[0])
     assert len(found.waypoint_times) == 3
 
 
@@ -118,7 +121,7 @@ def test_a_waypoint_inside_an_obstacle_is_named(model: RobotModel) -> None:
 def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> None:
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     pairs = [
-        tuple(through(model, *goals, optimize_s=budget, seed=seed).motion.duration for budget in (0.0, 0.3))
+        tuple(through(model, *goals, optimize_s=budget, seed=seed).trajectory.duration for budget in (0.0, 0.3))
         for seed in range(6)
     ]
     assert all(better <= quick for quick, better in pairs)
@@ -126,7 +129,7 @@ def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> No
 
 
 def test_a_motion_that_misses_a_waypoint_or_passes_them_in_another_order_is_refused(model: RobotModel) -> None:
-    limits = Limits.of(model)
+    limits = Limits.of(model.robot)
     motion = time_path(np.array([HOME, *STOPS]), limits, 0.01, 0.0)
     first, second, last = passing_times(model, motion, STOPS, 0.005, 0.02)
     assert 0.0 < first < second < last

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Cuboid, Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
-from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.frames import pose_of
-from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Options, Verified, plan
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.stop import Stop
-from zarm_planner.world import World
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import Verified, plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.limits import Limits
 
 HOME = np.array([0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0])
 SWUNG = HOME + [1.3, 0, 0, 0, 0, 0]
@@ -34,38 +34,38 @@ def post(model: RobotModel) -> SceneObject:
     return Cylinder(kind="cylinder", name="post", position=(x, y, z - 0.1), radius=0.04, length=0.4)
 
 
-def snapshot(model: RobotModel, *objects: SceneObject) -> Snapshot:
+def snapshot(model: RobotModel, *objects: SceneObject) -> PlanningScene:
     world = World(objects, 0.005)
-    return Snapshot("1-000000000000", model, world, ExactScene(model, world))
+    return PlanningScene("1-000000000000", model, world, ExactScene(model, world))
 
 
-def options(model: RobotModel, seed: int = 0) -> Options:
-    return Options(Limits.of(model), held=None, max_attempts=100, optimize_s=0.0, seed=seed)
+def context(model: RobotModel, *objects: SceneObject, timeout: float = 60.0, **options: float) -> PlanningContext:
+    return PlanningContext(snapshot(model, *objects), Limits.of(model.robot), Deadline(timeout), **options)
 
 
 def to_pose(model: RobotModel, joints: np.ndarray, *objects: SceneObject, seed: int = 0) -> Verified:
     pose = pose_of(model.fk_tip(joints))
     goal = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
-    return plan(snapshot(model, *objects), HOME, goal, options(model, seed), Stop(60.0))[0]
+    return plan(FreePlanner(), context(model, *objects, seed=seed), HOME, goal)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_detour_to_a_near_posture_is_taken_before_the_straight_way_to_a_far_one(model: RobotModel, seed: int) -> None:
-    straight, _ = plan(snapshot(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)), options(model), Stop(60))
+    straight = plan(FreePlanner(), context(model), HOME, JointGoal(kind="joints", position=tuple(SWUNG)))
     found = to_pose(model, SWUNG, post(model), seed=seed)
-    assert found.motion.length < 2.5 * straight.motion.length
-    assert np.ptp(found.motion.position[:, 0]) < np.pi
+    assert found.trajectory.length < 2.5 * straight.trajectory.length
+    assert np.ptp(found.trajectory.position[:, 0]) < np.pi
 
 
 def test_without_anything_in_the_way_the_nearest_posture_is_reached_straight(model: RobotModel) -> None:
     found = to_pose(model, SWUNG)
-    np.testing.assert_allclose(found.motion.position[-1], SWUNG, atol=1e-5)
-    assert found.motion.length == pytest.approx(1.3, abs=1e-3)
+    np.testing.assert_allclose(found.trajectory.position[-1], SWUNG, atol=1e-5)
+    assert found.trajectory.length == pytest.approx(1.3, abs=1e-3)
 
 
 def test_the_same_seed_gives_the_same_motion(model: RobotModel) -> None:
     first, again = (to_pose(model, SWUNG, post(model), seed=3) for _ in range(2))
-    np.testing.assert_array_equal(first.motion.position, again.motion.position)
+    np.testing.assert_array_equal(first.trajectory.position, again.trajectory.position)
 
 
 def test_a_goal_inside_an_object_is_refused_at_once(model: RobotModel) -> None:
@@ -79,16 +79,18 @@ def test_a_goal_inside_an_object_is_refused_at_once(model: RobotModel) -> None:
 
 def test_no_budget_is_spent_on_a_motion_that_cannot_be_faster(model: RobotModel) -> None:
     goal = JointGoal(kind="joints", position=tuple(SWUNG))
-    _, timings = plan(snapshot(model), HOME, goal, replace(options(model), optimize_s=30.0), Stop(60.0))
-    assert timings.optimize < 1.0
+    request = context(model, optimize_s=30.0)
+    plan(FreePlanner(), request, HOME, goal)
+    assert request.timer.timings().optimize < 1.0
 
 
 def test_the_deadline_ends_the_search_for_faster_motions_with_the_best_so_far(model: RobotModel) -> None:
     through = (JointGoal(kind="joints", position=tuple(SWUNG)), JointGoal(kind="joints", position=tuple(HOME)))
     goal = WaypointsGoal(kind="waypoints", through=through)
-    found, timings = plan(snapshot(model, post(model)), HOME, goal, replace(options(model), optimize_s=30.0), Stop(1.0))
-    assert found.motion.duration > 0.0
-    assert 0.0 < timings.optimize < 30.0
+    request = context(model, post(model), timeout=1.0, optimize_s=30.0)
+    found = plan(FreePlanner(), request, HOME, goal)
+    assert found.trajectory.duration > 0.0
+    assert 0.0 < request.timer.timings().optimize < 30.0
 
 
 def test_what_cannot_be_found_is_given_up_after_so_many_attempts(model: RobotModel) -> None:
@@ -111,6 +113,6 @@ def test_what_cannot_be_found_is_given_up_after_so_many_attempts(model: RobotMod
     low = np.array([0.0, 1.2, 0.5, 0.0, 0.0, 0.0])
     goal = JointGoal(kind="joints", position=(2.0, *low[1:].tolist()))
     with pytest.raises(PlanningFailed) as given_up:
-        plan(snapshot(model, *walls, *plates), low, goal, replace(options(model), max_attempts=1), Stop(60.0))
+        plan(FreePlanner(), context(model, *walls, *plates, max_attempts=1), low, goal)
     assert given_up.value.code == "no_path"
     assert "max_attempts, 1" in str(given_up.value)

@@ -18,13 +18,15 @@ from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Attached, JointGoal, Trajectory
 from zarm_contract.robot import Robot, load_robot
 from zarm_executor.checks import executable
-from zarm_planner.ends import Snapshot
-from zarm_planner.exact import ExactScene
-from zarm_planner.motion import Limits
-from zarm_planner.pipeline import Options, plan
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.stop import Stop
-from zarm_planner.world import World
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.limits import Limits
 
 DENSER = 10
 """Moments that are looked at per sample of a motion."""
@@ -74,17 +76,17 @@ def test_every_motion_is_free_and_within_limits(name: str, changed: str, tmp_pat
         ]
         collisions = Collisions(robot, objects, attached, ignored)
         start, goal = free_near_home(robot, collisions, rng)
-        model = bare.carrying(attached, ignored)
+        model = bare.with_attached(attached, ignored)
         world = World(objects, 0.005)
-        snapshot = Snapshot("1-000000000000", model, world, ExactScene(model, world))
-        options = Options(Limits.of(model), held=None, max_attempts=100, optimize_s=0.0, seed=seed)
+        snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+        context = PlanningContext(snapshot, Limits.of(model.robot), Deadline(3.0), seed=seed)
         wanted = JointGoal(kind="joints", position=tuple(goal.tolist()))
         try:
-            found, _ = plan(snapshot, start, wanted, options, Stop(3.0))
+            found = plan(FreePlanner(), context, start, wanted)
         except (PlanningFailed, DeadlineExceeded):
             continue  # not every pair has a way between
         planned += 1
-        trajectory = found.motion.trajectory(robot.descriptor.joints)
+        trajectory = found.trajectory.message(robot.descriptor.joints)
         assert_limits_held(trajectory, robot)
         path = executable(trajectory, robot)
         moments = np.linspace(0.0, path.duration, DENSER * len(trajectory.time))

@@ -25,7 +25,7 @@ from zarm_contract.messages import (
     SceneObject,
     Sphere,
 )
-from zarm_planner.scene import SceneStore
+from zarm_planner.scene.store import SceneStore
 
 
 def ball(name: str, radius: float = 0.1) -> Sphere:

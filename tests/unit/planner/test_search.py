@@ -17,12 +17,13 @@ from support.planner.sphere_model import clearances
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
 from zarm_contract.robot import load_robot
-from zarm_planner.kernels.collision import RESOLUTION
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.search import is_free, search
-from zarm_planner.shorten import shorten
-from zarm_planner.stop import Stop
-from zarm_planner.world import World
+from zarm_geometry.collision import is_free
+from zarm_geometry.kernels.collision import RESOLUTION
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.search.rrt_connect import search
+from zarm_planner.search.shortcut import shortcut
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ def test_a_path_leads_from_the_start_to_the_goal_around_what_is_in_between(
     start, goal = sides
     world = World(WALL, 0.0)
     assert not is_free(model, world, np.array(sides))
-    path = search(model, world, start, goal[None], seed=seed, stop=Stop(30.0))
+    path = search(model, world, start, goal[None], seed=seed, deadline=Deadline(30.0))
     assert path is not None
     np.testing.assert_array_equal(path[0], start)
     np.testing.assert_array_equal(path[-1], goal)
@@ -76,14 +77,14 @@ def test_with_a_margin_of_half_the_resolution_no_sphere_touches_anything(
     model: RobotModel, sides: tuple[Array, Array]
 ) -> None:
     world = World(WALL, RESOLUTION / 2)
-    path = search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0))
+    path = search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0))
     assert path is not None
-    path = shorten(model, world, path, seed=0, stop=Stop(30.0))
+    path = shortcut(model, world, path, seed=0, deadline=Deadline(30.0))
     assert clearances(model, WALL, dense(path)).min() > -1e-6
 
 
 def test_a_free_straight_line_is_the_path(model: RobotModel, sides: tuple[Array, Array]) -> None:
-    path = search(model, World((), 0.0), sides[0], sides[1][None], seed=0, stop=Stop(30.0))
+    path = search(model, World((), 0.0), sides[0], sides[1][None], seed=0, deadline=Deadline(30.0))
     np.testing.assert_array_equal(path, np.array(sides))
 
 
@@ -94,7 +95,7 @@ def test_of_several_goals_one_that_can_be_reached_is(model: RobotModel, sides: t
     x, y, z = model.fk_tip(caged)[:3, 3].tolist()
     lump = Sphere(kind="sphere", name="lump", position=(x, y, z), radius=0.1)
     objects = (*WALL, lump)
-    path = search(model, World(objects, 0.0), start, np.array((caged, goal)), seed=0, stop=Stop(30.0))
+    path = search(model, World(objects, 0.0), start, np.array((caged, goal)), seed=0, deadline=Deadline(30.0))
     assert path is not None
     np.testing.assert_array_equal(path[-1], goal)
     assert_free(model, objects, path)
@@ -104,11 +105,11 @@ def test_the_same_seed_gives_the_same_path_and_another_seed_another(
     model: RobotModel, sides: tuple[Array, Array]
 ) -> None:
     world = World(WALL, 0.005)
-    paths = [search(model, world, sides[0], sides[1][None], seed=seed, stop=Stop(30.0)) for seed in (1, 1, 2)]
+    paths = [search(model, world, sides[0], sides[1][None], seed=seed, deadline=Deadline(30.0)) for seed in (1, 1, 2)]
     first, same, other = (path for path in paths if path is not None)
     np.testing.assert_array_equal(first, same)
     assert not np.array_equal(first, other)
-    short, same_short = (shorten(model, world, first, seed=3, stop=Stop(30.0)) for _ in range(2))
+    short, same_short = (shortcut(model, world, first, seed=3, deadline=Deadline(30.0)) for _ in range(2))
     np.testing.assert_array_equal(short, same_short)
 
 
@@ -120,8 +121,8 @@ def hopeless(model: RobotModel, goal: Array) -> World:
 
 def test_a_hopeless_search_ends_with_its_deadline(model: RobotModel, sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    stop = Stop(0.2)
-    assert search(model, hopeless(model, goal), start, goal[None], seed=0, stop=stop) is None
+    stop = Deadline(0.2)
+    assert search(model, hopeless(model, goal), start, goal[None], seed=0, deadline=stop) is None
     assert stop.passed
     assert not stop.cancelled
     with pytest.raises(DeadlineExceeded, match=r"0\.2 s"):
@@ -130,10 +131,10 @@ def test_a_hopeless_search_ends_with_its_deadline(model: RobotModel, sides: tupl
 
 def test_a_hopeless_search_ends_when_another_thread_cancels_it(model: RobotModel, sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    stop = Stop(60.0)
+    stop = Deadline(60.0)
     canceller = threading.Timer(0.1, stop.cancel)
     canceller.start()
-    assert search(model, hopeless(model, goal), start, goal[None], seed=0, stop=stop) is None
+    assert search(model, hopeless(model, goal), start, goal[None], seed=0, deadline=stop) is None
     canceller.join()
     with pytest.raises(Cancelled):
         stop.check()
@@ -143,9 +144,9 @@ def test_searches_in_several_threads_do_not_disturb_each_other(model: RobotModel
     world = World(WALL, 0.0)
 
     def find(seed: int) -> Array:
-        path = search(model, world, sides[0], sides[1][None], seed=seed, stop=Stop(30.0))
+        path = search(model, world, sides[0], sides[1][None], seed=seed, deadline=Deadline(30.0))
         assert path is not None
-        return shorten(model, world, path, seed=seed, stop=Stop(30.0))
+        return shortcut(model, world, path, seed=seed, deadline=Deadline(30.0))
 
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(find, range(40)))
@@ -158,9 +159,9 @@ def test_a_shortened_path_is_free_keeps_its_ends_and_is_no_longer(
     model: RobotModel, sides: tuple[Array, Array], seed: int
 ) -> None:
     world = World(WALL, 0.0)
-    path = search(model, world, sides[0], sides[1][None], seed=seed, stop=Stop(30.0))
+    path = search(model, world, sides[0], sides[1][None], seed=seed, deadline=Deadline(30.0))
     assert path is not None
-    shorter = shorten(model, world, path, seed=seed, stop=Stop(30.0))
+    shorter = shortcut(model, world, path, seed=seed, deadline=Deadline(30.0))
     assert length(shorter) < length(path)
     np.testing.assert_array_equal(shorter[[0, -1]], path[[0, -1]])
     assert np.all(np.abs(np.diff(shorter, axis=0)).max(axis=1) > 0.0)
@@ -169,16 +170,18 @@ def test_a_shortened_path_is_free_keeps_its_ends_and_is_no_longer(
 
 def test_a_detour_without_a_reason_becomes_a_straight_line(model: RobotModel, sides: tuple[Array, Array]) -> None:
     detour = np.array((sides[0], model.robot.descriptor.home, sides[0] + 0.1, sides[1], sides[1]))
-    np.testing.assert_array_equal(shorten(model, World((), 0.0), detour, seed=0, stop=Stop(30.0)), np.array(sides))
+    np.testing.assert_array_equal(
+        shortcut(model, World((), 0.0), detour, seed=0, deadline=Deadline(30.0)), np.array(sides)
+    )
 
 
 def test_shortening_after_a_cancel_still_gives_a_free_path(model: RobotModel, sides: tuple[Array, Array]) -> None:
     world = World(WALL, 0.0)
-    path = search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0))
+    path = search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0))
     assert path is not None
-    stop = Stop(30.0)
+    stop = Deadline(30.0)
     stop.cancel()
-    shorter = shorten(model, world, path, seed=0, stop=stop)
+    shorter = shortcut(model, world, path, seed=0, deadline=stop)
     assert length(shorter) <= length(path)
     assert_free(model, WALL, shorter)
 
@@ -187,7 +190,7 @@ def test_an_arm_that_slides_and_turns_without_end_finds_its_way(tmp_path: Path) 
     arm = RobotModel.of(small_arm(tmp_path))
     plate = (Cuboid(kind="cuboid", name="plate", position=(0.0, 0.6, 0.5), size=(0.01, 0.8, 1.0)),)
     start, goal = np.array([-3.0, 1.2, 0.3, 0.2]), np.array([3.0, 1.2, 0.3, 0.2])
-    path = search(arm, World(plate, 0.0), start, goal[None], seed=0, stop=Stop(30.0))
+    path = search(arm, World(plate, 0.0), start, goal[None], seed=0, deadline=Deadline(30.0))
     assert path is not None
     assert_free(arm, plate, path)
 
@@ -202,9 +205,9 @@ def test_every_problem_of_motion_bench_maker_is_solved(name: str, scene: str, tm
     for problem in problems:
         world = World(problem.objects, 0.0)
         start, goals = np.array(problem.start), np.array(problem.goals)
-        path = search(model, world, start, goals, seed=0, stop=Stop(30.0))
+        path = search(model, world, start, goals, seed=0, deadline=Deadline(30.0))
         assert path is not None, problem.index
-        path = shorten(model, world, path, seed=0, stop=Stop(30.0))
+        path = shortcut(model, world, path, seed=0, deadline=Deadline(30.0))
         np.testing.assert_array_equal(path[0], start)
         np.testing.assert_array_equal(path[-1], goals[0])
         if problem.index % 10 == 1:  # the independent check is a thousand times slower
@@ -222,5 +225,5 @@ def test_the_goal_poses_of_motion_bench_maker_are_where_its_goals_are(name: str,
 
 def test_a_search_gives_up_after_the_samples_it_was_allowed(model: RobotModel, sides: tuple[Array, Array]) -> None:
     world = World(WALL, 0.0)
-    assert search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0), most=1) is None
-    assert search(model, world, sides[0], sides[1][None], seed=0, stop=Stop(30.0), most=10_000) is not None
+    assert search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0), most=1) is None
+    assert search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0), most=10_000) is not None

@@ -12,21 +12,22 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from support.planner.limits import joint_limits
 from zarm_contract.errors import InvalidRequest
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.timing import time_path
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
 DT = 0.01
-LIMITS = Limits(np.array([2.0, 1.0, 3.0]), np.array([1.0, 2.0, 5.0]), np.array([500.0, 100.0, 50.0]))
+LIMITS = joint_limits(np.array([2.0, 1.0, 3.0]), np.array([1.0, 2.0, 5.0]), np.array([500.0, 100.0, 50.0]))
 
 waypoints = arrays(np.float64, st.tuples(st.integers(2, 7), st.just(3)), elements=st.floats(-3, 3, width=32))
 scales = st.sampled_from([1e-4, 1e-2, 1.0, 2.0])
 deviations = st.sampled_from([0.2, 0.05, 0.01, 0.001, 0.0])
 
 
-def between(motion: Motion, order: int, fractions: Array) -> Array:
+def between(motion: TimedTrajectory, order: int, fractions: Array) -> Array:
     """The motion's derivative of an order at fractions (k,) of each interval, (n - 1, k, dof): from the six conditions
     that a quintic meets, solved afresh.
     """
@@ -98,7 +99,7 @@ def test_the_motion_leaves_the_path_by_no_more_than_the_deviation(
 ) -> None:
     path = points * scale
     motion = time_path(path, LIMITS, DT, deviation)
-    positions, _, _ = motion.at(np.linspace(0.0, motion.duration, 2000))
+    positions, _, _ = motion.sample(np.linspace(0.0, motion.duration, 2000))
     assert distance_to(path, positions) <= deviation + 1e-4 * LIMITS.velocity.max()
 
 
@@ -131,9 +132,9 @@ def test_a_wider_rounding_is_faster() -> None:
 @pytest.mark.parametrize("corner", [[0.0, 0, 0], [1.0, 1, 0]])
 def test_a_motion_too_slow_for_one_message_is_refused(corner: list[float]) -> None:
     path = np.array([[0.0, 0, 0], corner, [1, 0, 1]])
-    limits = Limits(LIMITS.velocity * 1e-6, LIMITS.acceleration * 1e-6, LIMITS.jerk)
+    slow = joint_limits(LIMITS.velocity * 1e-6, LIMITS.acceleration * 1e-6, LIMITS.jerk)
     with pytest.raises(InvalidRequest, match="raise velocity_scale"):
-        time_path(path, limits, DT, 0.1)
+        time_path(path, slow, DT, 0.1)
 
 
 def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
@@ -147,11 +148,11 @@ def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
 def test_load_is_the_factor_by_which_slower_running_keeps_the_limits(factor: float) -> None:
     motion = time_path(np.array([[0.0, 0, 0], [1, 2, 0], [3, 0, 1]]), LIMITS, DT, 0.05)
     other = motion.slower(factor)
-    assert other.slower(other.load(LIMITS)).load(LIMITS) == pytest.approx(1.0, abs=1e-6)
+    assert LIMITS.load(other.slower(LIMITS.load(other))) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_between_samples_a_motion_is_the_quintic_of_the_contract() -> None:
     motion = time_path(np.array([[0.0, 0, 0], [1, 2, 0], [3, 0, 1]]), LIMITS, 0.1, 0.05)
     h = np.diff(motion.time)
-    for order, rows in enumerate(motion.at(motion.time[:-1] + 0.3 * h)):
+    for order, rows in enumerate(motion.sample(motion.time[:-1] + 0.3 * h)):
         assert np.allclose(rows, between(motion, order, np.array([0.3]))[:, 0], atol=1e-8)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from support.planner.small_arm import small_arm
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
-from zarm_planner.exact import ExactScene
-from zarm_planner.motion import Limits, Motion
-from zarm_planner.robot_model import RobotModel
-from zarm_planner.timing import time_path
-from zarm_planner.verify import VerificationFailed, verify
-from zarm_planner.world import World
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_planner.verification.verify import VerificationFailed, verify
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -31,26 +32,26 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
 
 
 @pytest.fixture(scope="module")
-def motion(model: RobotModel) -> Motion:
-    return time_path(np.array((START, GOAL)), Limits.of(model), 0.02, 0.0)
+def motion(model: RobotModel) -> TimedTrajectory:
+    return time_path(np.array((START, GOAL)), Limits.of(model.robot), 0.02, 0.0)
 
 
-def clearance(model: RobotModel, motion: Motion, *objects: SceneObject, scale: float = 1.0) -> float:
+def clearance(model: RobotModel, motion: TimedTrajectory, *objects: SceneObject, scale: float = 1.0) -> float:
     scene = ExactScene(model, World(objects, 0.005))
-    return verify(motion, START, GOAL, Limits.of(model, scale), scene, lambda: None)
+    return verify(motion, START, GOAL, Limits.of(model.robot, scale), scene, lambda: None)
 
 
-def test_a_motion_in_order_passes_with_its_smallest_distance(model: RobotModel, motion: Motion) -> None:
+def test_a_motion_in_order_passes_with_its_smallest_distance(model: RobotModel, motion: TimedTrajectory) -> None:
     tip = model.fk_tip((START + GOAL) / 2)[:3, 3]
     ball = Sphere(kind="sphere", name="ball", position=(*tip[:2].tolist(), float(tip[2]) + 0.15), radius=0.05)
-    dense, _, _ = motion.at(np.linspace(0.0, motion.duration, 2000))
+    dense, _, _ = motion.sample(np.linspace(0.0, motion.duration, 2000))
     closest = min(ExactScene(model, World([ball], 0.0)).nearest(q).distance for q in dense)
     assert clearance(model, motion, ball) == pytest.approx(closest, abs=1e-4)
 
 
 def test_what_stands_in_the_way_between_two_samples_is_met(model: RobotModel) -> None:
     """A motion of two samples, at rest in both: only the way between them tells how fast it is."""
-    motion = Motion(np.array([0.0, 5.0]), np.array((START, GOAL)), np.zeros((2, 4)), np.zeros((2, 4)))
+    motion = TimedTrajectory(np.array([0.0, 5.0]), np.array((START, GOAL)), np.zeros((2, 4)), np.zeros((2, 4)))
     x, y, z = model.fk_tip((START + GOAL) / 2)[:3, 3].tolist()
     sheet = Cuboid(kind="cuboid", name="sheet", position=(x, y, z), size=(0.001, 0.001, 0.05))
     assert clearance(model, motion) > 0.0
@@ -63,15 +64,15 @@ def test_what_stands_in_the_way_between_two_samples_is_met(model: RobotModel) ->
 def test_nothing_moves_further_between_two_samples_than_its_travel(seed: int) -> None:
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.01, 1.0, 6)) - 0.01
-    wild = Motion(time, *rng.normal(size=(3, 6, 3)) * rng.uniform(0.0, 3.0, (3, 1, 3)))
+    wild = TimedTrajectory(time, *rng.normal(size=(3, 6, 3)) * rng.uniform(0.0, 3.0, (3, 1, 3)))
     reach = rng.uniform(0.1, 1.0, 3)
     for i, most in enumerate(wild.travel(reach).tolist()):
-        position, _, _ = wild.at(np.linspace(time[i], time[i + 1], 301))
+        position, _, _ = wild.sample(np.linspace(time[i], time[i + 1], 301))
         moved = np.abs(np.diff(position, axis=0)) @ reach
         assert np.max(moved) <= most / 300 * (1 + 1e-9)
 
 
-def test_a_motion_over_the_limits_is_refused(model: RobotModel, motion: Motion) -> None:
+def test_a_motion_over_the_limits_is_refused(model: RobotModel, motion: TimedTrajectory) -> None:
     with pytest.raises(VerificationFailed, match=r"needs 2\.\d\d times the allowed speed"):
         clearance(model, motion, scale=0.4)
 
@@ -80,7 +81,9 @@ def test_a_motion_over_the_limits_is_refused(model: RobotModel, motion: Motion) 
     ("at", "message"), [(0, "starts away from the start"), (-1, "ends away from the goal"), (20, "allowed speed")]
 )
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 7.0])
-def test_one_wrong_position_is_refused(model: RobotModel, motion: Motion, at: int, message: str, wrong: float) -> None:
+def test_one_wrong_position_is_refused(
+    model: RobotModel, motion: TimedTrajectory, at: int, message: str, wrong: float
+) -> None:
     position = motion.position.copy()
     position[at, 1] = wrong
     with pytest.raises(VerificationFailed, match=message):
@@ -89,14 +92,16 @@ def test_one_wrong_position_is_refused(model: RobotModel, motion: Motion, at: in
 
 @pytest.mark.parametrize("rows", ["velocity", "acceleration"])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
-def test_a_rate_that_is_no_number_is_refused(model: RobotModel, motion: Motion, rows: str, wrong: float) -> None:
+def test_a_rate_that_is_no_number_is_refused(
+    model: RobotModel, motion: TimedTrajectory, rows: str, wrong: float
+) -> None:
     values = getattr(motion, rows).copy()
     values[len(values) // 2, 2] = wrong
     with pytest.raises(VerificationFailed, match="allowed speed"):
         clearance(model, replace(motion, **{rows: values}))
 
 
-def test_a_motion_that_does_not_end_at_rest_is_refused(model: RobotModel, motion: Motion) -> None:
+def test_a_motion_that_does_not_end_at_rest_is_refused(model: RobotModel, motion: TimedTrajectory) -> None:
     velocity = motion.velocity.copy()
     velocity[-1, 0] = 1e-3
     with pytest.raises(VerificationFailed, match="does not end at rest"):
@@ -105,7 +110,7 @@ def test_a_motion_that_does_not_end_at_rest_is_refused(model: RobotModel, motion
 
 def test_a_joint_out_of_its_range_is_refused(model: RobotModel) -> None:
     beyond = START + (0.0, 2.0, 0.0, 0.0)
-    motion = time_path(np.array((START, beyond)), Limits.of(model), 0.02, 0.0)
+    motion = time_path(np.array((START, beyond)), Limits.of(model.robot), 0.02, 0.0)
     scene = ExactScene(model, World([], 0.0))
     with pytest.raises(VerificationFailed, match=r"takes bend 0\.3000 rad out of its range"):
-        verify(motion, START, beyond, Limits.of(model), scene, lambda: None)
+        verify(motion, START, beyond, Limits.of(model.robot), scene, lambda: None)

@@ -82,7 +82,7 @@ def test_an_exception_of_a_handler_becomes_internal_and_is_logged_with_its_trace
         raise ZeroDivisionError("a fault of the handler")
 
     serve(bus, handler)
-    with pytest.raises(InternalError, match="its log holds the trace"):
+    with pytest.raises(InternalError, match="its log has the trace"):
         call(other)
     (record,) = caplog.records
     assert KEYS.fk in record.getMessage()

@@ -12,15 +12,14 @@ from zarm_contract.messages.motion import JointNames, Joints, NonNegative, same_
 
 
 class DriverCommand(Message):
-    """Points to play from now on, in place of whatever was left to play; no point: stop.
+    """The points to play from now on, instead of what is left of the last command. No points: stop.
 
-    `time[i]` s from the first point (first 0, strictly increasing), then one row per point, columns in the order of
-    `joint_names`, which is the driver's own: rad, rad/s, rad/s^2. `velocity` and `acceleration` are empty where the
-    strategy sends positions alone. `sequence` grows with every command of one executor and begins anew with the next.
+    Point `i` is at `time[i]` (s; the first is 0, strictly increasing). The columns are in the order of `joint_names`, which is
+    that of the driver: rad, rad/s, rad/s². A strategy that sends only positions leaves `velocity` and `acceleration` empty.
+    `sequence` increases with every command of one executor; a new executor starts again.
 
-    A command with points is late, and must be dropped, where it arrives more than `expires_after` s after the driver told the
-    joint state with the stamp `based_on`, the newest that the executor had heard; one that says neither always is. A stop is
-    never late, and says neither.
+    Drop a command with points that arrives more than `expires_after` (s) after the driver reported the joint state with the
+    stamp `based_on`, or that has neither field. A stop has neither and never expires.
     """
 
     sequence: Annotated[int, Field(ge=1)]
@@ -53,18 +52,18 @@ class DriverCommand(Message):
 
 
 class DriverProgress(ShortMessage):
-    """How far the driver is with the command `sequence`: `fraction` of its points played, 1 at its end."""
+    """The share of the points of command `sequence` that the driver has played; 1 at the end."""
 
     sequence: Annotated[int, Field(ge=1)]
     fraction: Annotated[float, Field(ge=0, le=1)]
 
 
 class DriverFault(ShortMessage):
-    """What a simulated driver suffers from now on, instead of before; what is left out is in order.
+    """The faults of a simulated driver from now on; a field that is left out has no fault.
 
-    `stall`: it plays no further point, the robot stands and is reported. `drop`: the share of commands that get lost.
-    `delay`: s until a command is played. `silent`: it publishes nothing. `die`: its process ends, as by SIGKILL. `jump`:
-    the joints are this far (rad) elsewhere, once.
+    `stall`: play no further point; the robot stands and is still reported. `drop`: share of commands that are lost. `delay`
+    (s): from a command to its first point. `silent`: publish nothing. `die`: end the process, as by SIGKILL. `jump` (rad): move
+    the reported joints by this much, once.
     """
 
     stall: bool = False

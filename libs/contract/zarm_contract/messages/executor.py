@@ -18,14 +18,14 @@ SpeedScale = Annotated[float, Field(ge=0.05, le=1)]
 
 
 class ExecuteRequest(Message):
-    """Move the robot: along the plan `plan_id`, along `trajectory`, or (empty request) along the last plan.
+    """Start a goal: the plan `plan_id`, any `trajectory`, or with an empty request the last plan.
 
-    With `trajectory`, `scene_revision` may state the scene it was verified in; it is refused unless that is the present one.
-    A goal that is not at its end makes this one `busy`, unless `preempt`: then that goal is cancelled, and this one starts as
-    soon as the robot rests, checked against where it rests.
+    `scene_revision` says in which scene a trajectory was verified; the request is refused if the scene has changed since.
+    While another goal is active the answer is `busy`. With `preempt` that goal is cancelled instead; when the robot rests, this
+    goal is checked against its position and starts.
 
-    `goal_id` names the goal; left out, the executor does. A client that has waited in vain for the answer cancels its goal
-    by that name: whichever of the two is read first, the goal does not start any more.
+    `goal_id` names the goal (default: chosen by the executor). A client that gets no answer cancels its goal by this name: the
+    goal then does not start, whichever of the two messages arrives first.
     """
 
     plan_id: Name | None = None
@@ -50,16 +50,17 @@ class ExecuteRequest(Message):
 
 
 class Accepted(Message):
-    """The goal was accepted and starts now; follow it on `executor/goal/<goal_id>`."""
+    """The goal was accepted and starts. Follow it on `executor/goal/<goal_id>`."""
 
     goal_id: Name
 
 
 class GoalState(Message):
-    """How one goal is doing. `joint_command` is the last command sent (rad), `elapsed` the time in motion (s).
+    """The state of one goal. `joint_command` is the last command (rad), `elapsed` the time in motion (s).
 
-    `duration` (s) is planned, whatever the speed scale: at 0.5 the motion takes twice as long. `progress` 0..1 is the share of
-    it that has been reached. Of a stream it is the end of the newest chunk, so that `progress * duration` is its time.
+    `duration` (s) is planned at full speed; at a speed scale of 0.5 the motion takes twice as long. `progress` is the share of
+    it that has been reached, 0 to 1. For a stream, `duration` ends with the newest chunk, and `progress * duration` is the time
+    of the stream.
     """
 
     goal_id: Name
@@ -78,16 +79,16 @@ class GoalState(Message):
 
 
 class CancelRequest(ShortMessage):
-    """Cancel one goal, or (empty request) the one that runs. Unknown and finished goals are no error.
+    """Cancel one goal, or with an empty request the active one. Unknown and finished goals are no error.
 
-    A goal that is not known yet is not started when it comes.
+    A goal that arrives after its cancel does not start.
     """
 
     goal_id: Name | None = None
 
 
 class SpeedRequest(ShortMessage):
-    """Move at `speed_scale` times the planned speed from now on, also while moving; an empty request reads."""
+    """Move at `speed_scale` times the planned speed from now on, also in motion. An empty request only reads."""
 
     speed_scale: SpeedScale | None = None
 
@@ -99,14 +100,13 @@ class Speed(Message):
 
 
 class StreamChunk(Message):
-    """What a closed-loop planner wants the robot to do next, in place of whatever is left of its earlier chunks.
+    """The next part of a closed-loop motion; it replaces what is left of the chunks before.
 
-    A stream is one goal, `goal_id`, which its client chooses; its state is on `executor/goal/<goal_id>`. Its first chunk has
-    `sequence` 1 and starts where the robot rests; later ones have higher numbers, and one that comes out of order is dropped.
-    Times of a stream run from its beginning as the robot moves (slower under a lower speed scale): the first sample of
-    `trajectory` is at `start` s of the stream, and each trajectory ends at rest. The next chunk must be received within
-    `deadline` s of this one, else the robot is brought to rest and the goal is aborted (`timeout`); not so after `last`, at
-    whose end the goal succeeds. What cannot be done ends the goal as aborted too, with the problem in its state.
+    A stream is one goal with the `goal_id` that its client chooses. `sequence` is 1 for the first chunk, which starts where the
+    robot rests, and increases; a chunk out of order is dropped. Sample 0 of `trajectory` is at `start` (s) of the stream, whose
+    time runs as the robot moves: slower under a lower speed scale. Each trajectory ends at rest. If no chunk arrives within
+    `deadline` (s) of this one, the robot brakes and the goal ends `aborted` with `timeout`. A chunk with `last` has no
+    deadline; at its end the goal has succeeded. A chunk that cannot be executed ends the goal `aborted` too.
     """
 
     goal_id: Name
@@ -118,10 +118,9 @@ class StreamChunk(Message):
 
 
 class ExecutorState(Message):
-    """What the robot's owner is doing. `problem` says why it is in `fault`; `missed_ticks` counts since start.
+    """What the executor does. `problem` says why it is in `fault`; `missed_ticks` counts since the start.
 
-    `scene_changed` says that the scene is no longer the one that the goal was begun in: nothing has checked its motion against
-    the present one.
+    `scene_changed`: the scene was edited since the goal started, and nothing has checked the rest of the motion against it.
     """
 
     mode: RobotMode
@@ -134,7 +133,7 @@ class ExecutorState(Message):
 
 
 class StrategyInfo(Message):
-    """One control strategy of this robot; `reason` says why it is not available."""
+    """One control strategy; `reason` says why it is not available."""
 
     name: Name
     available: bool
@@ -142,13 +141,13 @@ class StrategyInfo(Message):
 
 
 class Strategies(Message):
-    """The active control strategy and all that this robot knows."""
+    """The active control strategy, and all strategies."""
 
     active: Name
     strategies: tuple[StrategyInfo, ...]
 
 
 class StrategyRequest(ShortMessage):
-    """Switch to a strategy; an empty request reads."""
+    """Switch to a strategy. An empty request only reads."""
 
     strategy: Name | None = None

@@ -37,7 +37,7 @@ Quaternion = Annotated[tuple[float, float, float, float], AfterValidator(_unit)]
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"the joint {name} stands twice; name each joint once")
+            raise ValueError(f"the joint {name} appears twice; name each joint once")
     return names
 
 
@@ -61,14 +61,14 @@ def same_length(values: Sequence[object], info: ValidationInfo, other: str) -> N
 
 
 class Pose(Message):
-    """A frame: `position` in m, `orientation` as a unit quaternion `(x, y, z, w)`."""
+    """A frame: `position` (m) and `orientation`, a unit quaternion `[x, y, z, w]`."""
 
     position: Vector3
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class JointState(ShortMessage):
-    """Measured (or previewed) joints at one moment; `velocity` in rad/s."""
+    """Measured or previewed joints at the time `stamp` (Unix, s): `position` (rad) and `velocity` (rad/s)."""
 
     stamp: float
     joint_names: JointNames
@@ -83,10 +83,10 @@ class JointState(ShortMessage):
 
 
 class Trajectory(Message):
-    """A timed motion: `time[i]` s from its start (first 0, strictly increasing), then one row per sample.
+    """Joint positions with time: sample `i` is at `time[i]` s; the first time is 0 and times increase strictly.
 
-    Between samples the motion is the quintic polynomial that meets position, velocity (rad/s) and acceleration
-    (rad/s^2) at both ends, as ros2_control's JointTrajectoryController interpolates.
+    Every sample has `position` (rad), `velocity` (rad/s) and `acceleration` (rad/s²). Between two samples the motion is the
+    quintic polynomial that meets all three at both ends, as in the JointTrajectoryController of ros2_control.
     """
 
     joint_names: JointNames

@@ -22,7 +22,7 @@ from zarm_contract.messages.scene import SceneRevision
 
 
 class PoseGoal(Message):
-    """Bring the tip to a pose in the base frame."""
+    """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`."""
 
     kind: Literal["pose"]
     position: Vector3
@@ -30,16 +30,16 @@ class PoseGoal(Message):
 
 
 class JointGoal(Message):
-    """Bring the joints to these positions."""
+    """Move the joints to `position` (rad)."""
 
     kind: Literal["joints"]
     position: Joints
 
 
 class WaypointsGoal(Message):
-    """Pass through poses and joint positions in this order without stopping, and rest at the last.
+    """Move through poses and joint positions in this order without stopping, and rest at the last.
 
-    Each is passed within `position_tolerance` (m) and `angle_tolerance` (rad) of the tip's pose there.
+    At each waypoint the tip is within `position_tolerance` (m) and `angle_tolerance` (rad) of it.
     """
 
     kind: Literal["waypoints"]
@@ -52,15 +52,15 @@ class WaypointsGoal(Message):
 
 Goal = Annotated[PoseGoal | JointGoal | WaypointsGoal, Field(discriminator="kind")]
 
-PlannerKind = Literal["auto", "classic", "joint_space", "multi_point"]
-"""`classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints; `auto`: the goal decides."""
+PlannerKind = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+"""A planner of the planner process: `classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints; `auto`: the goal decides."""
 
 
 class HeldAxes(Message):
-    """Components of the tip's pose that a motion keeps as they are at its start: `[theta_x, theta_y, theta_z, x, y, z]`.
+    """A path constraint: components of the tip pose that stay as at the start, `[theta_x, theta_y, theta_z, x, y, z]`.
 
-    In the `base` frame they are those of the position and of the rotation vector from the start's orientation; in the
-    `tool` frame those of the pose as seen from the tip at the start. They may be off by the tolerances (m, rad).
+    With `frame` `base` these are the position and the rotation vector from the start orientation, both in the base frame. With
+    `tool` they are the pose relative to the tip pose at the start. The tolerances are in m and rad.
     """
 
     axes: tuple[bool, bool, bool, bool, bool, bool]
@@ -76,12 +76,12 @@ Margin = Annotated[float, Field(ge=0, le=0.2)]
 
 
 class PlanRequest(Message):
-    """Ask for a verified motion. What is left out comes from `planner/settings`; `start` left out is the measured state.
+    """Ask for a verified trajectory. What is left out comes from `planner/settings`; `start` (rad) from the measured joints.
 
-    `request_id` names the request for `planner/cancel`; `timeout` in s is the deadline of the whole planning, and
-    `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is
-    found the planner looks for faster ones, as long as no request waits for its turn. The same request with the same `seed`, scene and `optimize_s` 0 gives the same
-    motion.
+    `request_id` names the request for `planner/cancel`. `timeout` (s) is the deadline of the whole request; `max_attempts`
+    bounds the number of searches. After the first plan the planner looks for faster ones for `optimize_s` (s), as long as no
+    other request waits. `margin` (m) is the distance to keep from objects. Scales are shares of the velocity and acceleration
+    limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory.
     """
 
     goal: Goal
@@ -99,7 +99,7 @@ class PlanRequest(Message):
 
 
 class PlanTimings(Message):
-    """Where the time of a plan went, in seconds, stage by stage."""
+    """How long each stage of planning took (s)."""
 
     ik: NonNegative
     search: NonNegative
@@ -111,11 +111,11 @@ class PlanTimings(Message):
 
 
 class Plan(Message):
-    """A verified motion. `clearance` (m) is the smallest exact distance of the timed motion to the scene and to itself.
+    """A verified trajectory, valid only in the scene of `scene_revision` and for the robot of `robot_hash`.
 
-    `clearance` is capped at 1 m; nothing thicker than `resolution` (m) was missed between the moments that were looked at.
-    `waypoint_times` (s) are when the waypoints of the goal are passed, the last one at the end. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
-    It holds only in the scene of `scene_revision`.
+    `clearance` (m) is the smallest exact distance of the timed trajectory to the scene and of the robot to itself, at most
+    1 m. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
+    passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
     """
 
     plan_id: Name
@@ -132,13 +132,16 @@ class Plan(Message):
 
 
 class CancelPlan(ShortMessage):
-    """End the planning of one request, also where it comes up to 10 s after this; unknown and finished ids are no error."""
+    """End the planning of one request. Unknown and finished ids are no error.
+
+    A request that arrives up to 10 s after its cancel is ended as well.
+    """
 
     request_id: Name
 
 
 class CancelledPlan(Message):
-    """Whether a planning under that id was running."""
+    """Whether a request with that id was being planned."""
 
     was_running: bool
 
@@ -149,7 +152,10 @@ and the batch is large enough to gain from it, else kernels."""
 
 
 class IkRequest(Message):
-    """Joint solutions for poses of the tip, those nearest to `near` (default: the measured joints, else home) first."""
+    """Inverse kinematics: joint solutions for tip poses, nearest to `near` first (rad; default: the measured joints, else home).
+
+    With `collision_free` only solutions without collision count. `device` says what computes the batch.
+    """
 
     poses: tuple[Pose, ...] = Field(min_length=1, max_length=1000)
     near: Joints | None = None
@@ -160,36 +166,37 @@ class IkRequest(Message):
 
 
 class IkSolutions(Message):
-    """For each pose its solutions, nearest first; empty where none was found."""
+    """The solutions (rad) of each pose, nearest first; an empty list where there is none."""
 
     solutions: tuple[tuple[Joints, ...], ...]
 
 
 class FkRequest(Message):
-    """Joint vectors to compute the tip's pose for."""
+    """Forward kinematics: the tip pose for each joint vector (rad)."""
 
     joints: tuple[Joints, ...] = Field(min_length=1, max_length=1000)
     device: Device = "auto"
 
 
 class FkPoses(Message):
-    """The tip's pose for each joint vector."""
+    """The tip pose for each joint vector."""
 
     poses: tuple[Pose, ...]
 
 
 class CheckRequest(Message):
-    """Joint vectors to check; left out: the measured state. With `spheres`, the distance of each collision sphere as well."""
+    """Check joint vectors (rad; default: the measured joints) for collision. `spheres` asks for the distance of each collision sphere."""
 
     joints: tuple[Joints, ...] | None = Field(default=None, min_length=1, max_length=1000)
     spheres: bool = False
 
 
 class CheckResult(Message):
-    """Exact distance of one configuration. `clearance` < 0 is the depth of penetration (m); `pair` names the nearest two.
+    """Exact distance of one joint vector. `pair` names the two nearest things.
 
-    `spheres` (m) are the distances of the robot's collision spheres to the scene's objects, link by link in the
-    descriptor's order, below 0 inside one and capped at 1 m; those of links on the base and of ignored ones are there too.
+    A negative `clearance` is a penetration depth (m). `spheres` (m) are the distances from the collision spheres of the robot
+    to the scene, link by link in the order of the descriptor; negative inside an object, at most 1 m. They include links that
+    are fixed to the base and links whose collisions are ignored.
     """
 
     in_collision: bool
@@ -200,15 +207,16 @@ class CheckResult(Message):
 
 
 class CheckResults(Message):
-    """One result per configuration asked for."""
+    """One result for each joint vector."""
 
     results: tuple[CheckResult, ...]
 
 
 class PlannerSettings(Message):
-    """Defaults for plan requests; `margin` (m) is kept to objects on the way, except from a start and to a goal that are nearer.
+    """Defaults for plan requests; see `PlanRequest`.
 
-    Of the ways to reach a pose those that keep it are preferred.
+    `margin` (m) is kept on the way, but a start and a goal may be nearer to an object. Goal configurations that keep it are
+    preferred.
     """
 
     planner: PlannerKind = "auto"
@@ -221,7 +229,7 @@ class PlannerSettings(Message):
 
 
 class SettingsChange(ShortMessage):
-    """Settings to change; what is left out stays. An empty request reads."""
+    """The settings to change; the others stay. An empty request only reads."""
 
     planner: PlannerKind | None = None
     timeout: Timeout | None = None

@@ -18,7 +18,7 @@ MAX_INDEX = 500_000
 
 
 class Cuboid(Message):
-    """A box; `size` are the full edge lengths (m) along its own x, y, z."""
+    """A box with full edge lengths `size` (m) along its own x, y, z."""
 
     kind: Literal["cuboid"]
     name: Name
@@ -28,7 +28,7 @@ class Cuboid(Message):
 
 
 class Sphere(Message):
-    """A ball around `position`."""
+    """A ball of `radius` (m) around `position` (m)."""
 
     kind: Literal["sphere"]
     name: Name
@@ -37,7 +37,7 @@ class Sphere(Message):
 
 
 class Capsule(Message):
-    """All points within `radius` of a segment of `length` (m) along its own z, centred at `position`."""
+    """All points within `radius` (m) of a segment of `length` (m) along its own z, centred at `position` (m)."""
 
     kind: Literal["capsule"]
     name: Name
@@ -48,7 +48,7 @@ class Capsule(Message):
 
 
 class Cylinder(Message):
-    """A cylinder with flat ends, `length` (m) along its own z, centred at `position`."""
+    """A cylinder of `radius` and `length` (m) along its own z, with flat ends, centred at `position` (m)."""
 
     kind: Literal["cylinder"]
     name: Name
@@ -59,9 +59,9 @@ class Cylinder(Message):
 
 
 class Mesh(Message):
-    """Triangles from an STL or OBJ `file` (m), a path inside one of the planner's mesh folders; a closed mesh is solid.
+    """Triangles from an STL or OBJ `file`, a path inside a mesh folder of the planner. A closed mesh is solid.
 
-    `sha256` is that of the file's content. The scene fills it in, and refuses a file with another one.
+    Numbers in the file are m, times `scale`. The scene fills in `sha256` of the file and refuses a file that has changed.
     """
 
     kind: Literal["mesh"]
@@ -80,7 +80,7 @@ Index = Annotated[int, Field(ge=-MAX_INDEX, le=MAX_INDEX)]
 
 
 class Voxels(Message):
-    """Occupied cubes with edges of `resolution` m: cell `(i, j, k)` has its centre at `(i, j, k) * resolution`."""
+    """Occupied cubes with edges of `resolution` (m): the centre of cell `(i, j, k)` is at `(i, j, k) * resolution`."""
 
     kind: Literal["voxels"]
     name: Name
@@ -91,7 +91,7 @@ class Voxels(Message):
 
 
 class PointCloud(Message):
-    """Points (m) that are obstacles; the scene keeps the voxels of `resolution` m that they lie in."""
+    """Points (m) that are obstacles. The scene keeps the voxels of `resolution` (m) that contain them."""
 
     kind: Literal["cloud"]
     name: Name
@@ -106,7 +106,7 @@ SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Fi
 
 
 class Attached(Message):
-    """An object that the robot carries: its pose is in the frame of the tip; it may touch `touch_links`."""
+    """An attached object: its pose is relative to the tip, and it may touch `touch_links`."""
 
     object: Primitive
     touch_links: tuple[str, ...] = ()
@@ -118,9 +118,9 @@ with every edit. Equal revisions mean the same scene; which of two is newer, or 
 
 
 class Scene(Message):
-    """All objects, in the base frame, and what the robot carries. `revision` never comes again once the scene has changed.
+    """All objects in the base frame, and the objects attached to the robot. A `revision` never repeats.
 
-    `ignored_links` are those of the robot whose collisions are not looked at.
+    Collisions of `ignored_links` are not checked.
     """
 
     revision: SceneRevision
@@ -130,7 +130,7 @@ class Scene(Message):
 
 
 class AddObjects(Message):
-    """Add objects; a name that exists is refused unless `replace`, that of a carried object always."""
+    """Add objects. A name that exists is refused unless `replace` is true; the name of an attached object always is."""
 
     op: Literal["add"]
     objects: tuple[Annotated[SceneObject | PointCloud, Field(discriminator="kind")], ...] = Field(
@@ -140,30 +140,30 @@ class AddObjects(Message):
 
 
 class RemoveObjects(Message):
-    """Remove objects by name; an unknown name is refused, and that of a carried object: detach it first."""
+    """Remove objects by name. Unknown names are refused, and so are attached objects: detach them first."""
 
     op: Literal["remove"]
     names: tuple[Name, ...] = Field(min_length=1)
 
 
 class ClearScene(Message):
-    """Remove every object; what is attached, and which links are ignored, stays."""
+    """Remove every object. Attached objects and ignored links stay."""
 
     op: Literal["clear"]
 
 
 class LoadScene(Message):
-    """Replace every object at once; what is attached, and which links are ignored, stays. Names must not be carried ones."""
+    """Replace every object. Attached objects and ignored links stay; the names of attached objects are refused."""
 
     op: Literal["load"]
     objects: tuple[SceneObject, ...] = Field(max_length=MAX_OBJECTS)
 
 
 class AttachObject(Message):
-    """From now on the robot carries an object of the scene; it keeps its place seen from the tip at `joints`.
+    """Attach an object of the scene to the tip, where it is with the robot at `joints` (rad; default: the measured ones).
 
-    `joints` left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers; links on one rigid
-    body with the tip are never checked against it. Meshes and voxels cannot be carried.
+    The object may touch `touch_links`, such as the fingers of a gripper. It is never checked against links that are fixed to
+    the tip. Meshes and voxels cannot be attached.
     """
 
     op: Literal["attach"]
@@ -173,7 +173,7 @@ class AttachObject(Message):
 
 
 class DetachObject(Message):
-    """Put a carried object down where it is with the robot at `joints` (left out: the measured ones)."""
+    """Detach an object and leave it where it is with the robot at `joints` (rad; default: the measured ones)."""
 
     op: Literal["detach"]
     name: Name
@@ -181,7 +181,7 @@ class DetachObject(Message):
 
 
 class SetLinkCollision(Message):
-    """Look at the collisions of these links of the robot, or no longer; one link at least stays."""
+    """Check the collisions of these links, or ignore them. At least one link must be checked."""
 
     op: Literal["links"]
     names: tuple[str, ...] = Field(min_length=1, max_length=64)
@@ -189,7 +189,7 @@ class SetLinkCollision(Message):
 
 
 class SceneEdit(Message):
-    """One change of the scene, applied whole or not at all."""
+    """One edit of the scene, applied as a whole or not at all."""
 
     edit: Annotated[
         AddObjects | RemoveObjects | ClearScene | LoadScene | AttachObject | DetachObject | SetLinkCollision,
@@ -198,22 +198,22 @@ class SceneEdit(Message):
 
 
 class SceneEdited(ShortMessage):
-    """The scene's revision after the edit, and how many objects it holds."""
+    """The revision of the scene, and how many objects it holds."""
 
     revision: SceneRevision
     count: Annotated[int, Field(ge=0)]
 
 
 class OccupancyRequest(Message):
-    """Ask which cubes with edges of `resolution` m the scene's objects reach into."""
+    """Ask which cells of a grid with edges of `resolution` (m) contain a part of an object."""
 
     resolution: Resolution = 0.05
 
 
 class Occupancy(Message):
-    """The cells that the objects reach into, each once; `(i, j, k)` has its centre at `(i, j, k) * resolution` in the base frame.
+    """The occupied cells; the centre of `(i, j, k)` is at `(i, j, k) * resolution` in the base frame.
 
-    No part of an object is outside them. What the robot carries is not there.
+    They cover every object completely. Attached objects are not included.
     """
 
     scene_revision: SceneRevision

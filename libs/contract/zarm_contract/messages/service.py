@@ -11,15 +11,15 @@ from zarm_contract.messages.motion import Name, NonNegative
 
 
 class Nothing(ShortMessage):
-    """A request without content: `{}` or no payload at all. Whoever sends it may speak any version: a stop is a stop."""
+    """An empty request: `{}` or no payload. It is accepted from every version of the contract: a stop is a stop."""
 
     any_contract = True
 
 
 class Asker(ShortMessage):
-    """Who sends a request, and how long, in s, it waits for the answer; it is the attachment of the query.
+    """Who sends a request, and how long it waits for the answer: `patience` (s). It is the attachment of the query.
 
-    `client` is the id of its Zenoh session, whose liveliness token shows that an answer can still reach it.
+    `client` is the id of the Zenoh session. Its liveliness token shows that an answer can still reach the client.
     """
 
     client: Name
@@ -27,9 +27,9 @@ class Asker(ShortMessage):
 
 
 class Health(Message):
-    """How a service is. `activity` says what it is busy with while not `ready`; `uptime` in s.
+    """What a service is. `activity` says what it does until it is `ready`; `uptime` is in s.
 
-    It tells who runs which version, so it is read from every version: fields that a later one adds are passed over.
+    It is accepted from every version of the contract: unknown fields are ignored.
     """
 
     any_contract = True

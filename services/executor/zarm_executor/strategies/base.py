@@ -80,7 +80,11 @@ class Strategy(ABC):
 
     @abstractmethod
     def tick(self, now: float, dt: float) -> None:
-        """One period of the control loop: `now` on the monotonic clock, `dt` s since the last one."""
+        """One period of the control loop: `now` on the monotonic clock, `dt` s since the last one.
+
+        Where the robot's joints are older than `joint_state_timeout` it is brought to rest, and when they are back the motion goes on from
+        where it stands, unless it was told to stop.
+        """
 
     @abstractmethod
     def joint_state(self) -> Measured | None:

@@ -65,7 +65,7 @@ class DriverLink:
         """
         measured = self.measured()
         if measured is None:
-            raise Unavailable(f"no driver tells the robot's joints on {self._key}")
+            raise Unavailable(f"no driver publishes the robot's joints on {self._key}")
         position, velocity, acceleration = (
             tuple(zip(*rows.T[self._columns].tolist(), strict=True))
             for rows in (points.position, points.velocity, points.acceleration)
@@ -163,11 +163,11 @@ class DriverLink:
         """Why the robot cannot be moved through this driver now; None where it can."""
         measured = self.measured()
         if measured is None:
-            return f"no driver tells the robot's joints on {self._key}; start the robot's driver"
+            return f"no driver publishes the robot's joints on {self._key}; start the robot's driver"
         age, limit = time.monotonic() - measured.time, self.execution.joint_state_timeout
         if age > limit:
             return (
-                f"the driver last told the robot's joints {age:.1f} s ago (joint_state_timeout {limit:g} s); see whether "
+                f"the driver last published the robot's joints {age:.1f} s ago (joint_state_timeout {limit:g} s); see whether "
                 "it runs"
             )
         return None

@@ -28,7 +28,7 @@ class GhostOnly(Strategy):
     def admit(self) -> None:
         """Refuse: nothing moves."""
         raise Unavailable(
-            "the active strategy is ghost, under which nothing moves the robot; switch to another one first "
+            "the active strategy is ghost, which moves nothing; switch to another one first "
             '(executor/strategy with {"strategy": "emulator"})'
         )
 

@@ -35,7 +35,6 @@ class JointSpeed(Streaming):
         """Begin at the start of `path`, from rest."""
         super().start(path, speed)
         self._stands()
-        self._leading_since, self._led = None, False
 
     def steer(self, path: TimedTrajectory) -> None:
         """Go on along `path`, at whose end the robot is to be led anew."""
@@ -55,6 +54,7 @@ class JointSpeed(Streaming):
 
     def _stands(self) -> None:
         self._sent, self._before = self._sent[:0], np.zeros_like(self._before)
+        self._leading_since, self._led = None, False
 
     def _playing(self, played: int) -> Array:
         """The velocity (J,) that the driver plays now; without points left it is braking, or has stopped the robot."""

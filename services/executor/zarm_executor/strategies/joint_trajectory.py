@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_executor.strategies.base import Progress
+from zarm_executor.strategies.base import Measured, Progress
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
-from zarm_trajectory.follower import Follower
+from zarm_trajectory.follower import CATCH_UP, Follower
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -55,12 +55,14 @@ class JointTrajectory(DriverStrategy):
         self._stopping = False
         self._waited = 0.0
         self._resuming = False
-        self._unheard = False
+        self._lost_at: float | None = None
+        self._back_at = -np.inf
 
     def start(self, path: TimedTrajectory, speed: float) -> None:
         """Have the whole of `path` played from the next tick on."""
         self._path, self._speed = path, speed
-        self._braking = self._stopping = self._resuming = self._unheard = False
+        self._braking = self._stopping = self._resuming = False
+        self._lost_at = None
         self._play(self._along(path, 0.0, speed))
 
     def stop(self) -> None:
@@ -86,7 +88,12 @@ class JointTrajectory(DriverStrategy):
         command = self._command
         if command is None:
             return
-        if not self.link.heard(now) or self._unheard:
+        if dt > CATCH_UP:
+            self._back_at = now
+        heard = self.link.heard(now)
+        if not heard and now - self._back_at <= self.link.execution.joint_state_timeout:
+            return  # the executor stood still: what the driver told meanwhile is still to be read
+        if not heard or self._lost_at is not None:
             self._brake_unheard(now)
             return
         if not self._unsent:
@@ -111,27 +118,36 @@ class JointTrajectory(DriverStrategy):
         if path is None or command is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         time, speed, position = command.at(self._index)
-        return Progress(time, speed, position, finished=time >= path.duration)
+        over = self._lost_at is None and not self._resuming
+        return Progress(time, speed, position, finished=over and time >= path.duration)
 
     def _brake_unheard(self, now: float) -> None:
         """Where the driver is not heard it is told to stop, by its own means, until it is heard again and the robot stands.
 
-        What was to be sent is forgotten: it would start from where the robot is no longer.
+        What was to be sent is forgotten: it would start from where the robot is no longer. What nobody has told to stop goes on
+        from where the robot stands.
         """
-        path = self._path
-        if path is None or not (self._stopping or self._braking):
+        stopped = self._stopping or self._braking
+        if self.progress().finished and not stopped:
             return
-        self._stopping = self._unsent = self._resuming = False
-        self._braking = self._unheard = True
-        self.hold(now)
         measured = self.link.measured()
-        if measured is not None and self.link.heard(now) and self.link.standing():
-            self._unheard = False
-            at = path.nearest(measured.position, 0.0, path.duration)
-            self._command = Follower(path, self.link.acceleration_limit, time=at, speed=0.0, target=0.0).ahead(
-                self.link.params.point_dt
-            )
-            self._index = self._clock = 0.0
+        if self._lost_at is None:
+            self._lost_at = now if measured is None else measured.time
+        self._resuming = self._resuming or not stopped
+        self._stopping = self._unsent = False
+        self._braking = True
+        self.hold(now)
+        if self._path is not None and measured is not None and self.link.heard(now):
+            self._find(self._path, measured, now - self._lost_at)
+            self._lost_at = None if self.link.standing() else now
+
+    def _find(self, path: TimedTrajectory, measured: Measured, unseen: float) -> None:
+        """Put the motion where the robot is, which brakes by itself, on its path; it was not seen for `unseen` s."""
+        time, speed = self.progress().time, 0.0 if self.link.standing() else 1.0
+        time = path.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + unseen)
+        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=speed)
+        self._command = follower.ahead(self.link.params.point_dt, 1)
+        self._index = self._clock = 0.0
 
     def _untaken(self, now: float) -> bool:
         """Whether a driver that tells its progress has not taken the trajectory that starts a motion, so that it is sent again."""

@@ -123,13 +123,12 @@ class Streaming(DriverStrategy, Steerable):
         if not self.link.heard(now):
             self._brake_unheard(follower, now, dt)
             return
-        if self._lost_at is not None and self._wanted == 0.0:
+        if self._lost_at is not None:
             self._rest_where_found(follower, now)
             return
         if self._sent_at is not None:
-            if self._away is not None or self._lost_at is not None:
-                pause = self._away[1] if self._away is not None else now - (self._lost_at or now)
-                self._away = self._lost_at = None
+            if self._away is not None:
+                pause, self._away = self._away[1], None
                 follower = self._picked_up(follower, now, pause)
             else:
                 follower.advance(dt)
@@ -177,12 +176,18 @@ class Streaming(DriverStrategy, Steerable):
             self.hold(now)
 
     def _rest_where_found(self, follower: Follower, now: float) -> None:
-        """The driver is heard again, and brakes the robot with the chunk that it had: the motion is held where that stands."""
+        """The driver is heard again, and brakes the robot with the chunk that it had: the motion is held where that stands.
+
+        What nobody has told to stop goes on from there.
+        """
         self._hold_once_played(now)
-        if self.link.standing():
-            self._lost_at, self._over = None, True
-            follower = self._halted(follower, ahead=now - (self._sent_at or now))
-            self._expected = Commanded(now, follower.time, 0.0, follower.position)
+        standing = self.link.standing()
+        follower = self._halted(follower, ahead=now - (self._sent_at or now))
+        self._expected = Commanded(now, follower.time, 0.0 if standing else 1.0, follower.position)
+        if standing:
+            self._lost_at, self._over = None, self._wanted == 0.0
+            self._reference = Reference(self._memory)
+            self._reference.note(now, follower)
 
     def _picked_up(self, follower: Follower, now: float, dt: float) -> Follower:
         """After a pause in which nothing was sent: the motion goes on from where the driver is in the chunk that it has.

@@ -1,1 +1,1 @@
-"""All compiled code of the planner: plain functions over packed arrays, no Python object inside."""
+"""The compiled code of the planner: plain functions over packed arrays, no Python object inside."""

@@ -9,8 +9,8 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import inlined
-from zarm_planner.kernels.lanes import pointer
+from zarm_geometry.kernels.compiled import inlined
+from zarm_geometry.kernels.simd import pointer
 
 _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.CPointer(types.int64)))
 _CLOCK = time.CLOCK_MONOTONIC

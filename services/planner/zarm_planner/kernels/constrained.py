@@ -1,4 +1,4 @@
-"""RRT-Connect and shortcuts on the manifold of what is held, each in one compiled call.
+"""RRT-Connect and shortcuts on the manifold of a path constraint, each in one compiled call.
 
 Berenson, Srinivasa, Ferguson and Kuffner, "Manipulation planning on constraint manifolds", 2009 (CBiRRT). Other than there,
 samples are brought onto the manifold before a tree grows towards them: what is nearest is then nearest along it, too.
@@ -11,14 +11,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.edge import edge_free
+from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.edge import edge_free
-from zarm_planner.kernels.manifold import Desk, Hold, advance, make_desk, project
+from zarm_planner.kernels.manifold import ConstraintArrays, Workspace, advance, make_workspace, project
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
-from zarm_planner.kernels.vectors import apart, copy
 
 EXTENSION = 1.0
 """Rad: so far a sample extends a tree."""
@@ -33,7 +33,7 @@ GAIN = 0.01
 
 
 @kernel
-def walk(hold: Hold, a: Single, b: Single, longest: float, rows: Single, desk: Desk) -> int:
+def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, rows: Single, workspace: Workspace) -> int:
     """Write the configurations after `a` on the way along the manifold to `b` into `rows`; returns how many they are.
 
     0 where the way does not get there, or is longer than `longest`.
@@ -41,7 +41,7 @@ def walk(hold: Hold, a: Single, b: Single, longest: float, rows: Single, desk: D
     count, length = 0, 0.0
     here = a
     while count < rows.shape[0]:
-        if not advance(hold, here, b, rows[count], desk):
+        if not advance(constraint, here, b, rows[count], workspace):
             return 0
         length += apart(here, rows[count])
         if length + apart(rows[count], b) > longest:
@@ -65,12 +65,12 @@ def walk_free(checks: Space, a: Single, rows: Single, count: int) -> bool:
 
 
 @kernel
-def connect_held(
+def connect_constrained(
     robot: RobotArrays,
     world: WorldArrays,
     memory: Memory,
     trees: Trees,
-    hold: Hold,
+    constraint: ConstraintArrays,
     limits: Single,
     weight: Single,
     start: Single,
@@ -85,11 +85,11 @@ def connect_held(
     are drawn; `weight` (dof,) scales the joints in distances.
     """
     checks, dof = space(robot, world, memory), start.shape[0]
-    desk = make_desk(dof)
+    workspace = make_workspace(dof)
     now = np.empty(2, np.int64)
     rows = np.empty((ROWS, dof), np.float32)
     for goal in range(goals.shape[0]):
-        count = walk(hold, start, goals[goal], 1e9, rows, desk)
+        count = walk(constraint, start, goals[goal], 1e9, rows, workspace)
         if count > 0 and walk_free(checks, start, rows, count):
             path = np.empty((count + 1, dof), np.float32)
             copy(start, path[0])
@@ -109,13 +109,17 @@ def connect_held(
                 add(trees, 1, goals[goal], -1)
         for k in range(dof):
             sample[k] = limits[0, k] + (limits[1, k] - limits[0, k]) * uniform(random)
-        if not project(hold, sample, desk):
+        if not project(constraint, sample, workspace):
             continue
         copy(sample, target)
         new, _ = nearest_node(trees, grown, target, weight)
         read(trees, grown, new, here)
         length, moved = 0.0, False
-        while length < EXTENSION and advance(hold, here, target, there, desk) and edge_free(checks, here, there):
+        while (
+            length < EXTENSION
+            and advance(constraint, here, target, there, workspace)
+            and edge_free(checks, here, there)
+        ):
             new, moved = add(trees, grown, there, new), True
             length += apart(here, there)
             copy(there, here)
@@ -129,7 +133,9 @@ def connect_held(
         near, _ = nearest_node(trees, other, target, weight)
         read(trees, other, near, here)
         while (
-            trees.size[other] < CAPACITY and advance(hold, here, target, there, desk) and edge_free(checks, here, there)
+            trees.size[other] < CAPACITY
+            and advance(constraint, here, target, there, workspace)
+            and edge_free(checks, here, there)
         ):
             if apart(there, target) == 0.0:
                 return path_through(trees, dof, new, near) if grown == 0 else path_through(trees, dof, near, new)
@@ -141,11 +147,11 @@ def connect_held(
 
 
 @kernel
-def shortcut_held(
+def shortcut_constrained(
     robot: RobotArrays,
     world: WorldArrays,
     memory: Memory,
-    hold: Hold,
+    constraint: ConstraintArrays,
     path: Single,
     count: int,
     random: NDArray[np.uint64],
@@ -153,7 +159,7 @@ def shortcut_held(
 ) -> int:
     """Shorten the path in the first `count` rows of `path` (ROWS, dof) in place; returns how many rows it has then."""
     checks, dof = space(robot, world, memory), path.shape[1]
-    desk = make_desk(dof)
+    workspace = make_workspace(dof)
     now = np.empty(2, np.int64)
     rows = np.empty((ROWS, dof), np.float32)
     failed = tried = 0
@@ -170,7 +176,7 @@ def shortcut_held(
         longest = (1.0 - GAIN) * piece
         if apart(path[i], path[j]) > longest:
             continue
-        new = walk(hold, path[i], path[j], longest, rows, desk)
+        new = walk(constraint, path[i], path[j], longest, rows, workspace)
         moved = new - (j - i)  # what comes after `i` up to `j` gives way to the new rows
         if new == 0 or count + moved > path.shape[0] or not walk_free(checks, path[i], rows, new):
             continue

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Memory, RobotArrays, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.edge import edge_free
+from zarm_geometry.kernels.kinematics import Array, joint_frames
+from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.edge import edge_free
-from zarm_planner.kernels.kinematics import Array, joint_frames
 from zarm_planner.kernels.random import uniform
-from zarm_planner.kernels.vectors import copy
 
 TURN = 2.0 * math.pi
 TOLERANCE = 1e-6

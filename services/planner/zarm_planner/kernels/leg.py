@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Memory, RobotArrays, Single, WorldArrays
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, WorldArrays
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import seconds
-from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.connect import connect
+from zarm_planner.kernels.rrt_connect import connect
 from zarm_planner.kernels.shortcut import MOST, shortcut
 from zarm_planner.kernels.trees import Trees
-from zarm_planner.kernels.vectors import copy
 
 
 @inlined
@@ -42,7 +42,7 @@ def quickest_of(
     joint is at its `fastest` (dof,); one without rows where a search ended after `most` samples or at the deadline. Nothing
     is quicker than the straight way, so that ends the matter.
 
-    Adds the seconds of search and of shortening to `spent` (2,). `limits` and `weight` as for `connect`.
+    Adds the seconds of search and of shortcuts to `spent` (2,). `limits` and `weight` as for `connect`.
     """
     dof = ends.shape[1]
     goals = ends[1:]

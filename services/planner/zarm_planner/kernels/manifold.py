@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Single
-from zarm_planner.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.arrays import Single
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.kinematics import Array
+from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.inverse import Chain, Work, make_work, tip_jacobian, tip_pose
-from zarm_planner.kernels.kinematics import Array
-from zarm_planner.kernels.vectors import apart, copy
 
 CLOSE = 1e-5
 """A projected configuration is off by this much at most (m, rad); what is left of the tolerance is room for curves."""
@@ -32,22 +32,22 @@ DAMPING = 0.01
 """Times the squared deviation, as in Levenberg-Marquardt."""
 
 
-class Hold(NamedTuple):
-    """What is held: components of the tip's pose, numbered as [theta_x, theta_y, theta_z, x, y, z].
+class ConstraintArrays(NamedTuple):
+    """A path constraint: components of the tip's pose that are kept, numbered as [theta_x, theta_y, theta_z, x, y, z].
 
-    `start` (4, 4): the pose that they are held at; `frame` (3, 3): takes base axes to those that the components are
-    along; `held` (m,): their numbers; `tolerance` (6,) in rad and m.
+    `start` (4, 4): the pose at which they are kept; `frame` (3, 3): takes base axes to those that the components are
+    along; `axes` (m,): their numbers; `tolerance` (6,) in rad and m.
     """
 
     chain: Chain
     start: Array
     frame: Array
-    held: NDArray[np.int64]
+    axes: NDArray[np.int64]
     tolerance: Array
 
 
-class Desk(NamedTuple):
-    """Working memory: of the kinematics; the rotation vector (3,); deviation (6,); the held rows of the Jacobian (6, dof),
+class Workspace(NamedTuple):
+    """Working memory: of the kinematics; the rotation vector (3,); deviation (6,); the constrained rows of the Jacobian (6, dof),
     their normal equations (6, 6) and right side (6,); which joints are at a limit (dof,); configurations (dof,)."""
 
     work: Work
@@ -62,9 +62,9 @@ class Desk(NamedTuple):
 
 
 @inlined
-def make_desk(dof: int) -> Desk:
+def make_workspace(dof: int) -> Workspace:
     """Working memory for one call of a kernel."""
-    return Desk(
+    return Workspace(
         make_work(dof),
         np.empty(3),
         np.empty(6),
@@ -110,42 +110,42 @@ def rotation_vector(a: Array, b: Array, out: Array) -> None:
 
 
 @inlined
-def deviate(hold: Hold, pose: Array, desk: Desk) -> float:
-    """Write how far `pose` is from the start, in all six components, into `desk.deviation`; returns the largest held one.
+def deviate(constraint: ConstraintArrays, pose: Array, workspace: Workspace) -> float:
+    """Write how far `pose` is from the start, in all six components, into `workspace.deviation`; returns the largest constrained one.
 
-    The rotation vector in base axes is left in `desk.turn`.
+    The rotation vector in base axes is left in `workspace.turn`.
     """
-    rotation_vector(pose, hold.start, desk.turn)
-    d, f, s = desk.deviation, hold.frame, hold.start
+    rotation_vector(pose, constraint.start, workspace.turn)
+    d, f, s = workspace.deviation, constraint.frame, constraint.start
     for i in range(3):
-        d[i] = f[i, 0] * desk.turn[0] + f[i, 1] * desk.turn[1] + f[i, 2] * desk.turn[2]
+        d[i] = f[i, 0] * workspace.turn[0] + f[i, 1] * workspace.turn[1] + f[i, 2] * workspace.turn[2]
         d[3 + i] = (
             f[i, 0] * (pose[0, 3] - s[0, 3]) + f[i, 1] * (pose[1, 3] - s[1, 3]) + f[i, 2] * (pose[2, 3] - s[2, 3])
         )
     worst = 0.0
-    for i in range(hold.held.shape[0]):
-        worst = max(worst, abs(d[hold.held[i]]))
+    for i in range(constraint.axes.shape[0]):
+        worst = max(worst, abs(d[constraint.axes[i]]))
     return worst
 
 
 @inlined
-def used(hold: Hold, desk: Desk) -> float:
+def used(constraint: ConstraintArrays, workspace: Workspace) -> float:
     """The largest part of the tolerances that the deviation in hand uses."""
     worst = 0.0
-    for i in range(hold.held.shape[0]):
-        worst = max(worst, abs(desk.deviation[hold.held[i]]) / hold.tolerance[hold.held[i]])
+    for i in range(constraint.axes.shape[0]):
+        worst = max(worst, abs(workspace.deviation[constraint.axes[i]]) / constraint.tolerance[constraint.axes[i]])
     return worst
 
 
 @inlined
-def held_rows(hold: Hold, desk: Desk) -> None:
-    """Write how the held components change with each joint into `desk.rows`; joints at a limit change nothing.
+def constrained_rows(constraint: ConstraintArrays, workspace: Workspace) -> None:
+    """Write how the constrained components change with each joint into `workspace.rows`; joints at a limit change nothing.
 
     The rotation vector phi changes with the angular velocity w as J(phi) w, where J is the inverse left Jacobian of SO(3),
     1 - [phi] / 2 + c [phi]^2 (Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018).
     """
-    tip_jacobian(hold.chain, desk.work)
-    jac, phi = desk.work.jacobian, desk.turn
+    tip_jacobian(constraint.chain, workspace.work)
+    jac, phi = workspace.work.jacobian, workspace.turn
     square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
     half = 0.5 * math.sqrt(square)
     c = (1.0 - half / math.tan(half)) / square if square > 1e-6 else 1.0 / 12.0
@@ -155,21 +155,21 @@ def held_rows(hold: Hold, desk: Desk) -> None:
         wx += c * (phi[1] * az - phi[2] * ay) - 0.5 * ax
         wy += c * (phi[2] * ax - phi[0] * az) - 0.5 * ay
         wz += c * (phi[0] * ay - phi[1] * ax) - 0.5 * az
-        for i in range(hold.held.shape[0]):
-            if desk.stuck[k]:
-                desk.rows[i, k] = 0.0
-            elif hold.held[i] < 3:
-                f = hold.frame[hold.held[i]]
-                desk.rows[i, k] = f[0] * wx + f[1] * wy + f[2] * wz
+        for i in range(constraint.axes.shape[0]):
+            if workspace.stuck[k]:
+                workspace.rows[i, k] = 0.0
+            elif constraint.axes[i] < 3:
+                f = constraint.frame[constraint.axes[i]]
+                workspace.rows[i, k] = f[0] * wx + f[1] * wy + f[2] * wz
             else:
-                f = hold.frame[hold.held[i] - 3]
-                desk.rows[i, k] = f[0] * jac[0, k] + f[1] * jac[1, k] + f[2] * jac[2, k]
+                f = constraint.frame[constraint.axes[i] - 3]
+                workspace.rows[i, k] = f[0] * jac[0, k] + f[1] * jac[1, k] + f[2] * jac[2, k]
 
 
 @inlined
-def solve_normal(count: int, damping: float, desk: Desk) -> None:
+def solve_normal(count: int, damping: float, workspace: Workspace) -> None:
     """Solve (rows rows^T + damping) x = right in place, for the first `count` rows, by Cholesky's decomposition."""
-    rows, a, x = desk.rows, desk.normal, desk.right
+    rows, a, x = workspace.rows, workspace.normal, workspace.right
     for i in range(count):
         for j in range(i + 1):
             value = damping if i == j else 0.0
@@ -189,46 +189,46 @@ def solve_normal(count: int, damping: float, desk: Desk) -> None:
 
 
 @kernel
-def project(hold: Hold, q: Array, desk: Desk) -> bool:
+def project(constraint: ConstraintArrays, q: Array, workspace: Workspace) -> bool:
     """Bring `q` onto the manifold, in place, by damped least squares; False where that fails.
 
     A joint that would leave its range stops there, and the others do what is left to do.
     """
-    dof, count = q.shape[0], hold.held.shape[0]
-    lower, upper = hold.chain.lower, hold.chain.upper
+    dof, count = q.shape[0], constraint.axes.shape[0]
+    lower, upper = constraint.chain.lower, constraint.chain.upper
     for k in range(dof):
-        desk.stuck[k] = False
+        workspace.stuck[k] = False
         q[k] = min(max(q[k], lower[k]), upper[k])
     for _ in range(ITERATIONS):
-        tip_pose(hold.chain, q, desk.work)
-        worst = deviate(hold, desk.work.pose, desk)
+        tip_pose(constraint.chain, q, workspace.work)
+        worst = deviate(constraint, workspace.work.pose, workspace)
         if worst <= CLOSE:
             return True
-        held_rows(hold, desk)
+        constrained_rows(constraint, workspace)
         for i in range(count):
-            desk.right[i] = -desk.deviation[hold.held[i]]
-        solve_normal(count, DAMPING * worst * worst + 1e-12, desk)
+            workspace.right[i] = -workspace.deviation[constraint.axes[i]]
+        solve_normal(count, DAMPING * worst * worst + 1e-12, workspace)
         for k in range(dof):
             for i in range(count):
-                q[k] += desk.rows[i, k] * desk.right[i]
+                q[k] += workspace.rows[i, k] * workspace.right[i]
             if q[k] < lower[k] or q[k] > upper[k]:
-                desk.stuck[k] = True
+                workspace.stuck[k] = True
                 q[k] = min(max(q[k], lower[k]), upper[k])
     return False
 
 
 @inlined
-def step_kept(hold: Hold, a: Single, b: Single, desk: Desk) -> bool:
+def step_kept(constraint: ConstraintArrays, a: Single, b: Single, workspace: Workspace) -> bool:
     """Whether half way along the straight step from `a` to `b`, on the manifold both, SLACK of the tolerance is enough."""
     for k in range(a.shape[0]):
-        desk.middle[k] = 0.5 * (np.float64(a[k]) + np.float64(b[k]))
-    tip_pose(hold.chain, desk.middle, desk.work)
-    deviate(hold, desk.work.pose, desk)
-    return used(hold, desk) <= SLACK
+        workspace.middle[k] = 0.5 * (np.float64(a[k]) + np.float64(b[k]))
+    tip_pose(constraint.chain, workspace.middle, workspace.work)
+    deviate(constraint, workspace.work.pose, workspace)
+    return used(constraint, workspace) <= SLACK
 
 
 @kernel
-def advance(hold: Hold, here: Single, target: Single, there: Single, desk: Desk) -> bool:
+def advance(constraint: ConstraintArrays, here: Single, target: Single, there: Single, workspace: Workspace) -> bool:
     """Write to `there` the configuration on the manifold a step from `here` nearer to `target`, or `target` itself.
 
     False where there is none. `here` and `target` are on the manifold.
@@ -236,18 +236,18 @@ def advance(hold: Hold, here: Single, target: Single, there: Single, desk: Desk)
     left, step = apart(here, target), STEP
     while step >= SHORTEST:
         if left <= step:
-            if step_kept(hold, here, target, desk):
+            if step_kept(constraint, here, target, workspace):
                 copy(target, there)
                 return True
         else:
             for k in range(here.shape[0]):
-                desk.q[k] = here[k] + (target[k] - here[k]) * (step / left)
-            if project(hold, desk.q, desk):
-                copy(desk.q, there)
+                workspace.q[k] = here[k] + (target[k] - here[k]) * (step / left)
+            if project(constraint, workspace.q, workspace):
+                copy(workspace.q, there)
                 if (
                     apart(here, there) <= 2.0 * step
                     and apart(there, target) <= left - 0.1 * step
-                    and step_kept(hold, here, there, desk)
+                    and step_kept(constraint, here, there, workspace)
                 ):
                     return True
         step *= 0.5
@@ -255,19 +255,19 @@ def advance(hold: Hold, here: Single, target: Single, there: Single, desk: Desk)
 
 
 @kernel
-def deviations(hold: Hold, poses: Array, out: Array) -> None:
+def deviations(constraint: ConstraintArrays, poses: Array, out: Array) -> None:
     """Write the deviations (n, 6) of poses (n, 4, 4) from the start."""
-    desk = make_desk(hold.chain.lower.shape[0])
+    workspace = make_workspace(constraint.chain.lower.shape[0])
     for n in range(poses.shape[0]):
-        deviate(hold, poses[n], desk)
-        copy(desk.deviation, out[n])
+        deviate(constraint, poses[n], workspace)
+        copy(workspace.deviation, out[n])
 
 
 @kernel
-def project_all(hold: Hold, rows: Array) -> int:
+def project_all(constraint: ConstraintArrays, rows: Array) -> int:
     """Bring configurations (n, dof) onto the manifold, in place, until that fails for one; returns how many came there."""
-    desk = make_desk(rows.shape[1])
+    workspace = make_workspace(rows.shape[1])
     done = 0
-    while done < rows.shape[0] and project(hold, rows[done], desk):
+    while done < rows.shape[0] and project(constraint, rows[done], workspace):
         done += 1
     return done

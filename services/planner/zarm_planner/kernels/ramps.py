@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import brief, inlined
+from zarm_geometry.kernels.compiled import brief, inlined
 
 Array = NDArray[np.float64]
 

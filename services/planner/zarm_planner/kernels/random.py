@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.compiled import inlined
+from zarm_geometry.kernels.compiled import inlined
 
 
 @inlined

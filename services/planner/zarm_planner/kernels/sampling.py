@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_planner.kernels.compiled import brief
+from zarm_geometry.kernels.compiled import brief
 from zarm_planner.kernels.ramps import Array, Ramps
 
 

@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.edge import edge_free
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.edge import edge_free
 from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, state
 from zarm_planner.kernels.random import uniform
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zarm_planner.kernels.arrays import Index, Single
-from zarm_planner.kernels.compiled import inlined
-from zarm_planner.kernels.lanes import LANES, below, load, pointer, splat, store
+from zarm_geometry.kernels.arrays import Index, Single
+from zarm_geometry.kernels.compiled import inlined
+from zarm_geometry.kernels.simd import LANES, below, load, pointer, splat, store
 
 CAPACITY = 1 << 15
 """Nodes per tree; a search that fills one starts anew, as a linear look at more would cost more than it helps."""

@@ -89,7 +89,7 @@ def _places(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str
     for place, name in enumerate(names):
         joint = name if name in joints else alike.get(_plain(name), name)
         if joint in places:
-            raise InvalidRequest(f"the joint {name} stands twice; name each joint once", field=f"{field}.{place}")
+            raise InvalidRequest(f"the joint {name} appears twice; name each joint once", field=f"{field}.{place}")
         places[joint] = place
     missing = [joint for joint in joints if joint not in places]
     if missing:

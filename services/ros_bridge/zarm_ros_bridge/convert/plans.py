@@ -103,7 +103,7 @@ def held_of(request: TrajectoryGeneration.Request, target: str) -> HeldAxes | No
             )
         if len(set(each + whole)) > 1:
             raise InvalidRequest(
-                "the constraints differ from pose to pose, and one motion holds an axis all the way; give all poses the same, "
+                "the constraints differ from pose to pose, and a path constraint holds for the whole motion; give all poses the same, "
                 "or ask for the motion in parts",
                 field="trajectories_contraints",
             )
@@ -120,6 +120,6 @@ def _axes(values: Sequence[int], field: str) -> list[tuple[bool, bool, bool, boo
         )
     for i, value in enumerate(values):
         if value not in (0, 1):
-            raise InvalidRequest(f"{value} is neither 0, free, nor 1, held", field=f"{field}[{i}]")
+            raise InvalidRequest(f"{value} is neither 0 (free) nor 1 (constrained)", field=f"{field}[{i}]")
     rows = [tuple(bool(value) for value in values[i : i + 6]) for i in range(0, len(values), 6)]
     return [(a, b, c, d, e, f) for a, b, c, d, e, f in rows]

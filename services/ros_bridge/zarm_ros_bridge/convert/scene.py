@@ -41,7 +41,7 @@ def object_of(request: AddObject.Request) -> SceneObject:
             file = _file(request.mesh_file_path)
             return Mesh(kind="mesh", name=name, position=at, orientation=turned, file=file, scale=scale)
     raise InvalidRequest(
-        f"{request.type} is no type of object; use CUBOID 0, SPHERE 1, CAPSULE 2, CYLINDER 3 or MESH 4", field="type"
+        f"{request.type} is not a type of object; use CUBOID 0, SPHERE 1, CAPSULE 2, CYLINDER 3 or MESH 4", field="type"
     )
 
 
@@ -90,7 +90,7 @@ def _sizes(dimensions: RosVector3) -> Vector3:
 def _size(value: float, axis: str) -> float:
     field = f"dimensions.{axis}"
     if finite(value, field) <= 0.0:
-        raise InvalidRequest(f"{value:g} is no size; give one above 0, in m", field=field)
+        raise InvalidRequest(f"{value:g} is not a size; give one above 0, in m", field=field)
     return value
 
 

@@ -1,0 +1,97 @@
+"""What collides as one body and where on the robot it is fixed: links of the descriptor, and attached objects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.messages import Attached, Vector3
+from zarm_contract.robot import Robot
+from zarm_contract.urdf import Joint
+from zarm_geometry.frames import rotation_to
+from zarm_geometry.rows import primitives
+from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
+from zarm_geometry.sphere_cover import sphere_cover
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Body:
+    """What collides as one: a link, or an attached object.
+
+    It is fixed at `pose` (4, 4) to the moving joint `joint`, or to the base where that is -1. In its own frame `balls`
+    (n, 4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies that `touches` names.
+    """
+
+    name: str
+    joint: int
+    pose: Array
+    balls: Array
+    shapes: tuple[Shape, ...]
+    touches: frozenset[str]
+
+    @property
+    def placed_balls(self) -> Array:
+        """The balls (n, 4) in the joint's frame."""
+        return np.column_stack((self.balls[:, :3] @ self.pose[:3, :3].T + self.pose[:3, 3], self.balls[:, 3]))
+
+
+def link_body(robot: Robot, link: str) -> Body:
+    """A link of the descriptor as a body; it may touch the links that it stands beside in `self_collision_ignore`."""
+    descriptor = robot.descriptor
+    passed, pose = along(robot.urdf.chain(descriptor.base_link, link))
+    beside = [set(pair) for pair in descriptor.self_collision_ignore if link in pair]
+    return Body(
+        name=link,
+        joint=len(passed) - 1,
+        pose=pose,
+        balls=np.array([[*ball.center, ball.radius] for ball in descriptor.spheres[link]]),
+        shapes=tuple(link_shape(link, item) for item in descriptor.collision[link]),
+        touches=frozenset().union(*beside),
+    )
+
+
+def attached_body(item: Attached, dof: int, tip: Array) -> Body:
+    """An attached object as a body, named as in the scene and fixed to the tip (4, 4) in the last joint."""
+    shape = obstacle_shape(item.object.name, primitives([item.object])[0])
+    return Body(shape.name, dof - 1, tip, sphere_cover(shape), (shape,), touches=frozenset(item.touch_links))
+
+
+def along(chain: tuple[Joint, ...]) -> tuple[list[Array], Array]:
+    """Along a chain: each moving joint's frame in the one before it (3, 4), and the chain's end (4, 4) in the last.
+
+    The frame of a moving joint is turned so that its axis is z: one kind of rotation in the kernels.
+    """
+    origins: list[Array] = []
+    pose = np.eye(4)
+    for joint in chain:
+        pose = pose @ _pose(joint)
+        if joint.type != "fixed":
+            turn = _turn(joint.axis)
+            origins.append((pose @ turn)[:3])
+            pose = turn.T
+    return origins, pose
+
+
+def _turn(axis: Vector3) -> Array:
+    """A rotation (4, 4) that takes z to `axis`."""
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_to(axis)
+    return turn
+
+
+def _pose(joint: Joint) -> Array:
+    """A joint's origin (4, 4) in its parent: Rz(yaw) Ry(pitch) Rx(roll), the order of the URDF specification."""
+    (cr, cp, cy), (sr, sp, sy) = (tuple(map(f, joint.rpy)) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, joint.xyz[0]],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr, joint.xyz[1]],
+            [-sp, cp * sr, cp * cr, joint.xyz[2]],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )

@@ -1,0 +1,159 @@
+"""Exact distances of the robot to the scene and to itself, on the descriptor's collision primitives.
+
+Two computations look at what leaves the planner, and the smaller distance counts. `kernels.clearance` encloses all
+distances along a motion between two points of the shapes and a slab between them, which nobody has to trust an iteration
+for; so it proves which are out of the question. FCL measures what is left: the nearest two shapes, and those whose bounds
+stay apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zarm_geometry.kernels.clearance import Obstacles, RobotParts, course, look
+from zarm_geometry.kernels.convex import PRECISION
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.shapes import distance, obstacle_shape
+from zarm_geometry.world import World
+
+Array = NDArray[np.float64]
+
+RESOLUTION = 0.005
+"""Along a motion whose samples are no further apart than this (m), nothing can reach further into anything unseen."""
+FARTHEST = 1.0
+"""Clearance (m) beyond which nobody asks."""
+_SINGLE = 1e-6
+"""Part by which the boxes of the world's tree, in single precision, may be off."""
+_LOOKS = 500
+"""Stretches of a motion that are looked at in one go: 0.3 ms as a rule, and not 50 among ten thousands of obstacles."""
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The smallest distance (m): below 0 it is the depth of penetration, and at FARTHEST there is no `pair`.
+
+    `pair` names a link and what is nearest to it, a scene object or another link; `sample` is the index of the
+    configuration.
+    """
+
+    distance: float
+    pair: tuple[str, str] | None
+    sample: int
+
+
+class ExactScene:
+    """The robot's and the scene's exact geometry. Immutable, for use by any number of threads.
+
+    `reach` (dof,): how far (m) a point of the robot moves at most per rad (m where prismatic) of each joint.
+    """
+
+    def __init__(self, model: RobotModel, world: World) -> None:
+        self.model, self._world = model, world
+        self._body, self.reach = _body(model)
+        arrays = world.arrays
+        error = _SINGLE * float(np.abs(arrays.boxes).max(initial=0.0))
+        self._obstacles = Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, world.margin - error)
+
+        there = np.diff(self._body.first) > 0
+        self._asked = np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
+        self._asked_of_world = self._asked & (np.arange(len(self._asked)) < len(model.links))
+
+    def nearest(self, q: ArrayLike, check: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
+        """The smallest distance, to 0.01 mm, over configurations `q` (n, dof) or over one (dof,).
+
+        To objects and, if `itself`, of the robot's links to each other. The search ends at the first collisions that it
+        finds; so the deepest is sure for a single configuration only. Links fixed to the base are not checked against the
+        world. The closer the configurations follow each other, the fewer of them need a look. `check` is called now and
+        then and may raise.
+
+        FCL's distance counts, unless two points are known that are closer to each other: of random pairs of a capsule or
+        cylinder and a box or cylinder, FCL measures 1 in 600 more than 0.1 mm too long, by 49 mm at worst, and none too short.
+        """
+        q = np.array(q, np.float64, order="C", ndmin=2)
+        near = self.bounds(q, check, itself)
+        best = Nearest(FARTHEST, None, 0)
+        for lower, upper, *which in near[np.argsort(near[:, 0], kind="stable")].tolist():
+            if lower >= best.distance - PRECISION:
+                break
+            part, other, sample = map(int, which)
+            pair, measured = self._measure(q[sample], part, other, upper)
+            if measured < best.distance:
+                best = Nearest(measured, pair, sample)
+        return best
+
+    def bounds(self, q: Array, check: Callable[[], None], itself: bool) -> Array:
+        """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof)."""
+        motion = course(self._body, q, self._asked if itself else self._asked_of_world)
+        smallest, over, looks = FARTHEST, False, []
+        while not over:
+            check()
+            found, smallest, over = look(self._body, self._obstacles, motion, smallest, _LOOKS)
+            looks.append(found)
+        return np.concatenate(looks)
+
+    def _measure(self, q: Array, part: int, other: int, upper: float) -> tuple[tuple[str, str], float]:
+        """Names and distance (m) of a part and what `clearance.look` calls `other`, which is at most `upper`."""
+        links = self.model.link_transforms(q)
+        link, shape = self.model.parts[part]
+        if other >= 0:
+            name = self._world.names[self._world.owner[other]]
+            other_shape = obstacle_shape(name, self._world.rows[other])
+            other_pose = other_shape.pose
+        else:
+            other_link, other_shape = self.model.parts[-1 - other]
+            other_pose = links[other_link] @ other_shape.pose
+        measured = distance(shape, links[link] @ shape.pose, other_shape, other_pose, upper)
+        return (shape.name, other_shape.name), measured
+
+
+def _body(model: RobotModel) -> tuple[RobotParts, Array]:
+    """The model's parts for the kernel, and `ExactScene.reach`."""
+    link = np.array([link for link, _ in model.parts], np.intp)
+    first = np.searchsorted(link, np.arange(len(model.links) + 1)).astype(np.int32)
+    shapes = [shape for _, shape in model.parts]
+    pose = np.array([shape.pose for shape in shapes]).reshape(-1, 4, 4)
+    extents = np.array([(*shape.core, shape.disc, shape.rounding, shape.radius) for shape in shapes]).reshape(-1, 6)
+    reach = _reach(model, link, pose, extents[:, 5])
+    around, of_link = np.zeros((len(model.links), 4)), np.zeros((len(model.links), model.dof))
+    for i in np.flatnonzero(np.diff(first)).tolist():
+        parts = slice(first[i], first[i + 1])
+        centers, radii = pose[parts, :3, 3], extents[parts, 5]
+        around[i, :3] = ((centers.T - radii).min(axis=1) + (centers.T + radii).max(axis=1)) / 2
+        around[i, 3] = np.max(np.linalg.norm(centers - around[i, :3], axis=1) + radii)
+        of_link[i] = reach[parts].max(axis=0)
+    # Both links of a pair are moved as one by the joints up to that of the first.
+    first_link, second_link = model.pairs.T
+    of_pair = of_link[second_link] * (np.arange(model.dof) > model.link_joint[first_link, None])
+    body = RobotParts(
+        origin=model.origin,
+        revolute=model.revolute,
+        link_joint=model.link_joint,
+        offset=model.offset[: len(model.links)],
+        around=around,
+        first=first,
+        pose=pose,
+        extents=extents,
+        pairs=model.pairs,
+        reach=np.concatenate([of_link, of_pair]),
+    )
+    return body, reach.max(axis=0, initial=0.0)
+
+
+def _reach(model: RobotModel, link: NDArray[np.intp], pose: Array, radius: Array) -> Array:
+    """How far (parts, dof) a point of each part moves at most per rad (m where prismatic) of each joint.
+
+    From the joint outwards, as if the arm could always stretch to a line.
+    """
+    slide = np.where(model.revolute, 0.0, np.maximum(abs(model.lower), abs(model.upper)))
+    stretch = (np.linalg.norm(model.origin[:, :, 3], axis=1) + slide).tolist()
+    extents = (np.linalg.norm((model.offset[link] @ pose)[:, :3, 3], axis=1) + radius).tolist()
+    reach = np.zeros((len(link), model.dof))
+    for i, (extent, carrier) in enumerate(zip(extents, model.link_joint[link].tolist(), strict=True)):
+        for joint in range(carrier, -1, -1):
+            reach[i, joint] = extent if model.revolute[joint] else 1.0
+            extent += stretch[joint]
+    return reach

@@ -1,0 +1,366 @@
+"""The smallest distance of the robot's exact shapes to the world and to each other along a motion, branch and bound.
+
+On a stretch of the motion two things come no nearer than their distance in its middle minus what they travel from there
+(Schwarzer, Saha and Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots in complex
+environments", 2005). The stretch that may hold the smallest distance is looked at first, its middle lowers the bound on
+what is searched, and it is cut in two there; once no stretch can hold anything smaller, the rest is proven.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
+from zarm_geometry.kernels.kinematics import joint_frames
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+
+class RobotParts(NamedTuple):
+    """A robot's exact shapes.
+
+    `origin` (dof, 3, 4), `revolute` (dof,): as in `kinematics.joint_frames`. By link: `link_joint` (links,) is the joint
+    that carries it, -1 for the base; `offset` (links, 4, 4) its frame in that joint's; `around` (links, 4) a sphere around
+    it, x, y, z, radius in its frame; `first` (links + 1,) where its parts start. By part: `pose` (parts, 4, 4) in the
+    link's frame, and `extents` (parts, 6): four of the core as in `convex`, the rounding, the radius from the centre to
+    the farthest point. `pairs` (m, 2): links that can meet.
+
+    Subjects are the links, each against the world, and then the pairs. `reach` (subjects, dof): how far (m) one moves at
+    most per rad (m where prismatic) of each joint, the second link of a pair as seen from the first.
+    """
+
+    origin: Array
+    revolute: NDArray[np.bool_]
+    link_joint: Index
+    offset: Array
+    around: Array
+    first: Index
+    pose: Array
+    extents: Array
+    pairs: Index
+    reach: Array
+
+
+class Obstacles(NamedTuple):
+    """A world: `rows` (n, 17) as `WorldArrays.shapes`, without margin, and the tree of `WorldArrays` over them.
+
+    Its boxes are `grown` (m) larger in all directions than is sure to be enough for the rows.
+    """
+
+    rows: Array
+    boxes: NDArray[np.float32]
+    skip: Index
+    leaf: Index
+    grown: float
+
+
+class Course(NamedTuple):
+    """A motion and how far the look at it has come.
+
+    `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. `frames` (n, links, 3, 4) of the samples that are `known` (n,). `keys` and `stretches`, which has
+    the columns subject, first sample, last sample + 1, are a heap of `size[0]` stretches with what they are sure to keep
+    clear. `joints` (dof, 3, 4) and `centers` (parts, 3) are working memory.
+    """
+
+    q: Array
+    moved: Array
+    frames: Array
+    known: NDArray[np.bool_]
+    keys: Array
+    stretches: Index
+    size: NDArray[np.int64]
+    joints: Array
+    centers: Array
+
+
+def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
+    """The motion `q` (n, dof), not looked at yet; `asked` (subjects,) are looked at."""
+    samples, count = len(q), np.count_nonzero(asked)
+    moved = np.zeros_like(q)
+    np.cumsum(np.abs(np.diff(q, axis=0)), axis=0, out=moved[1:])
+    # Stretches of one subject do not overlap, so no heap grows larger than this.
+    keys, stretches = np.empty(samples * count), np.empty((samples * count, 3), np.int32)
+    keys[:count] = -np.inf
+    stretches[:count, 0] = np.flatnonzero(asked)
+    stretches[:count, 1] = 0
+    stretches[:count, 2] = samples
+    return Course(
+        q=q,
+        moved=moved,
+        frames=np.empty((samples, len(body.link_joint), 3, 4)),
+        known=np.zeros(samples, np.bool_),
+        keys=keys,
+        stretches=stretches,
+        size=np.array([count]),
+        joints=np.empty_like(body.origin),
+        centers=np.empty((len(body.pose), 3)),
+    )
+
+
+@inlined
+def _push(course: Course, key: float, subject: int, low: int, high: int) -> None:
+    """Add a stretch to the heap."""
+    i = course.size[0]
+    course.size[0] = i + 1
+    while i > 0 and course.keys[(i - 1) // 2] > key:
+        above = (i - 1) // 2
+        course.keys[i] = course.keys[above]
+        for c in range(3):
+            course.stretches[i, c] = course.stretches[above, c]
+        i = above
+    course.keys[i] = key
+    course.stretches[i, 0], course.stretches[i, 1], course.stretches[i, 2] = subject, low, high
+
+
+@inlined
+def _drop_top(course: Course) -> None:
+    """Take the stretch with the smallest key off the heap."""
+    size = course.size[0] - 1
+    course.size[0] = size
+    key = course.keys[size]
+    i = 0
+    while 2 * i + 1 < size:
+        below = 2 * i + 1
+        if below + 1 < size and course.keys[below + 1] < course.keys[below]:
+            below += 1
+        if course.keys[below] >= key:
+            break
+        course.keys[i] = course.keys[below]
+        for c in range(3):
+            course.stretches[i, c] = course.stretches[below, c]
+        i = below
+    course.keys[i] = key
+    for c in range(3):
+        course.stretches[i, c] = course.stretches[size, c]
+
+
+@inlined
+def _travel(body: RobotParts, course: Course, subject: int, low: int, high: int) -> float:
+    """How far (m) a subject moves at most from sample `low` to sample `high`."""
+    travel = 0.0
+    for joint in range(body.reach.shape[1]):
+        travel += body.reach[subject, joint] * (course.moved[high, joint] - course.moved[low, joint])
+    return travel
+
+
+@inlined
+def _place(body: RobotParts, course: Course, k: int) -> None:
+    """The frames of all links at sample `k`."""
+    if course.known[k]:
+        return
+    course.known[k] = True
+    joint_frames(body.origin, body.revolute, course.q[k], course.joints)
+    for link in range(body.link_joint.shape[0]):
+        j = body.link_joint[link]
+        for r in range(3):
+            for c in range(4):
+                if j < 0:
+                    course.frames[k, link, r, c] = body.offset[link, r, c]
+                else:
+                    value = course.joints[j, r, 3] if c == 3 else 0.0
+                    for i in range(3):
+                        value += course.joints[j, r, i] * body.offset[link, i, c]
+                    course.frames[k, link, r, c] = value
+
+
+@inlined
+def _at(frames: Array, k: int, link: int, x: float, y: float, z: float) -> Vector:
+    """A point of a link, in the base frame."""
+    return (
+        frames[k, link, 0, 0] * x + frames[k, link, 0, 1] * y + frames[k, link, 0, 2] * z + frames[k, link, 0, 3],
+        frames[k, link, 1, 0] * x + frames[k, link, 1, 1] * y + frames[k, link, 1, 2] * z + frames[k, link, 1, 3],
+        frames[k, link, 2, 0] * x + frames[k, link, 2, 1] * y + frames[k, link, 2, 2] * z + frames[k, link, 2, 3],
+    )
+
+
+@inlined
+def _place_parts(body: RobotParts, course: Course, k: int, link: int) -> None:
+    """The centres of a link's parts."""
+    for i in range(body.first[link], body.first[link + 1]):
+        x, y, z = _at(course.frames, k, link, body.pose[i, 0, 3], body.pose[i, 1, 3], body.pose[i, 2, 3])
+        course.centers[i, 0], course.centers[i, 1], course.centers[i, 2] = x, y, z
+
+
+@inlined
+def _part_turn(body: RobotParts, course: Course, k: int, link: int, i: int) -> Turn:
+    """The axes of a part in the base frame."""
+    f = course.frames
+    turn = (
+        f[k, link, 0, 0], f[k, link, 0, 1], f[k, link, 0, 2],
+        f[k, link, 1, 0], f[k, link, 1, 1], f[k, link, 1, 2],
+        f[k, link, 2, 0], f[k, link, 2, 1], f[k, link, 2, 2],
+    )  # fmt: skip
+    p = body.pose
+    x = turned(turn, (p[i, 0, 0], p[i, 1, 0], p[i, 2, 0]))
+    y = turned(turn, (p[i, 0, 1], p[i, 1, 1], p[i, 2, 1]))
+    z = turned(turn, (p[i, 0, 2], p[i, 1, 2], p[i, 2, 2]))
+    return x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
+
+
+@inlined
+def _core(table: Array, i: int, at: int) -> Extents:
+    return table[i, at], table[i, at + 1], table[i, at + 2], table[i, at + 3]
+
+
+@inlined
+def _note(found: Array, lower: float, upper: float, part: int, other: int, k: int, best: float) -> tuple[Array, float]:
+    """Keep what may be the smallest distance: `found[0, 0]` counts the rows from 1 on."""
+    if not (upper < best or upper <= 0.0 or lower < best - PRECISION):
+        return found, best
+    count = int(found[0, 0]) + 1
+    if count == found.shape[0]:
+        larger = np.empty((2 * count, 5))
+        for i in range(count):
+            for c in range(5):
+                larger[i, c] = found[i, c]
+        found = larger
+    found[0, 0] = count
+    found[count, 0], found[count, 1] = lower, upper
+    found[count, 2], found[count, 3], found[count, 4] = part, other, k
+    return found, min(best, upper)
+
+
+@inlined
+def _to_world(
+    body: RobotParts, world: Obstacles, course: Course, found: Array, link: int, k: int, enough: float, best: float
+) -> tuple[float, Array, float]:
+    """The distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted."""
+    lowest = enough
+    a = body.around
+    cx, cy, cz = _at(course.frames, k, link, a[link, 0], a[link, 1], a[link, 2])
+    placed = False
+    node = 0
+    while node < world.boxes.shape[0]:
+        wide = max(best, lowest, 0.0) + a[link, 3]
+        b = world.boxes
+        dx = max(abs(cx - b[node, 0]) - b[node, 3] + world.grown, 0.0)
+        dy = max(abs(cy - b[node, 1]) - b[node, 4] + world.grown, 0.0)
+        dz = max(abs(cz - b[node, 2]) - b[node, 5] + world.grown, 0.0)
+        if dx * dx + dy * dy + dz * dz >= wide * wide:
+            node = world.skip[node]
+            continue
+        row = world.leaf[node]
+        node += 1
+        if row < 0:
+            continue
+        if not placed:
+            _place_parts(body, course, k, link)
+            placed = True
+        r = world.rows
+        core, rounding = _core(r, row, 12), r[row, 16]
+        turn = (
+            r[row, 0], r[row, 1], r[row, 2], r[row, 4], r[row, 5], r[row, 6], r[row, 8], r[row, 9], r[row, 10],
+        )  # fmt: skip
+        for i in range(body.first[link], body.first[link + 1]):
+            x, y, z = turned(turn, (course.centers[i, 0], course.centers[i, 1], course.centers[i, 2]))
+            center = (x + r[row, 3], y + r[row, 7], z + r[row, 11])
+            apart = core_distance(center, core) - rounding
+            limit = max(best, lowest, 0.0)
+            if apart - body.extents[i, 5] >= limit:
+                continue
+            if body.extents[i, 4] == body.extents[i, 5] and apart > -rounding:
+                lower = upper = apart - body.extents[i, 4]
+            else:
+                own = _part_turn(body, course, k, link, i)
+                u = turned(turn, (own[0], own[3], own[6]))
+                v = turned(turn, (own[1], own[4], own[7]))
+                w = turned(turn, (own[2], own[5], own[8]))
+                own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
+                rounded = rounding + body.extents[i, 4]
+                lower, upper = core_gap(center, own, _core(body.extents, i, 0), core, limit + rounded)
+                lower, upper = lower - rounded, upper - rounded
+            lowest = min(lowest, lower)
+            found, best = _note(found, lower, upper, i, row, k, best)
+    return lowest, found, best
+
+
+@inlined
+def _to_each_other(
+    body: RobotParts, course: Course, found: Array, one: int, other: int, k: int, enough: float, best: float
+) -> tuple[float, Array, float]:
+    """The same of two links; a part of `other` is noted as -1 minus its index."""
+    a = body.around
+    ax, ay, az = _at(course.frames, k, one, a[one, 0], a[one, 1], a[one, 2])
+    bx, by, bz = _at(course.frames, k, other, a[other, 0], a[other, 1], a[other, 2])
+    lowest = math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) - a[one, 3] - a[other, 3]
+    if lowest >= enough:
+        return lowest, found, best
+    lowest = enough
+    _place_parts(body, course, k, one)
+    _place_parts(body, course, k, other)
+    p = course.centers
+    for i in range(body.first[one], body.first[one + 1]):
+        reach = body.extents[i, 5] + a[other, 3]
+        limit = max(best, lowest, 0.0)
+        apart = math.sqrt((p[i, 0] - bx) ** 2 + (p[i, 1] - by) ** 2 + (p[i, 2] - bz) ** 2)
+        if apart - reach >= limit:
+            continue
+        for j in range(body.first[other], body.first[other + 1]):
+            limit = max(best, lowest, 0.0)
+            x, y, z = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1], p[i, 2] - p[j, 2]
+            apart = math.sqrt(x * x + y * y + z * z)
+            reach = body.extents[i, 5] + body.extents[j, 5]
+            if apart - reach >= limit:
+                continue
+            rounded = body.extents[i, 4] + body.extents[j, 4]
+            if rounded == reach:
+                lower = upper = apart - reach
+            else:
+                turn = _part_turn(body, course, k, other, j)
+                own = _part_turn(body, course, k, one, i)
+                u = turned_back(turn, (own[0], own[3], own[6]))
+                v = turned_back(turn, (own[1], own[4], own[7]))
+                w = turned_back(turn, (own[2], own[5], own[8]))
+                own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
+                center = turned_back(turn, (x, y, z))
+                lower, upper = core_gap(
+                    center, own, _core(body.extents, i, 0), _core(body.extents, j, 0), limit + rounded
+                )
+                lower, upper = lower - rounded, upper - rounded
+            lowest = min(lowest, lower)
+            found, best = _note(found, lower, upper, i, -1 - j, k, best)
+    return lowest, found, best
+
+
+@kernel
+def look(body: RobotParts, world: Obstacles, course: Course, best: float, most: int) -> tuple[Array, float, bool]:
+    """Look at up to `most` stretches for a distance below `best` (m).
+
+    Returns what may be the smallest one, rows of: lower and upper bound (m), part, row of the world (or -1 minus another
+    part), sample; the smallest upper bound so far; and whether the look is over. Then no other distance of any two shapes
+    at any sample is smaller than the smallest of the rows' by more than PRECISION. Below 0 a lower bound is minus a bound
+    on the depth of penetration. Of one sample all collisions are found; along a motion the look ends at the first.
+    """
+    links = body.link_joint.shape[0]
+    found = np.empty((64, 5))
+    found[0, 0] = 0.0
+    over = False
+    for _ in range(most):
+        floor = max(best, 0.0)
+        if course.size[0] == 0 or course.keys[0] >= floor - PRECISION or (best <= 0.0 and course.q.shape[0] > 1):
+            over = True
+            break
+        key, subject = course.keys[0], course.stretches[0, 0]
+        low, high = course.stretches[0, 1], course.stretches[0, 2]
+        _drop_top(course)
+        k = (low + high) // 2
+        _place(body, course, k)
+        before = _travel(body, course, subject, low, k)
+        after = _travel(body, course, subject, k, high - 1)
+        enough = floor + max(before, after)
+        if subject < links:
+            lowest, found, best = _to_world(body, world, course, found, subject, k, enough, best)
+        else:
+            one, other = body.pairs[subject - links, 1], body.pairs[subject - links, 0]
+            lowest, found, best = _to_each_other(body, course, found, one, other, k, enough, best)
+        if low < k and before > 0.0:
+            _push(course, max(key, lowest - before), subject, low, k)
+        if k + 1 < high and after > 0.0:
+            _push(course, max(key, lowest - after), subject, k + 1, high)
+    return found[1 : int(found[0, 0]) + 1], best, over

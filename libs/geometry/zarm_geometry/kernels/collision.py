@@ -1,0 +1,237 @@
+"""Collision of the sphere model with itself and the world, 16 configurations at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_geometry.kernels.arrays import SHAPE, Pointer, Space
+from zarm_geometry.kernels.compiled import inlined
+from zarm_geometry.kernels.simd import (
+    LANES,
+    Lanes,
+    Mask,
+    below,
+    larger,
+    load,
+    magnitude,
+    nearest,
+    root,
+    smaller,
+    splat,
+    store,
+    where_positive,
+)
+
+RESOLUTION = 0.01
+"""No sphere centre moves further (m) between two checked configurations of an edge than this, unless it is proven free
+there. So what lies between is at most half of it away from what was checked: within the default margin of 0.005 m."""
+
+
+@inlined
+def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
+    """Sine and cosine to 1e-6 for |x| < 10: reduced to +-pi/2, then minimax polynomials fitted to that interval."""
+    half_turns = nearest(x * 0.31830988618379067)
+    y = x - half_turns * 3.141592653589793
+    sign = 1.0 - 2.0 * magnitude(half_turns - 2.0 * nearest(half_turns * 0.5))
+    z = y * y
+    s = z * 2.6000547e-06 - 1.98066152e-04
+    s = z * s + 8.33301729e-03
+    s = z * s - 1.66666571e-01
+    c = z * 2.31943863e-05 - 1.38559272e-03
+    c = z * c + 4.16639895e-02
+    c = z * c - 4.99999323e-01
+    return sign * (y + y * z * s), sign * (1.0 + z * c)
+
+
+@inlined
+def squared_distance_in_plane(b: float, c: float, d: float, x: Lanes, y: Lanes) -> Lanes:
+    """Squared distance from points of a plane to the triangle (0, 0), (b, 0), (c, d) in it, b and d > 0; 0 inside.
+
+    Outside, it is that to the nearest of the edges.
+    """
+    zero, one = splat(0.0), splat(1.0)
+    right, left = c - b, np.float32(1.0) / (c * c + d * d)
+    down = np.float32(1.0) / (right * right + d * d)
+    ex = x - smaller(larger(x, zero), splat(b))
+    apart = ex * ex + y * y
+    t = smaller(larger((c * x + d * y) * left, zero), one)
+    ex, ey = x - c * t, y - d * t
+    apart = smaller(apart, ex * ex + ey * ey)
+    bx = x - b
+    t = smaller(larger((right * bx + d * y) * down, zero), one)
+    ex, ey = bx - right * t, y - d * t
+    apart = smaller(apart, ex * ex + ey * ey)
+    inside = smaller(y, smaller(d * x - c * y, right * y - d * bx))
+    return where_positive(zero - inside, apart)
+
+
+@inlined
+def squared_distance(shape: Pointer, i: int, x: Lanes, y: Lanes, z: Lanes) -> Lanes:
+    """Squared distance from points to the core of the obstacle that starts at `shape[i]`; 0 inside."""
+    zero = splat(0.0)
+    px = shape[i] * x + shape[i + 1] * y + shape[i + 2] * z + shape[i + 3]
+    py = shape[i + 4] * x + shape[i + 5] * y + shape[i + 6] * z + shape[i + 7]
+    pz = shape[i + 8] * x + shape[i + 9] * y + shape[i + 10] * z + shape[i + 11]
+    if shape[i + 15] < 0.0:
+        return squared_distance_in_plane(shape[i + 12], shape[i + 13], shape[i + 14], px, py) + pz * pz
+    dx = larger(magnitude(px) - shape[i + 12], zero)
+    dy = larger(magnitude(py) - shape[i + 13], zero)
+    dz = larger(magnitude(pz) - shape[i + 14], zero)
+    across = dx * dx + dy * dy
+    if shape[i + 15] > 0.0:
+        rim = larger(root(across) - shape[i + 15], zero)
+        across = rim * rim
+    return across + dz * dz
+
+
+@inlined
+def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
+    """Lanes in which a link touches an obstacle (the first such found), and in which one is near enough to matter."""
+    zero, fine = splat(0.0), splat(0.5 * RESOLUTION)
+    at = link * 3 * LANES
+    x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
+    wide = half * space.motion[link] + space.bounds[4 * link + 3]
+    wide_squared = wide * wide
+    near = np.uint32(0)
+    node = 0
+    while node < space.nodes:
+        box = 6 * node
+        dx = larger(magnitude(x - space.boxes[box]) - space.boxes[box + 3], zero)
+        dy = larger(magnitude(y - space.boxes[box + 1]) - space.boxes[box + 4], zero)
+        dz = larger(magnitude(z - space.boxes[box + 2]) - space.boxes[box + 5], zero)
+        if below(dx * dx + dy * dy + dz * dz, wide_squared) == 0:
+            node = space.skip[node]
+            continue
+        shape = SHAPE * space.leaf[node]
+        node += 1
+        if shape < 0:
+            continue
+        rounding = space.shapes[shape + 16]
+        reach = wide + rounding
+        if below(squared_distance(space.shapes, shape, x, y, z), reach * reach) == 0:
+            continue
+        for sphere in range(space.link_first[link], space.link_first[link + 1]):
+            ball = space.links + sphere
+            at = ball * 3 * LANES
+            bx, by, bz = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
+            apart = squared_distance(space.shapes, shape, bx, by, bz)
+            radius = space.spheres[4 * sphere + 3] + rounding
+            slack = half * space.motion[ball]
+            reach = slack + radius
+            close = below(apart, reach * reach)
+            if close != 0:
+                near |= close & below(fine, slack)
+                hit = below(apart, splat(radius * radius))
+                if hit != 0:
+                    return hit, near
+    return np.uint32(0), near
+
+
+@inlined
+def meet(space: Space, a: int, b: int, half: Lanes) -> tuple[Mask, Mask]:
+    """Lanes in which two links touch, and in which they are near enough to each other to matter."""
+    near, fine = np.uint32(0), splat(0.5 * RESOLUTION)
+    motion = (space.link_joint[a] + 1) * space.balls  # the joints up to that of `a` move both links as one
+    i = a * 3 * LANES
+    ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
+    j = b * 3 * LANES
+    bx, by, bz = load(space.centers, j), load(space.centers, j + LANES), load(space.centers, j + 2 * LANES)
+    x, y, z = ax - bx, ay - by, az - bz
+    wide = half * space.motion[motion + b] + space.bounds[4 * b + 3]
+    reach = wide + space.bounds[4 * a + 3]
+    if below(x * x + y * y + z * z, reach * reach) == 0:
+        return near, near
+    for first in range(space.link_first[a], space.link_first[a + 1]):
+        i = (space.links + first) * 3 * LANES
+        ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
+        x, y, z = ax - bx, ay - by, az - bz
+        reach = wide + space.spheres[4 * first + 3]
+        if below(x * x + y * y + z * z, reach * reach) == 0:
+            continue
+        for second in range(space.link_first[b], space.link_first[b + 1]):
+            ball = space.links + second
+            j = ball * 3 * LANES
+            x = ax - load(space.centers, j)
+            y = ay - load(space.centers, j + LANES)
+            z = az - load(space.centers, j + 2 * LANES)
+            apart = x * x + y * y + z * z
+            radii = space.spheres[4 * first + 3] + space.spheres[4 * second + 3]
+            slack = half * space.motion[motion + ball]
+            reach = slack + radii
+            close = below(apart, reach * reach)
+            if close != 0:
+                near |= close & below(fine, slack)
+                hit = below(apart, splat(radii * radii))
+                if hit != 0:
+                    return hit, near
+    return np.uint32(0), near
+
+
+@inlined
+def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
+    """Check the edge's configurations at `t` (0..1), each standing for the stretch from `t - half` to `t + half`.
+
+    Returns one bit per lane: those that collide (of the first contact found, then the rest is left out; so only a 0 is
+    about all lanes), and those where something is so near that the stretch is not proven free and has to be divided.
+    """
+    zero, one = splat(0.0), splat(1.0)
+    xx, xy, xz = one, zero, zero
+    yx, yy, yz = zero, one, zero
+    zx, zy, zz = zero, zero, one
+    px, py, pz = zero, zero, zero
+    near = np.uint32(0)
+    link = 0
+    for k in range(-1, space.dof):
+        if k >= 0:
+            f = 12 * k
+            m = space.origin
+            px, py, pz = (
+                px + m[f + 3] * xx + m[f + 7] * yx + m[f + 11] * zx,
+                py + m[f + 3] * xy + m[f + 7] * yy + m[f + 11] * zy,
+                pz + m[f + 3] * xz + m[f + 7] * yz + m[f + 11] * zz,
+            )
+            ax = m[f] * xx + m[f + 4] * yx + m[f + 8] * zx
+            ay = m[f] * xy + m[f + 4] * yy + m[f + 8] * zy
+            az = m[f] * xz + m[f + 4] * yz + m[f + 8] * zz
+            bx = m[f + 1] * xx + m[f + 5] * yx + m[f + 9] * zx
+            by = m[f + 1] * xy + m[f + 5] * yy + m[f + 9] * zy
+            bz = m[f + 1] * xz + m[f + 5] * yz + m[f + 9] * zz
+            zx, zy, zz = (
+                m[f + 2] * xx + m[f + 6] * yx + m[f + 10] * zx,
+                m[f + 2] * xy + m[f + 6] * yy + m[f + 10] * zy,
+                m[f + 2] * xz + m[f + 6] * yz + m[f + 10] * zz,
+            )
+            q = space.start[k] + space.step[k] * t
+            if space.revolute[k] != 0:
+                s, c = sine_cosine(q)
+                xx, xy, xz = c * ax + s * bx, c * ay + s * by, c * az + s * bz
+                yx, yy, yz = c * bx - s * ax, c * by - s * ay, c * bz - s * az
+            else:
+                xx, xy, xz, yx, yy, yz = ax, ay, az, bx, by, bz
+                px, py, pz = px + q * zx, py + q * zy, pz + q * zz
+        while link < space.links and space.link_joint[link] == k:
+            at = link * 3 * LANES
+            b = space.bounds
+            i = 4 * link
+            store(space.centers, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
+            store(space.centers, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
+            store(space.centers, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
+            b = space.spheres
+            for ball in range(space.link_first[link], space.link_first[link + 1]):
+                at = (space.links + ball) * 3 * LANES
+                i = 4 * ball
+                store(space.centers, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
+                store(space.centers, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
+                store(space.centers, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
+            if k >= 0:
+                hit, close = meets_world(space, link, half)
+                near |= close
+                if hit != 0:
+                    return hit, near
+            link += 1
+    for pair in range(space.pairs):
+        hit, close = meet(space, space.pair[2 * pair], space.pair[2 * pair + 1], half)
+        near |= close
+        if hit != 0:
+            return hit, near
+    return np.uint32(0), near

@@ -1,0 +1,61 @@
+"""Forward kinematics of one configuration in float64, as answers and exact verification need it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.compiled import brief, inlined
+
+Array = NDArray[np.float64]
+
+
+@inlined
+def joint_frames(origin: Array, revolute: NDArray[np.bool_], q: Array, out: Array) -> None:
+    """Frames (dof, 3, 4) that move with each joint, in the base frame.
+
+    `origin` (dof, 3, 4) is each joint's frame in the one before it at q = 0, with the joint's axis along its z.
+    """
+    for k in range(q.shape[0]):
+        c = math.cos(q[k]) if revolute[k] else 1.0
+        s = math.sin(q[k]) if revolute[k] else 0.0
+        slide = 0.0 if revolute[k] else q[k]
+        for i in range(3):
+            if k == 0:
+                x, y, z, p = origin[0, i, 0], origin[0, i, 1], origin[0, i, 2], origin[0, i, 3]
+            else:
+                a, b, d = out[k - 1, i, 0], out[k - 1, i, 1], out[k - 1, i, 2]
+                x = a * origin[k, 0, 0] + b * origin[k, 1, 0] + d * origin[k, 2, 0]
+                y = a * origin[k, 0, 1] + b * origin[k, 1, 1] + d * origin[k, 2, 1]
+                z = a * origin[k, 0, 2] + b * origin[k, 1, 2] + d * origin[k, 2, 2]
+                p = a * origin[k, 0, 3] + b * origin[k, 1, 3] + d * origin[k, 2, 3] + out[k - 1, i, 3]
+            out[k, i, 0] = c * x + s * y
+            out[k, i, 1] = c * y - s * x
+            out[k, i, 2] = z
+            out[k, i, 3] = p + slide * z
+
+
+@brief
+def frames(
+    origin: Array, revolute: NDArray[np.bool_], joint: NDArray[np.int32], offset: Array, q: Array, out: Array
+) -> None:
+    """Transforms (n, m, 4, 4) in the base frame of m frames, for the n configurations `q` (n, dof).
+
+    Frame j is rigidly attached at `offset[j]` (4, 4) to the joint `joint[j]`, or to the base where that is -1.
+    """
+    moving = np.empty((q.shape[1], 3, 4))
+    for n in range(q.shape[0]):
+        joint_frames(origin, revolute, q[n], moving)
+        for j in range(joint.shape[0]):
+            for i in range(3):
+                for c in range(4):
+                    if joint[j] < 0:
+                        out[n, j, i, c] = offset[j, i, c]
+                    else:
+                        m = moving[joint[j], i]
+                        value = m[0] * offset[j, 0, c] + m[1] * offset[j, 1, c] + m[2] * offset[j, 2, c]
+                        out[n, j, i, c] = value + m[3] if c == 3 else value
+            out[n, j, 3, 0] = out[n, j, 3, 1] = out[n, j, 3, 2] = 0.0
+            out[n, j, 3, 3] = 1.0

@@ -1,0 +1,158 @@
+"""Meshes of the scene: read from files in configured folders, checked, and turned to convex shapes."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import stat
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import Mesh
+from zarm_geometry import rows
+from zarm_geometry.solid import inside
+
+Array = NDArray[np.float64]
+
+MAX_TRIANGLES = 100_000
+MAX_BYTES = 32 * 1024 * 1024
+FARTHEST = 1e3
+"""No vertex is further (m) from the mesh's origin."""
+_SUFFIXES = (".stl", ".obj")
+
+_Known = tuple[str, tuple[float, float, float]]
+"""Digest of a file and scale."""
+
+
+class Meshes:
+    """Shapes of meshes, by the content of their files: a file is read when a mesh is added, and once after a start.
+
+    A closed mesh, whose triangles are all wound the same way, is solid: its inside is filled with boxes. Of any other mesh
+    only the surface is an obstacle.
+    """
+
+    def __init__(self, folders: Sequence[Path] = ()) -> None:
+        self._folders = tuple(folders)
+        self._known: dict[_Known, Array] = {}
+
+    def checked(self, item: Mesh, field: str) -> Mesh:
+        """The mesh with its file's digest; from now on its shapes are known. Raises InvalidRequest."""
+        digest, _ = self._read(item, field)
+        return item.model_copy(update={"sha256": digest})
+
+    def rows(self, item: Mesh) -> Array:
+        """The shapes (n, 17) of a mesh of the scene, in its own frame, see `zarm_geometry.rows`.
+
+        Raises Unavailable where its file has to be read again and is not there any more, or is another one.
+        """
+        known = self._known.get((item.sha256 or "", item.scale))
+        if known is not None:
+            return known
+        try:
+            return self._read(item, "")[1]
+        except InvalidRequest as error:
+            raise Unavailable(
+                f"the scene holds the mesh {item.name}, which cannot be read: {error.problem.message}. Until its file is "
+                f"back, or {item.name} is removed or replaced, nothing can be planned"
+            ) from error
+
+    def count(self, item: Mesh) -> int:
+        """How many shapes a mesh consists of; 0 while its file cannot be read."""
+        return len(self._known.get((item.sha256 or "", item.scale), ()))
+
+    def keep(self, items: Iterable[Mesh]) -> None:
+        """Forget the shapes of all other meshes."""
+        wanted = {(item.sha256, item.scale) for item in items}
+        self._known = {key: value for key, value in list(self._known.items()) if key in wanted}
+
+    def _read(self, item: Mesh, field: str) -> tuple[str, Array]:
+        """The digest of a mesh's file, and its shapes."""
+        content = self._content(item, field)
+        digest = hashlib.sha256(content).hexdigest()
+        if item.sha256 not in (None, digest):
+            raise InvalidRequest(
+                f"{item.name}: the file {item.file} is not the one with the given sha256; put that one back, or leave "
+                "sha256 out to take the file as it is now",
+                field=f"{field}.sha256",
+            )
+        shapes = self._known.get((digest, item.scale))
+        if shapes is None:
+            shapes = self._known[digest, item.scale] = _shapes(item, content, field)
+        return digest, shapes
+
+    def _content(self, item: Mesh, field: str) -> bytes:
+        """What the mesh's file holds. A link that leads out of the folders is followed no further than that."""
+
+        def refused(reason: str) -> InvalidRequest:
+            return InvalidRequest(f"{item.name}: {reason}", field=f"{field}.file")
+
+        if not self._folders:
+            raise refused("this planner reads no meshes; start it with --meshes FOLDER")
+        if Path(item.file).suffix.lower() not in _SUFFIXES:
+            raise refused(f"{item.file} is neither an .stl nor an .obj file; convert it to one of these")
+        for folder in self._folders:
+            try:
+                home = folder.resolve(strict=True)
+                path = (home / item.file).resolve(strict=True)
+                if not path.is_relative_to(home):
+                    raise refused(
+                        f"{item.file} lies outside the mesh folders; copy it into one, and name it relative to that"
+                    )
+                about = path.stat()
+                if not stat.S_ISREG(about.st_mode):
+                    raise refused(f"{item.file} is not a file")
+                if about.st_size > MAX_BYTES:
+                    raise refused(f"{item.file} has {about.st_size} bytes, more than {MAX_BYTES}; simplify the mesh")
+                return path.read_bytes()
+            except FileNotFoundError:
+                continue
+            except (OSError, ValueError, RuntimeError) as error:  # a null character or a loop of links in the name, too
+                raise refused(f"cannot read {item.file}: {getattr(error, 'strerror', None) or error}") from error
+        raise refused(f"there is no file {item.file} in {', '.join(map(str, self._folders))}; check the name")
+
+
+def _shapes(item: Mesh, content: bytes, field: str) -> Array:
+    """The shapes (n, 17) of a file's content. Raises InvalidRequest."""
+    import trimesh  # takes half a second, which a planner without meshes need not wait
+
+    def refused(reason: str) -> InvalidRequest:
+        return InvalidRequest(f"{item.name}: {reason}", field=f"{field}.file")
+
+    kind = Path(item.file).suffix[1:].lower()
+    try:
+        # From memory and without materials: so a file cannot make other files be read.
+        loaded = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
+    except ImportError as error:  # text in an unknown encoding, which trimesh has a further package guess
+        raise refused(
+            f"{item.file} holds no triangles as {kind.upper()}, nor text in UTF-8; export it again"
+        ) from error
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise refused(f"{item.file} cannot be read as {kind.upper()}: {error}; export it again") from error
+    faces = np.asarray(loaded.faces)
+    if not len(faces) or loaded.vertices.shape[1] != 3:
+        raise refused(f"{item.file} holds no triangles in space; export it again as {kind.upper()}")
+    if len(faces) > MAX_TRIANGLES:
+        raise refused(f"{item.file} has {len(faces)} triangles, more than {MAX_TRIANGLES}; simplify the mesh")
+    vertices = np.asarray(loaded.vertices) * item.scale
+    used = vertices[faces]
+    if not np.isfinite(used).all():
+        raise refused(f"{item.file} has corners that are no numbers; export it again")
+    if np.abs(used).max() > FARTHEST:
+        raise refused(
+            f"{item.file} reaches further than {FARTHEST:g} m from its origin; meshes are in m, so give one that is in mm "
+            "the scale 0.001"
+        )
+    surface = rows.triangles(used)
+    if not len(surface):
+        raise refused(f"{item.file} holds only triangles without area; check the scale, or export it again")
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices()
+    a, b, c = mesh.faces.T
+    mesh.update_faces((a != b) & (b != c) & (c != a))
+    if not mesh.is_watertight or not mesh.is_winding_consistent:
+        return surface
+    return np.concatenate([surface, rows.boxes(*inside(np.asarray(mesh.triangles)))])

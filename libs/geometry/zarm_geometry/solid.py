@@ -1,0 +1,106 @@
+"""What is inside a closed surface of triangles, filled with boxes so that nothing can hide there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.voxels import edges, merged
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CELLS = 32
+"""Along the longest side of the surface's bounding box, the inside is divided into at most so many cells."""
+_PAIRS = 1_000_000
+"""At most so many pairs of a triangle and a column of cells are looked at; the grid is made coarser until they are."""
+_SLACK = 1e-6
+"""By this part of its size a cell is taken for larger, so that no rounding error lets a triangle slip between two."""
+
+
+def inside(triangles: Array) -> tuple[Array, Array]:
+    """Boxes, by their corners (m, 3), within the surface of `triangles` (n, 3, 3), which is closed and wound one way.
+
+    They are cells of a grid that no triangle touches and that the surface winds around, merged; so what they leave out is
+    nowhere further from the surface than the diagonal of a cell.
+    """
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    cells = CELLS
+    while True:
+        size = float((high - low).max()) / cells
+        scaled = (triangles - low) / size
+        first = np.floor(scaled[:, :, :2].min(axis=1) - _SLACK).astype(np.int64)
+        count = np.floor(scaled[:, :, :2].max(axis=1) + _SLACK).astype(np.int64) - first + 1
+        if cells == 1 or count.prod(axis=1).sum() <= _PAIRS:
+            break
+        cells //= 2
+    enclosed = np.argwhere(_enclosed(scaled, first, count, cells))
+    lower, upper = edges(*merged(enclosed), size)
+    return lower + size / 2 + low, upper + size / 2 + low
+
+
+def _enclosed(corners: Array, first: Index, count: Index, cells: int) -> NDArray[np.bool_]:
+    """Which unit cells (x, y, z) of a grid are wholly inside; `first` and `count` (n, 2) are each triangle's columns."""
+    pairs = count.prod(axis=1)
+    owner = np.repeat(np.arange(len(corners)), pairs)
+    number = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    column = first[owner] + np.column_stack(np.divmod(number, count[owner, 1]))
+    meets = _overlap(corners[:, :, :2], owner, column + 0.5)
+    owner, column = owner[meets], column[meets]
+
+    # Heights of the triangles' planes above x and y, steep ones over the whole height of the triangle.
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    steep = np.abs(normal[:, 2]) <= 1e-9 * np.linalg.norm(normal, axis=1)
+    slope = -normal[:, :2] / np.where(steep, np.inf, normal[:, 2])[:, None]
+    level = corners[:, 0, 2] - np.einsum("ni,ni->n", slope, corners[:, 0, :2])
+
+    def height(at: Array) -> Array:
+        return np.asarray(level[owner] + np.einsum("ni,ni->n", slope[owner], at))
+
+    middle = height(column + 0.5)
+    reach = np.where(steep[owner], np.inf, np.abs(slope[owner]).sum(axis=1) / 2)
+    bottom = np.maximum(middle - reach, corners[owner, :, 2].min(axis=1))
+    top = np.minimum(middle + reach, corners[owner, :, 2].max(axis=1))
+
+    grid = (cells + 2, cells + 2, cells + 3)  # with a layer around, where nothing is inside
+
+    def summed(column: Index, z: Array, weight: Array) -> Array:
+        """Weights added up along each column, each from its height on."""
+        layer = np.clip(np.floor(z).astype(np.int64) + 1, 0, cells + 2)
+        flat = np.ravel_multi_index((column[:, 0] + 1, column[:, 1] + 1, layer), grid)
+        return np.cumsum(np.bincount(flat, weight, minlength=int(np.prod(grid))).reshape(grid), axis=2)
+
+    one = np.ones(len(owner))
+    touched = summed(column, bottom - _SLACK, one) - summed(column, top + _SLACK + 1, one)
+    # A line up through each column, where it hardly meets an edge, passes in and out of the surface.
+    line = column + np.array([0.5 + 0.0271828, 0.5 - 0.0314159])
+    turns = np.sign(normal[owner, 2]) * _contains(corners[:, :, :2], owner, line)
+    winding = summed(column, np.clip(height(line), bottom, top), turns)
+    closed = np.abs(winding[:, :, -1:]) < 0.5  # else the line met an edge after all
+    return ((touched < 0.5) & (np.abs(winding) > 0.5) & closed)[1:-1, 1:-1, 1:-1]
+
+
+def _overlap(corners: Array, owner: Index, center: Array) -> NDArray[np.bool_]:
+    """Whether unit squares around `center` (m, 2) meet triangles (n, 3, 2): no edge of the triangle parts them.
+
+    The squares lie within the triangle's bounding box already: so this is the separating axis test for convex polygons.
+    """
+    meets = np.ones(len(owner), bool)
+    for edge in range(3):
+        along = corners[:, (edge + 1) % 3] - corners[:, edge]
+        normal = np.column_stack([-along[:, 1], along[:, 0]])
+        extents = np.einsum("nki,ni->nk", corners, normal)
+        half = (0.5 + _SLACK) * np.abs(normal).sum(axis=1)
+        at = np.einsum("mi,mi->m", center, normal[owner])
+        meets &= (at <= (extents.max(axis=1) + half)[owner]) & (at >= (extents.min(axis=1) - half)[owner])
+    return meets
+
+
+def _contains(corners: Array, owner: Index, point: Array) -> Array:
+    """1.0 where triangles (n, 3, 2) contain points (m, 2), else 0.0."""
+    sides = []
+    for edge in range(3):
+        along, start = corners[:, (edge + 1) % 3] - corners[:, edge], corners[:, edge]
+        apart = point - start[owner]
+        sides.append(along[owner, 0] * apart[:, 1] - along[owner, 1] * apart[:, 0] > 0.0)
+    return np.asarray((sides[0] == sides[1]) & (sides[1] == sides[2]), np.float64)

@@ -1,0 +1,1 @@
+"""What a motion keeps of the pose of the tip."""

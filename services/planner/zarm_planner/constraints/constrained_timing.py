@@ -1,0 +1,86 @@
+"""Trajectories that keep a path constraint: a smooth curve on its manifold, timed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.deadline import Deadline
+from zarm_planner.timing.time_parameterization import through, time_curve
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = NDArray[np.float64]
+
+_SPACING = 0.1
+"""Rad: between the points through which the curve goes at first."""
+_ROUNDS = 5
+"""How often the curve may be brought closer to the path, each time with points half as far apart."""
+_ON_MANIFOLD = 2
+"""In so many rounds the points are brought onto the manifold; after that they stay on the steps of the path."""
+_LOOKS = 4
+"""Moments looked at per interval between two points of the curve."""
+_RANGE = 8e-5
+"""Rad or m by which a curve may be outside the joints' ranges; a little less than `verify` allows."""
+_ROOM = 0.9
+"""The part of the tolerances that the curve may use there."""
+
+
+def time_constrained(
+    constraint: PathConstraint,
+    path: Array,
+    limits: Limits,
+    dt: float,
+    *,
+    free: Callable[[Array], bool],
+    deadline: Deadline,
+    vias: Sequence[int] = (),
+) -> TimedTrajectory | None:
+    """The fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or a little less.
+
+    Its rows `vias` are among them, so that the motion passes these exactly. Where configurations (n, dof) along the curve are
+    not `free`, or break the constraint, the points are put closer together. None where
+    that does not help, or `deadline` came first.
+
+    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    """
+    length = np.insert(np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)), 0, 0.0)
+    if length[-1] < 1e-6:
+        return TimedTrajectory.standing(path[0], dt)
+    allowed = max(_ROOM, float(constraint.use(path[[0, -1]]).max()))
+    for halved in range(_ROUNDS):
+        if deadline.passed:
+            return None
+        at, fixed = _along(length[[0, *vias, len(path) - 1]], _SPACING / 2**halved)
+        points = np.stack([np.interp(at, length, joint) for joint in path.T], axis=1)
+        # Between the ends of a step the manifold may touch what the step, known to be free, does not: in the end the curve
+        # keeps to the steps themselves.
+        if halved < _ON_MANIFOLD and (near := constraint.projected(points[~fixed])) is not None:
+            points[~fixed] = near
+        curve = through(points)
+        looks = np.linspace(0.0, curve.duration, _LOOKS * len(points))
+        rows, _, _ = curve.sample(looks)
+        if (
+            np.all(np.maximum(constraint.model.lower - rows, rows - constraint.model.upper) <= _RANGE)
+            and constraint.use(rows).max() <= allowed
+            and free(rows)
+        ):
+            return time_curve(curve, limits, dt)
+    return None
+
+
+def _along(knots: Array, spacing: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Lengths (n,) along a path, `spacing` apart at most and at least three to a stretch between `knots` (k,), which are among
+    them; and which these are (n,).
+    """
+    at, fixed = [knots[:1]], [np.ones(1, np.bool_)]
+    for a, b in itertools.pairwise(knots):
+        count = max(3, math.ceil((b - a) / spacing)) if b > a else 0
+        at.append(np.linspace(a, b, count + 1)[1:])
+        fixed.append(np.arange(count) == count - 1)
+    return np.concatenate(at), np.concatenate(fixed)

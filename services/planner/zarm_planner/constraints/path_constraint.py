@@ -1,0 +1,112 @@
+"""The path constraint: what a motion keeps of the tip's pose at its start, how far off a pose is, and the way back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self, TypeGuard
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import HeldAxes
+from zarm_geometry.robot_model import RobotModel
+from zarm_planner.kernels.inverse import Chain
+from zarm_planner.kernels.manifold import ConstraintArrays, deviations, project_all
+
+Array = NDArray[np.float64]
+
+NAMES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
+"""The components of a pose in the order of `HeldAxes.axes`."""
+
+
+def constrains(message: HeldAxes | None) -> TypeGuard[HeldAxes]:
+    """Whether a request asks for a path constraint: one that names no axes keeps nothing."""
+    return message is not None and any(message.axes)
+
+
+@dataclass(frozen=True)
+class PathConstraint:
+    """The components of the tip's pose that a motion keeps as they are at its start.
+
+    The deviation of a pose T from the start's T0 is, along the axes of the base, the rotation vector (axis times angle, at
+    most pi) of R R0^T and p - p0; in the `tool` frame, along the axes that the tip has at the start, that of R0^T R and
+    R0^T (p - p0). A pose keeps the constraint where each constrained component is within its tolerance.
+    """
+
+    model: RobotModel
+    frame: str
+    arrays: ConstraintArrays
+
+    @classmethod
+    def of(cls, model: RobotModel, message: HeldAxes, start: Array) -> Self:
+        """What `message` asks for, from the pose `start` (4, 4) of the tip in the base frame on."""
+        pose = np.array(start, np.float64, order="C")
+        return cls(
+            model,
+            message.frame,
+            ConstraintArrays(
+                Chain(model.origin, model.revolute, model.offset[-1], model.lower, model.upper),
+                pose,
+                np.eye(3) if message.frame == "base" else np.ascontiguousarray(pose[:3, :3].T),
+                np.flatnonzero(message.axes).astype(np.int64),
+                np.repeat((message.angle_tolerance, message.position_tolerance), 3),
+            ),
+        )
+
+    def deviations(self, poses: ArrayLike) -> Array:
+        """How far poses (n, 4, 4) of the tip are from the start, (n, 6): rad about and m along x, y, z."""
+        rows = np.array(poses, np.float64, order="C").reshape(-1, 4, 4)
+        out = np.empty((len(rows), 6))
+        deviations(self.arrays, rows, out)
+        return out
+
+    def use(self, q: ArrayLike) -> Array:
+        """Which part of the tolerances configurations (n, dof) use, (n,): over 1 the constraint is broken."""
+        used = self._used(self.model.fk_tip(np.reshape(q, (-1, self.model.dof))))
+        worst: Array = np.max(used, axis=1, initial=0.0)
+        return worst
+
+    def violation(self, q: ArrayLike) -> tuple[int, str] | None:
+        """Where along configurations (n, dof) the constraint is broken most, and a phrase that says by how much.
+
+        None where it is kept.
+        """
+        poses = self.model.fk_tip(np.reshape(q, (-1, self.model.dof)))
+        used = self._used(poses)
+        if used.max(initial=0.0) <= 1.0:
+            return None
+        row = int(np.argmax(used.max(axis=1)))
+        return row, self._phrase(poses[row])
+
+    def check_goal(self, pose: Array, field: str) -> None:
+        """Raises InvalidRequest for `field` unless the pose (4, 4) keeps the constraint."""
+        if self._used(pose).max(initial=0.0) > 1.0:
+            raise InvalidRequest(
+                f"the goal breaks the path constraint: there, {self._phrase(pose)} as seen from the start; "
+                "choose a goal that agrees with the start in these components, or constrain fewer",
+                field=field,
+            )
+
+    def projected(self, q: ArrayLike) -> Array | None:
+        """Configurations (n, dof) within the joints' ranges, near `q` (n, dof), that keep the constraint.
+
+        To `kernels.manifold.CLOSE`; None where they cannot be found for all.
+        """
+        rows = np.array(q, np.float64, order="C").reshape(-1, self.model.dof)
+        return rows if project_all(self.arrays, rows) == len(rows) else None
+
+    def _used(self, poses: Array) -> Array:
+        """The part of each tolerance that poses (n, 4, 4) use, (n, axes)."""
+        axes = self.arrays.axes
+        used: Array = np.abs(self.deviations(poses)[:, axes]) / self.arrays.tolerance[axes]
+        return used
+
+    def _phrase(self, pose: Array) -> str:
+        deviation = self.deviations(pose)[0]
+        parts = []
+        for i in self.arrays.axes[self._used(pose)[0] > 1.0].tolist():
+            factor, unit = (np.rad2deg(1.0), "deg") if i < 3 else (1e3, "mm")
+            off, allowed = abs(deviation[i]) * factor, self.arrays.tolerance[i] * factor
+            parts.append(f"{NAMES[i]} would be off by {off:.2f} {unit} ({allowed:.2f} {unit} allowed)")
+        return f"in the {self.frame} frame, {' and '.join(parts)}"

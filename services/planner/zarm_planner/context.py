@@ -1,0 +1,60 @@
+"""What a request carries through all stages of its planning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from zarm_contract.messages import HeldAxes
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.stage_timer import StageTimer
+from zarm_trajectory.limits import Limits
+
+
+@dataclass(frozen=True)
+class PlanningContext:
+    """The scene and the options of one request.
+
+    A search gives up after `max_attempts`, each with the next `seed`, or at the `deadline`. For `optimize_s` (s) after the
+    first trajectory faster ones are looked for. `timer` is told where the time goes.
+    """
+
+    scene: PlanningScene
+    limits: Limits
+    deadline: Deadline
+    path_constraint: HeldAxes | None = None
+    max_attempts: int = 100
+    optimize_s: float = 0.0
+    seed: int = 0
+    timer: StageTimer = field(default_factory=StageTimer)
+
+    @property
+    def model(self) -> RobotModel:
+        """The robot as it is in the scene."""
+        return self.scene.model
+
+    @property
+    def world(self) -> World:
+        """The obstacles, with the margin that is kept to them."""
+        return self.scene.world
+
+    @property
+    def exact(self) -> ExactScene:
+        """Exact geometry of the robot and the obstacles."""
+        return self.scene.exact
+
+    @property
+    def dt(self) -> float:
+        """The sample period (s) of trajectories."""
+        return self.model.robot.descriptor.interpolation_dt
+
+    def with_seed(self, seed: int) -> PlanningContext:
+        """The same with another seed."""
+        return replace(self, seed=seed)
+
+    def for_optimization(self) -> PlanningContext:
+        """The same for the `optimize_s` from now on; the stages of what is tried then are not timed one by one."""
+        return replace(self, deadline=self.deadline.sooner(self.optimize_s), timer=StageTimer())

@@ -1,0 +1,1 @@
+"""Where a motion starts and where it may go."""

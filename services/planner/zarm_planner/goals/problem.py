@@ -1,0 +1,57 @@
+"""The problem that a planner is to solve: from where, through which targets, keeping what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.messages import Goal, JointGoal, PoseGoal, WaypointsGoal
+from zarm_planner.constraints.path_constraint import PathConstraint, constrains
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.ends import End, goal_ends, start_end
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A start and the targets in their order, the last of which is the goal; each can be reached in one way or several.
+
+    `goal` is what was asked for. `constraint`, where there is one, is kept from the start on.
+    """
+
+    start: End
+    targets: tuple[tuple[End, ...], ...]
+    goal: Goal
+    constraint: PathConstraint | None
+
+    @classmethod
+    def of(cls, context: PlanningContext, start: Array, goal: Goal) -> Problem:
+        """The problem to get from `start` (dof,) to the goal; of each target, what is near to the one before stands first.
+
+        Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`), InvalidRequest for a goal that does
+        not keep the constraint, and what the deadline raises.
+        """
+        model, constraint = context.model, None
+        if constrains(context.path_constraint):
+            constraint = PathConstraint.of(model, context.path_constraint, model.fk_tip(start))
+        begin = start_end(context, start, constraint)
+        through: dict[str, PoseGoal | JointGoal]
+        if isinstance(goal, WaypointsGoal):
+            through = {f"goal.through.{number}": waypoint for number, waypoint in enumerate(goal.through)}
+        else:
+            through = {"goal": goal}
+        targets: list[tuple[End, ...]] = []
+        for field, target in through.items():
+            targets.append(goal_ends(context, start, target, field, constraint))
+            start = targets[-1][0].asked
+            if constraint is not None:
+                constraint.check_goal(model.fk_tip(start), field)
+        return cls(begin, tuple(targets), goal, constraint)
+
+    @property
+    def goals(self) -> Array:
+        """The configurations (n, dof) at which a trajectory may end."""
+        return np.array([end.asked for end in self.targets[-1]])

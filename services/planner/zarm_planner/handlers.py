@@ -1,0 +1,303 @@
+"""What the planner process answers: requests in, messages out, whatever carries them."""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import threading
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
+from zarm_contract.messages import (
+    AttachObject,
+    CancelledPlan,
+    CancelPlan,
+    CheckRequest,
+    CheckResult,
+    CheckResults,
+    DetachObject,
+    FkPoses,
+    FkRequest,
+    IkRequest,
+    IkSolutions,
+    Occupancy,
+    OccupancyRequest,
+    Plan,
+    PlannerSettings,
+    PlanRequest,
+    PlanTimings,
+    Scene,
+    SceneEdit,
+    SceneRevision,
+    SetLinkCollision,
+    SettingsChange,
+)
+from zarm_geometry.exact import RESOLUTION, ExactScene
+from zarm_geometry.frames import matrix, pose_of
+from zarm_geometry.occupancy import reached_cells
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.sphere_distances import sphere_distances
+from zarm_geometry.world import World
+from zarm_planner.constraints.path_constraint import constrains
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.goals.joints import checked, within_range
+from zarm_planner.kinematics.batches import batch_fk, batch_ik
+from zarm_planner.pipeline import Verified, plan
+from zarm_planner.planners.base import Planner
+from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.scene.store import SceneStore
+from zarm_planner.scheduler import Scheduler
+from zarm_planner.warm_up import warm_up
+from zarm_runtime.asking import asker
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+
+log = logging.getLogger(__name__)
+
+_MARGINS = 4
+"""How many margins a scene is kept ready with."""
+_BATCH_TIMEOUT = 60.0
+"""Seconds that a batch of kinematics or checks may take."""
+
+
+class Handlers:
+    """All answers for one robot, for any number of threads, each working for its `asker`. `name` is the robot's on the bus.
+
+    `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`). `is_there` tells whether
+    a client that has left has come back. `planners` are those to choose from.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        name: str,
+        store: SceneStore,
+        measured: Callable[[], Array],
+        is_there: Callable[[str], bool] = lambda _: False,
+        planners: Sequence[Planner] = PLANNERS,
+    ) -> None:
+        self._model = model
+        self._name = name
+        self._store = store
+        self._measured = measured
+        self._planners = planners
+        self._scheduler = Scheduler(os.cpu_count() or 1, is_there)
+        self._lock = threading.Lock()
+        self._settings = PlannerSettings()
+        self._scenes: dict[float, PlanningScene] = {}  # by margin, the one used last at the end
+
+    def warm_up(self, report: Callable[[str], None]) -> None:
+        """Compile what plans run on, or load it; `report` is told what comes next."""
+        warm_up(self._model, report)
+        report("loading the scene")
+        try:
+            self._look()
+        except Unavailable as error:  # every plan will say so, until the scene is edited
+            log.error("scene cannot be used reason=%s", error)
+
+    def close(self) -> None:
+        """End all work in hand; from now on there is only Unavailable."""
+        self._scheduler.close()
+
+    def plan(self, request: PlanRequest) -> Plan:
+        """A verified trajectory to the goal. Raises a ZarmError that says why there is none."""
+        settings, model = self._settings, self._model
+        if self._store.lost is not None:
+            raise Unavailable(self._store.lost)
+        planner = self._choose(request)
+
+        def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
+            start = within_range(model, self._measured() if request.start is None else request.start, "start")
+            context = PlanningContext(
+                scene=self._look(request.margin),
+                limits=Limits.of(
+                    model.robot,
+                    request.velocity_scale or settings.velocity_scale,
+                    request.acceleration_scale or settings.acceleration_scale,
+                ),
+                deadline=deadline,
+                path_constraint=request.held,
+                max_attempts=request.max_attempts or settings.max_attempts,
+                optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
+                seed=request.seed,
+            )
+            verified = plan(planner, context, start, request.goal)
+            return context.scene.revision, verified, context.timer.timings()
+
+        revision, verified, timings = self._scheduler.run(
+            work, asker(), request.timeout or settings.timeout, request.request_id
+        )
+        trajectory = verified.trajectory
+        return Plan(
+            plan_id=f"p-{secrets.token_hex(4)}",
+            robot=self._name,
+            robot_hash=model.robot.hash,
+            scene_revision=revision,
+            trajectory=trajectory.message(model.robot.descriptor.joints),
+            tip=pose_of(model.fk_tip(trajectory.position[-1])),
+            clearance=verified.clearance,
+            resolution=RESOLUTION,
+            waypoint_times=verified.waypoint_times,
+            path_length=trajectory.length,
+            timings=timings,
+        )
+
+    def planner_name(self, request: PlanRequest) -> str:
+        """The name of the planner that takes a request, or would if the request named none. Raises InvalidRequest."""
+        try:
+            planner = self._choose(request)
+        except InvalidRequest:
+            planner = self._choose(request.model_copy(update={"planner": AUTO}))
+        return planner.names[request.goal.kind]
+
+    def _choose(self, request: PlanRequest) -> Planner:
+        name = request.planner or self._settings.planner
+        return choose(name, request.goal, constrains(request.held), self._planners)
+
+    def cancel(self, request: CancelPlan) -> CancelledPlan:
+        """End the planning of a request, or of one that is still on its way here."""
+        return CancelledPlan(was_running=self._scheduler.cancel(request.request_id))
+
+    def leave(self, client: str) -> None:
+        """End all that is in hand for a client that can no longer be answered."""
+        self._scheduler.leave(client)
+
+    def ik(self, request: IkRequest) -> IkSolutions:
+        """Joints for poses. Raises InvalidRequest."""
+        model = self._model
+        near = self._measured_or_home() if request.near is None else checked(model, request.near, "near")
+        poses = np.array([matrix(pose.position, pose.orientation) for pose in request.poses])
+
+        def work(deadline: Deadline) -> IkSolutions:
+            scene = self._look()
+            found = batch_ik(
+                scene.model,
+                poses,
+                near,
+                world=scene.world if request.collision_free else None,
+                max_solutions=request.max_solutions,
+                seed=request.seed,
+                device=request.device,
+                deadline=deadline,
+            )
+            return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
+
+        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
+
+    def fk(self, request: FkRequest) -> FkPoses:
+        """Poses for joints. Raises InvalidRequest."""
+        joints = np.array([checked(self._model, q, f"joints.{i}") for i, q in enumerate(request.joints)])
+        poses = batch_fk(self._model, joints, request.device)
+        return FkPoses(poses=tuple(pose_of(pose) for pose in poses))
+
+    def check(self, request: CheckRequest) -> CheckResults:
+        """Exact distances of configurations. Raises InvalidRequest, or ExecutionRefused where nothing is measured."""
+        model = self._model
+        if request.joints is None:
+            joints = [self._measured()]
+        else:
+            joints = [checked(model, q, f"joints.{i}") for i, q in enumerate(request.joints)]
+
+        def work(deadline: Deadline) -> CheckResults:
+            scene, results = self._look(), []
+            for q in joints:
+                deadline.check()
+                nearest = scene.exact.nearest(q)
+                spheres = tuple(sphere_distances(model, scene.world, q).tolist()) if request.spheres else None
+                results.append(
+                    CheckResult(
+                        in_collision=nearest.distance <= 0.0,
+                        within_limits=bool(np.all((q >= model.lower) & (q <= model.upper))),
+                        clearance=nearest.distance,
+                        pair=nearest.pair,
+                        spheres=spheres,
+                    )
+                )
+            return CheckResults(results=tuple(results))
+
+        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
+
+    def occupancy(self, request: OccupancyRequest) -> Occupancy:
+        """Which cells of a grid the scene's objects reach into. Raises InvalidRequest where they are too many."""
+
+        def work(deadline: Deadline) -> Occupancy:
+            scene = self._look()
+            cells = reached_cells(scene.world, request.resolution, deadline.check)
+            return Occupancy.model_construct(  # whose cells were just counted; to validate so many takes longer than to find them
+                scene_revision=scene.revision,
+                resolution=request.resolution,
+                cells=tuple(map(tuple, cells.tolist())),
+            )
+
+        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
+
+    def edit(self, request: SceneEdit) -> Scene:
+        """Apply an edit of the scene and return the result.
+
+        Raises InvalidRequest for a fault of the edit, ExecutionRefused where it needs joints and nothing is measured, and
+        Unavailable where it cannot be saved; then nothing has changed.
+        """
+        match request.edit:
+            case SetLinkCollision(names=names, enabled=enabled):
+                self._check_links(names, "edit.names")
+                if not enabled and {*self._model.links} <= {*names, *self._store.scene.ignored_links}:
+                    raise InvalidRequest(
+                        "no link would be checked any more, so that nothing would keep the robot from colliding; leave one",
+                        field="edit.names",
+                    )
+            case AttachObject(name=name, touch_links=touch_links):
+                self._check_links(touch_links, "edit.touch_links")
+                if name in self._model.links:
+                    raise InvalidRequest(
+                        f"{name} is a link of the robot; add the object under another name", field="edit.name"
+                    )
+        if not isinstance(request.edit, AttachObject | DetachObject):
+            return self._store.edit(request)
+        given = request.edit.joints
+        q = self._measured() if given is None else checked(self._model, given, "edit.joints")
+        return self._store.edit(request, self._model.fk_tip(q))
+
+    def _check_links(self, names: tuple[str, ...], field: str) -> None:
+        links = self._model.links
+        for i, name in enumerate(names):
+            if name not in links:
+                raise InvalidRequest(
+                    f"{name} is not a link that can collide; those are {', '.join(links)}", field=f"{field}.{i}"
+                )
+
+    def change_settings(self, change: SettingsChange) -> PlannerSettings:
+        """Apply what the change names, all of it at once, and return all settings. Raises InvalidRequest."""
+        if change.planner is not None:
+            check_name(change.planner, self._planners)
+        with self._lock:
+            self._settings = self._settings.model_copy(update=change.model_dump(exclude_none=True))
+            return self._settings
+
+    def _look(self, margin: float | None = None) -> PlanningScene:
+        """The present scene, made ready for planning once per revision and margin (m, left out: that of the settings).
+
+        Raises Unavailable while the file of one of its meshes is missing.
+        """
+        with self._lock:
+            scene, kept = self._store.scene, self._settings.margin if margin is None else margin
+            ready = self._scenes.pop(kept, None)
+            if ready is None or ready.revision != scene.revision:
+                model = self._model.with_attached(scene.attached, scene.ignored_links)
+                world = World(scene.objects, kept, self._store.meshes)
+                ready = PlanningScene(scene.revision, model, world, ExactScene(model, world))
+                self._scenes = {other: old for other, old in self._scenes.items() if old.revision == scene.revision}
+            self._scenes[kept] = ready
+            if len(self._scenes) > _MARGINS:
+                del self._scenes[next(iter(self._scenes))]
+            return ready
+
+    def _measured_or_home(self) -> Array:
+        try:
+            return self._measured()
+        except ExecutionRefused:
+            return np.array(self._model.robot.descriptor.home)

@@ -1,0 +1,94 @@
+"""Joint solutions for a pose of the tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.kernels.inverse import TURN, Chain, solve
+
+Array = NDArray[np.float64]
+
+_COLLIDING = 64
+"""Colliding solutions after which there is no hope for a free one."""
+
+
+@dataclass(frozen=True)
+class IkResult:
+    """Solutions of one pose.
+
+    `solutions` (n, dof) are within the limits, free, and nearest first; `colliding` (m, dof) reach the pose but collide,
+    nearest first. `distance` (m) and `angle` (rad) are how near the best attempt came to the pose.
+    """
+
+    solutions: Array
+    colliding: Array
+    distance: float
+    angle: float
+
+
+def solve_ik(
+    model: RobotModel,
+    pose: Array,
+    near: Array,
+    *,
+    world: World | None,
+    max_solutions: int,
+    seed: int,
+    deadline: Deadline,
+) -> IkResult:
+    """Solve for a pose (4, 4) of the tip in the base frame, to 1e-6 m and 1e-6 rad, starting at `near` (dof,).
+
+    Solutions differ by more than 0.1 rad in some joint; a joint that can turn more than once gives one for each turn.
+    With a `world`, solutions are free of it and of the robot itself in spheres. With `max_solutions` 1 the first that is
+    found is returned: the one that `near` leads to, unless that collides.
+    """
+    free = np.empty((max_solutions, model.dof))
+    colliding = np.empty((_COLLIDING, model.dof))
+    found = solve(
+        Chain(model.origin, model.revolute, model.offset[-1], model.lower, model.upper),
+        model.arrays,
+        (world or _NOTHING).arrays,
+        memory(model.arrays),
+        world is not None,
+        np.array(pose, np.float64, order="C"),
+        np.array(near, np.float64, order="C"),
+        free,
+        colliding,
+        np.array([seed], np.uint64),
+        deadline.at,
+    )
+    return IkResult(
+        with_turns(model, free[: found.free], near, max_solutions),
+        _nearest_first(colliding[: found.colliding], near),
+        found.distance,
+        found.angle,
+    )
+
+
+_NOTHING = World((), 0.0)
+
+
+def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:
+    """The `most` nearest among solutions and all that differ from them by full turns; each is its own nearest turn."""
+    rows = _nearest_first(solutions, near)
+    if most == 1:
+        return rows
+    for k in np.flatnonzero(model.revolute & (model.upper - model.lower >= TURN)):
+        # What is not among the nearest after one joint will not be after a further joint has turned away too.
+        turns = np.arange(-((model.upper[k] - model.lower[k]) // TURN), (model.upper[k] - model.lower[k]) // TURN + 1)
+        turned = np.repeat(rows, len(turns), axis=0)
+        turned[:, k] += np.tile(turns * TURN, len(rows))
+        within = (turned[:, k] >= model.lower[k]) & (turned[:, k] <= model.upper[k])
+        rows = _nearest_first(turned[within], near)[:most]
+    return rows
+
+
+def _nearest_first(rows: Array, near: Array) -> Array:
+    return rows[np.argsort(((rows - near) ** 2).sum(axis=1), kind="stable")]

@@ -1,0 +1,44 @@
+"""What a planner is: the interface between the pipeline and the ways to find trajectories."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import ClassVar, Literal
+
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.problem import Problem
+from zarm_trajectory.trajectory import TimedTrajectory
+
+GoalKind = Literal["pose", "joints", "waypoints"]
+"""The `kind` of a goal's message."""
+
+NAMES: Mapping[GoalKind, str] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
+"""The names of planners that take every goal."""
+
+Faster = Callable[[float], TimedTrajectory | None]
+"""Finds a trajectory that is faster than so many seconds, or returns None where there is no more time."""
+
+
+class Planner(ABC):
+    """One way to find trajectories. It has no state: one planner serves any number of requests at a time.
+
+    It is never trusted: the pipeline verifies each trajectory on exact geometry before it leaves the process.
+    """
+
+    names: ClassVar[Mapping[GoalKind, str]]
+    """The kinds of goals that it takes, and by which name a request asks for it with such a goal."""
+    constrained: ClassVar[bool] = False
+    """Whether its trajectories keep a path constraint."""
+
+    @abstractmethod
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+        """Trajectories from rest at the start to rest at the goal, to which the seed of `context` leads; the fastest first.
+
+        There may be none. Further ones are asked for where those before them were refused, so they keep closer to what
+        is known to be free. Raises what the deadline raises.
+        """
+
+    def faster(self, context: PlanningContext, problem: Problem) -> Faster:
+        """What looks for faster trajectories until the deadline of `context`; a planner that knows none leaves this out."""
+        return lambda _: None

@@ -1,0 +1,108 @@
+"""Motions that keep a path constraint: CBiRRT and shortcuts on its manifold, along a smooth curve timed by TOPPRA."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import DeadlineExceeded, InvalidRequest
+from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
+from zarm_planner.constraints.constrained_timing import time_constrained
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.problem import Problem
+from zarm_planner.planners.base import NAMES, Faster, Planner
+from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
+from zarm_planner.timing.improvement import GAIN
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = NDArray[np.float64]
+
+
+class ConstrainedPlanner(Planner):
+    """To a pose, to joints, or through waypoints, under a path constraint."""
+
+    names = NAMES
+    constrained = True
+
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+        """The trajectory along the route; there is no other that keeps the constraint."""
+        constraint = _constraint(problem)
+        if (route := _route(context, problem, constraint)) is None:
+            return
+        context.deadline.check()
+        with context.timer.stage("timing"):
+            trajectory = _timed(context, constraint, route)
+        if trajectory is not None:
+            yield trajectory
+
+    def faster(self, context: PlanningContext, problem: Problem) -> Faster:
+        """Trajectories along other routes."""
+        constraint, seeds = _constraint(problem), itertools.count(context.seed + 1)
+
+        def faster_than(duration: float) -> TimedTrajectory | None:
+            while not context.deadline.passed:
+                try:
+                    route = _route(context.with_seed(next(seeds)), problem, constraint)
+                except DeadlineExceeded:
+                    return None
+                if route is None:
+                    continue
+                trajectory = _timed(context, constraint, route)
+                if trajectory is not None and trajectory.duration <= (1.0 - GAIN) * duration:
+                    return trajectory
+            return None
+
+        return faster_than
+
+
+def _constraint(problem: Problem) -> PathConstraint:
+    if problem.constraint is None:
+        raise InvalidRequest("there is no path constraint to keep; say which axes to hold", field="held")
+    return problem.constraint
+
+
+def _route(context: PlanningContext, problem: Problem, constraint: PathConstraint) -> Route | None:
+    return find_route(_ConstrainedPaths(context, constraint), problem, context.model.velocity)
+
+
+def _timed(context: PlanningContext, constraint: PathConstraint, route: Route) -> TimedTrajectory | None:
+    def free(q: Array) -> bool:
+        return context.exact.nearest(q).distance > 0.0
+
+    return time_constrained(
+        constraint, route.path, context.limits, context.dt, free=free, deadline=context.deadline, vias=route.vias
+    )
+
+
+@dataclass(frozen=True)
+class _ConstrainedPaths:
+    """Paths that keep a path constraint."""
+
+    context: PlanningContext
+    constraint: PathConstraint
+
+    def between(self, start: Array, goal: Array) -> Array | None:
+        """The first that is found soon, with shortcuts."""
+        return self._path(start, goal[None], LEG_SAMPLES)
+
+    def to_any(self, start: Array, goals: Array) -> Array | None:
+        """The first that is found, with shortcuts."""
+        return self._path(start, goals, MOST_SAMPLES)
+
+    def _path(self, start: Array, goals: Array, most: int) -> Array | None:
+        if np.array_equal(start, goals[0]):
+            return goals[:1]
+        context, constraint = self.context, self.constraint
+        world, seed, deadline = context.world, context.seed, context.deadline
+        with context.timer.stage("search"):
+            path = search_constrained(world, constraint, start, goals, seed=seed, deadline=deadline, most=most)
+        deadline.check()
+        if path is None:
+            return None
+        with context.timer.stage("shorten"):
+            return shortcut_constrained(world, constraint, path, seed=seed, deadline=deadline)

@@ -1,0 +1,112 @@
+"""Motions that only have to be free: RRT-Connect and shortcuts, smoothed in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import DeadlineExceeded
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.problem import Problem
+from zarm_planner.planners.base import NAMES, Faster, Planner
+from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
+from zarm_planner.search.rrt_connect import search
+from zarm_planner.search.shortcut import quickest_of, shortcut
+from zarm_planner.timing.improvement import Improvement
+from zarm_planner.timing.smoothing import smooth_path
+from zarm_planner.timing.time_parameterization import time_path
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = NDArray[np.float64]
+
+_TRIES = 4
+"""Paths between two, of which the quickest counts; on MotionBenchMaker's problems it is about a tenth shorter than one alone."""
+_DEVIATIONS = (0.03, 0.01, 0.0)
+"""How far (rad) a motion may leave the path at corners where the smooth one is refused: ever closer to what is known free."""
+
+
+class FreePlanner(Planner):
+    """To a pose, to joints, or through waypoints, in the way that is quickest."""
+
+    names = NAMES
+
+    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+        """The smooth trajectory along the route, and then those that round its corners ever less."""
+        if (route := _route(context, problem)) is None:
+            return
+        smooth = partial(_smooth, context, route)
+        for timed in (smooth, *(partial(_along, context, route, deviation) for deviation in _DEVIATIONS)):
+            context.deadline.check()
+            with context.timer.stage("timing"):
+                trajectory = timed()
+            yield trajectory
+
+    def faster(self, context: PlanningContext, problem: Problem) -> Faster:
+        """Other routes, and more shortcuts in time on the best trajectories so far."""
+
+        def routes(number: int) -> tuple[Array, Sequence[int]] | None:
+            try:
+                route = _route(context.with_seed(context.seed + 1 + number), problem)
+            except DeadlineExceeded:
+                return None
+            return None if route is None else (route.path, route.vias)
+
+        improvement = Improvement(context.model, context.world, context.limits, context.dt, routes, context.seed)
+        return lambda duration: improvement.faster_than(duration, context.deadline)
+
+
+def _route(context: PlanningContext, problem: Problem) -> Route | None:
+    return find_route(_FreePaths(context), problem, context.model.velocity)
+
+
+def _smooth(context: PlanningContext, route: Route) -> TimedTrajectory:
+    seed, deadline = context.seed, context.deadline
+    return smooth_path(
+        context.model,
+        context.world,
+        route.path,
+        context.limits,
+        context.dt,
+        seed=seed,
+        deadline=deadline,
+        vias=route.vias,
+    )
+
+
+def _along(context: PlanningContext, route: Route, deviation: float) -> TimedTrajectory:
+    return time_path(route.path, context.limits, context.dt, deviation)
+
+
+@dataclass(frozen=True)
+class _FreePaths:
+    """Paths that only have to be free."""
+
+    context: PlanningContext
+
+    def between(self, start: Array, goal: Array) -> Array | None:
+        """The quickest of a few."""
+        context = self.context
+        seeds = range(_TRIES * context.seed, _TRIES * (context.seed + 1))
+        found = quickest_of(
+            context.model, context.world, start, goal, seeds=seeds, deadline=context.deadline, most=LEG_SAMPLES
+        )
+        context.timer.add("search", found.search)
+        context.timer.add("shorten", found.shortcut)
+        context.deadline.check()
+        return found.path
+
+    def to_any(self, start: Array, goals: Array) -> Array | None:
+        """The first that is found, with shortcuts."""
+        context = self.context
+        model, world, seed, deadline = context.model, context.world, context.seed, context.deadline
+        with context.timer.stage("search"):
+            path = search(model, world, start, goals, seed=seed, deadline=deadline, most=MOST_SAMPLES)
+        deadline.check()
+        if path is None:
+            return None
+        with context.timer.stage("shorten"):
+            return shortcut(model, world, path, seed=seed, deadline=deadline)

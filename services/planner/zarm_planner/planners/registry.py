@@ -1,0 +1,45 @@
+"""The planners that there are, and which of them takes a request."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Goal
+from zarm_planner.planners.base import Planner
+from zarm_planner.planners.constrained import ConstrainedPlanner
+from zarm_planner.planners.free import FreePlanner
+
+PLANNERS: tuple[Planner, ...] = (
+    FreePlanner(),
+    ConstrainedPlanner(),
+)
+"""To add a planner, add it here. Those that stand first are taken where a request names none."""
+
+AUTO = "auto"
+"""The name by which a request leaves the choice to its goal."""
+
+
+def choose(name: str, goal: Goal, constrained: bool, planners: Sequence[Planner] = PLANNERS) -> Planner:
+    """The planner that takes a request; `constrained` says that there is a path constraint.
+
+    Raises InvalidRequest where the one that `name` asks for does not take it.
+    """
+    fitting: dict[str, Planner] = {}
+    for planner in planners:
+        if goal.kind in planner.names and (planner.constrained or not constrained):
+            fitting.setdefault(planner.names[goal.kind], planner)
+    chosen = next(iter(fitting), name) if name == AUTO else name
+    if chosen not in fitting:
+        kind = f"{goal.kind} with a path constraint" if constrained else goal.kind
+        raise InvalidRequest(
+            f"the planner {name} takes no goal of kind {kind}; ask for {' or '.join((*fitting, AUTO))}", field="planner"
+        )
+    return fitting[chosen]
+
+
+def check_name(name: str, planners: Sequence[Planner] = PLANNERS) -> None:
+    """Raises InvalidRequest unless there is a planner of this name, for some kind of goal."""
+    known = dict.fromkeys((AUTO, *(known for planner in planners for known in planner.names.values())))
+    if name not in known:
+        raise InvalidRequest(f"there is no planner {name}; choose one of {', '.join(known)}", field="planner")

@@ -1,0 +1,136 @@
+"""Through which configuration of each target a motion goes, and the quick free path through them.
+
+A pose can be reached in many ways, and a path to one costs a search. So paths are searched only between configurations
+that the quickest route may still lead through: a straight line is the quickest that a path between two can be (Dellin and
+Srinivasa, "A unifying formalism for shortest path problems with expensive edge evaluations via lazy best-first search
+over paths with edge selectors", 2016).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_planner.goals.ends import End
+from zarm_planner.goals.problem import Problem
+
+Array = NDArray[np.float64]
+
+_LEGS = 4
+"""Per target, so many pairs of configurations are tried to be joined before what was found so far has to do."""
+LEG_SAMPLES = 1000
+"""Samples after which the search for such a leg is given up, some milliseconds; nine of ten problems of MotionBenchMaker take fewer."""
+MOST_SAMPLES = 100_000
+"""Samples after which a search to any of several configurations is given up, some seconds."""
+
+
+class Paths(Protocol):
+    """Paths (n, dof) whose straight edges are free in spheres. The same seed gives the same paths; a deadline may raise."""
+
+    def between(self, start: Array, goal: Array) -> Array | None:
+        """A short path between two configurations (dof,); None where none was found soon."""
+
+    def to_any(self, start: Array, goals: Array) -> Array | None:
+        """A path to one of `goals` (m, dof); None where none was found with much patience."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """A free path (n, dof) from the start; it reaches the k-th target in its row `rows[k]`."""
+
+    path: Array
+    rows: tuple[int, ...]
+
+    @property
+    def vias(self) -> tuple[int, ...]:
+        """The rows of the targets on the way to the last one."""
+        return self.rows[:-1]
+
+
+def find_route(paths: Paths, problem: Problem, fastest: Array) -> Route | None:
+    """A quick route through one end of each target, in their order, for joints that move `fastest` (dof,) at most.
+
+    None where none was found.
+    """
+    start, targets = problem.start, problem.targets
+    chain = _quickest_chain(paths, [[start], *targets], fastest) or _any_chain(paths, start, targets)
+    if chain is None:
+        return None
+    path, rows = [*start.edge], []
+    for end, leg in chain:
+        path += [*leg[1 if path and np.array_equal(path[-1], leg[0]) else 0 :], *end.edge]
+        rows.append(len(path) - 1)
+        if end.edge.size:
+            path.append(end.free)
+    path = path[: rows[-1] + 1]
+    return Route(np.array(path), tuple(rows))
+
+
+Chain = list[tuple[End, Array]]
+"""For each target the end that is gone through, and the leg that leads there."""
+
+
+def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], fastest: Array) -> Chain | None:
+    """The quickest chain through the layers, of which the first is the start; None where _LEGS tries each found none."""
+    free = [np.array([end.free for end in ends]) for ends in layers]
+    # From each end of a layer to each of the next: the time of the leg, or until that is known the least it can be.
+    costs = [_seconds(b[None] - a[:, None], fastest) for a, b in itertools.pairwise(free)]
+    known: list[dict[tuple[int, int], Array | None]] = [{} for _ in costs]
+    tries = _LEGS * len(costs)
+    while (pairs := _cheapest(costs)) is not None:
+        step = next((k for k, pair in enumerate(pairs) if pair not in known[k]), None)
+        if step is None:
+            found = [(layers[k + 1][to], known[k][at, to]) for k, (at, to) in enumerate(pairs)]
+            return [(end, leg) for end, leg in found if leg is not None]
+        if tries == 0:  # from now on only what is known counts
+            for cost, pairs_known in zip(costs, known, strict=True):
+                unknown = np.ones(cost.shape, bool)
+                unknown[tuple(np.array([*pairs_known], int).reshape(-1, 2).T)] = False
+                cost[unknown] = np.inf
+            continue
+        tries -= 1
+        at, to = pairs[step]
+        leg = known[step][at, to] = paths.between(layers[step][at].free, layers[step + 1][to].free)
+        costs[step][at, to] = np.inf if leg is None else float(_seconds(np.diff(leg, axis=0), fastest).sum())
+    return None
+
+
+def _cheapest(costs: Sequence[Array]) -> list[tuple[int, int]] | None:
+    """From which end to which of the next layer the cheapest way leads, step by step; None where every way is blocked."""
+    total = np.zeros(1)
+    previous = []
+    for cost in costs:
+        sums = total[:, None] + cost
+        previous.append(np.argmin(sums, axis=0))
+        total = np.min(sums, axis=0)
+    if not np.isfinite(total.min()):
+        return None
+    to, pairs = int(np.argmin(total)), []
+    for best in reversed(previous):
+        at = int(best[to])
+        pairs.append((at, to))
+        to = at
+    return pairs[::-1]
+
+
+def _any_chain(paths: Paths, start: End, targets: Sequence[Sequence[End]]) -> Chain | None:
+    """A chain of the first paths found, target by target."""
+    chain: Chain = []
+    for ends in targets:
+        free = np.array([end.free for end in ends])
+        if (path := paths.to_any(start.free, free)) is None:
+            return None
+        start = ends[int(np.argmin(np.abs(free - path[-1]).max(axis=1)))]
+        chain.append((start, path))
+    return chain
+
+
+def _seconds(way: Array, fastest: Array) -> Array:
+    """Time (...,) that the joint with the longest way (..., dof) needs at its greatest speed (dof,)."""
+    time: Array = np.max(np.abs(way) / fastest, axis=-1)
+    return time

@@ -1,0 +1,1 @@
+"""The scene: its store, its edits, and how plans see it."""

@@ -1,0 +1,85 @@
+"""What edits do to the part of the scene that is the robot's: attached objects, and links that are not looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import (
+    MAX_ATTACHED,
+    MAX_OBJECTS,
+    Attached,
+    AttachObject,
+    DetachObject,
+    Mesh,
+    Primitive,
+    Scene,
+    SetLinkCollision,
+    Sphere,
+    Voxels,
+)
+from zarm_geometry.frames import matrix, pose_of
+
+Array = NDArray[np.float64]
+
+
+def attach(scene: Scene, edit: AttachObject, tip: Array) -> Scene:
+    """The scene with an object attached to the tip, whose pose is `tip` (4, 4). Raises InvalidRequest."""
+    objects = {item.name: item for item in scene.objects}
+    if any(edit.name == one.object.name for one in scene.attached):
+        raise InvalidRequest(f"the robot carries {edit.name} already; detach it first", field="edit.name")
+    if edit.name not in objects:
+        raise InvalidRequest(
+            f"there is no object {edit.name} in the scene; add it first, where it stands", field="edit.name"
+        )
+    if len(scene.attached) == MAX_ATTACHED:
+        raise InvalidRequest(f"the robot carries {MAX_ATTACHED} objects already; detach one first", field="edit.name")
+    item = objects.pop(edit.name)
+    if isinstance(item, Mesh | Voxels):
+        raise InvalidRequest(
+            f"{edit.name} is a {item.kind} and cannot be attached; attach a cuboid or capsule around it instead",
+            field="edit.name",
+        )
+    attached = Attached(object=_moved(item, np.asarray(np.linalg.inv(tip), np.float64)), touch_links=edit.touch_links)
+    return scene.model_copy(update={"objects": tuple(objects.values()), "attached": (*scene.attached, attached)})
+
+
+def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
+    """The scene with an attached object put down where it is with the tip at `tip` (4, 4). Raises InvalidRequest."""
+    attached = {one.object.name: one for one in scene.attached}
+    if edit.name not in attached:
+        raise InvalidRequest(
+            f"the robot does not carry {edit.name}; it carries {', '.join(attached) or 'nothing'}", field="edit.name"
+        )
+    if len(scene.objects) == MAX_OBJECTS:
+        raise InvalidRequest(f"the scene holds {MAX_OBJECTS} objects already; remove some first", field="edit.name")
+    item = _moved(attached.pop(edit.name).object, tip)
+    return scene.model_copy(update={"objects": (*scene.objects, item), "attached": tuple(attached.values())})
+
+
+def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
+    """The scene with these links of the robot looked at, or no longer; those that are so already stay so."""
+    if edit.enabled:
+        ignored = tuple(name for name in scene.ignored_links if name not in edit.names)
+    else:
+        ignored = tuple(dict.fromkeys((*scene.ignored_links, *edit.names)))
+    return scene.model_copy(update={"ignored_links": ignored})
+
+
+def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:
+    """Raises InvalidRequest where one of `names` is that of an attached object; its index goes into `field`."""
+    attached = {one.object.name for one in scene.attached}
+    for index, name in enumerate(names):
+        if name in attached:
+            raise InvalidRequest(f"the robot carries {name}; detach it first", field=field.format(index))
+
+
+def _moved(item: Primitive, frame: Array) -> Primitive:
+    """An object whose pose is given in `frame` (4, 4), in the frame that this one is given in."""
+    if isinstance(item, Sphere):
+        return item.model_copy(update={"position": pose_of(frame @ matrix(item.position)).position})
+    pose = pose_of(frame @ matrix(item.position, item.orientation))
+    return item.model_copy(update={"position": pose.position, "orientation": pose.orientation})

@@ -1,0 +1,238 @@
+"""The scene: named objects, changed by whole edits, kept in a file that survives a crash at any moment."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.codec import MAX_BYTES, encode
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.messages import (
+    MAX_OBJECTS,
+    AddObjects,
+    AttachObject,
+    ClearScene,
+    Cuboid,
+    DetachObject,
+    LoadScene,
+    Mesh,
+    PointCloud,
+    RemoveObjects,
+    Scene,
+    SceneEdit,
+    SceneObject,
+    SceneRevision,
+    SetLinkCollision,
+    Sphere,
+    Voxels,
+)
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.voxels import check_reach, voxels_of
+from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links
+from zarm_runtime.state_file import StateFile
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+_AT_BASE = np.eye(4)
+_FARTHEST = 1e3
+_THINNEST = 1e-4
+MAX_PARTS = 300_000
+"""Objects, occupied cells and shapes of meshes in one scene."""
+
+
+def _named(document: Any) -> Any:
+    """The scene in a file of version 0."""
+    return document["scene"]
+
+
+def _identified(scene: Any) -> Any:
+    """A scene of version 1, whose revision was a number alone, with an identity of its own."""
+    return scene | {"revision": _revision(scene["revision"])}
+
+
+def _revision(edits: int) -> SceneRevision:
+    """A revision that there has never been, of a scene that has had so many edits."""
+    return f"{edits}-{secrets.token_hex(6)}"
+
+
+def _next(revision: SceneRevision) -> SceneRevision:
+    edits, _, _ = revision.partition("-")
+    return _revision(int(edits) + 1)
+
+
+class SceneStore:
+    """The scene of one robot, in `<folder>/scene.json`, with the shapes of its meshes. Safe for use by any number of threads.
+
+    Its revision is drawn anew with every edit and kept in the file: that of a scene from the file holds again, that of a file
+    that is gone or lost never does. A copy of the file that is edited elsewhere becomes another scene.
+    A file that cannot be read is put aside as `scene.json.broken`. From then on `lost` says so, until the first edit:
+    the objects that it held may still stand around the robot.
+    """
+
+    def __init__(self, folder: Path, meshes: Meshes | None = None) -> None:
+        """Raises Unavailable where the folder cannot be used, or holds the scene of a newer zarm."""
+        self._file = StateFile(folder / "scene.json", Scene, migrations=(_named, _identified), flushed=True)
+        self._lock = threading.Lock()
+        self.meshes = meshes or Meshes()
+        self.lost: str | None = None
+        self._scene = self._read()
+
+    @property
+    def scene(self) -> Scene:
+        """The present scene, which never changes; an edit makes a new one."""
+        return self._scene
+
+    def edit(self, request: SceneEdit, tip: Array = _AT_BASE) -> Scene:
+        """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
+
+        Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved, or concerns links while the
+        scene is lost; then nothing has changed.
+        """
+        with self._lock:
+            if self.lost is not None and isinstance(request.edit, SetLinkCollision):
+                raise Unavailable(self.lost)  # such an edit says nothing of what stands around the robot
+            scene = _edited(self._scene, request, tip, self.meshes)
+            scene = scene.model_copy(update={"revision": _next(self._scene.revision)})
+            content = encode(scene)
+            if len(content) > MAX_BYTES:
+                raise InvalidRequest(
+                    f"the scene would take {len(content)} bytes, more than the {MAX_BYTES} of one message; remove objects "
+                    "first, or use a coarser resolution",
+                    field="edit.objects",
+                )
+            try:
+                self._file.write(content)
+            except Unavailable as error:
+                raise Unavailable(f"the edit was not applied: {error}; then send it again") from error
+            self._scene, self.lost = scene, None
+            self.meshes.keep(item for item in scene.objects if isinstance(item, Mesh))
+            return scene
+
+    def _read(self) -> Scene:
+        saved = self._file.load()
+        if saved is not None:
+            return saved
+        new = Scene(revision=_revision(0))
+        broken = self._file.broken
+        if broken is None:
+            self._file.save(new)
+            return new
+        self.lost = (
+            f"the saved scene could not be read and lies in {broken}; plans are refused until the scene is edited: "
+            "load or add what stands around the robot, or clear it if nothing does"
+        )
+        log.error("scene lost remedy=%s", self.lost)
+        return new
+
+
+def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Scene:
+    """The scene after an edit, not yet with a revision of its own; objects stay in the order in which they came."""
+    objects = {item.name: item for item in scene.objects}
+    match request.edit:
+        case AttachObject() as edit:
+            return attach(scene, edit, tip)
+        case DetachObject() as edit:
+            return detach(scene, edit, tip)
+        case SetLinkCollision() as edit:
+            return set_links(scene, edit)
+        case ClearScene():
+            objects = {}
+        case RemoveObjects(names=names):
+            refuse_attached(scene, names, "edit.names.{}")
+            for index, name in enumerate(names):
+                if name not in objects:
+                    raise InvalidRequest(
+                        f"there is no object {name} in the scene; read the names from the scene first",
+                        field=f"edit.names.{index}",
+                    )
+            objects = {name: item for name, item in objects.items() if name not in names}
+        case LoadScene(objects=items):
+            refuse_attached(scene, [item.name for item in items], "edit.objects.{}.name")
+            objects = _added({}, items, False, meshes)
+        case AddObjects(objects=items, replace=replace):
+            refuse_attached(scene, [item.name for item in items], "edit.objects.{}.name")
+            objects = _added(objects, items, replace, meshes)
+        case unknown:
+            assert_never(unknown)
+    return scene.model_copy(update={"objects": tuple(objects.values())})
+
+
+def _added(
+    objects: dict[str, SceneObject], items: Sequence[SceneObject | PointCloud], replace: bool, meshes: Meshes
+) -> dict[str, SceneObject]:
+    added: dict[str, SceneObject] = {}
+    for index, item in enumerate(items):
+        field = f"edit.objects.{index}"
+        if item.name in added:
+            raise InvalidRequest(
+                f"{item.name} appears twice in this edit; give each object one name", field=f"{field}.name"
+            )
+        if item.name in objects and not replace:
+            raise InvalidRequest(
+                f"there is already an object {item.name}; remove it first, set replace, or choose another name",
+                field=f"{field}.name",
+            )
+        _check_size(item, field)
+        added[item.name] = _kept(item, field, meshes)
+    if len(objects | added) > MAX_OBJECTS:
+        raise InvalidRequest(
+            f"the scene would hold {len(objects | added)} objects, more than {MAX_OBJECTS}; remove some first",
+            field="edit.objects",
+        )
+    parts = sum(_parts(item, meshes) for item in (objects | added).values())
+    if parts > MAX_PARTS:
+        raise InvalidRequest(
+            f"the scene would consist of {parts} objects, cells and triangles, more than {MAX_PARTS}; use a coarser "
+            "resolution or simpler meshes",
+            field="edit.objects",
+        )
+    return objects | added
+
+
+def _kept(item: SceneObject | PointCloud, field: str, meshes: Meshes) -> SceneObject:
+    """What the scene keeps of an object: of a cloud the occupied cells, and of a mesh the digest of its file, too."""
+    if isinstance(item, Mesh):
+        return meshes.checked(item, field)
+    if isinstance(item, Voxels):
+        check_reach(np.array(item.cells) * item.resolution, f"{field}.cells")
+    if not isinstance(item, PointCloud):
+        return item
+    return voxels_of(item, field)
+
+
+def _parts(item: SceneObject, meshes: Meshes) -> int:
+    if isinstance(item, Mesh):
+        return meshes.count(item)
+    return len(item.cells) if isinstance(item, Voxels) else 1
+
+
+def _check_size(item: SceneObject | PointCloud, field: str) -> None:
+    """Refuse what no robot meets and what distances cannot be computed with."""
+    if not all(abs(x) <= _FARTHEST for x in item.position):
+        raise InvalidRequest(
+            f"{item.name} is further than {_FARTHEST:g} m away; positions are in m, in the base frame",
+            field=f"{field}.position",
+        )
+    if isinstance(item, Cuboid):
+        sizes = {f"size.{i}": edge for i, edge in enumerate(item.size)}
+    elif isinstance(item, Sphere):
+        sizes = {"radius": item.radius}
+    elif isinstance(item, Mesh | Voxels | PointCloud):
+        sizes = {}  # how far they reach is looked at where they are turned to shapes
+    else:
+        sizes = {"radius": item.radius, "length": item.length}
+    for name, size in sizes.items():
+        if not _THINNEST <= size <= _FARTHEST:
+            raise InvalidRequest(
+                f"{item.name}: {size:g} m is outside {_THINNEST:g} to {_FARTHEST:g} m; sizes are in m",
+                field=f"{field}.{name}",
+            )

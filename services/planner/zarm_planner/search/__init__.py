@@ -1,0 +1,1 @@
+"""Free paths: joint positions without time."""

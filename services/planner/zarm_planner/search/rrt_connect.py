@@ -1,0 +1,63 @@
+"""From a start to a goal: the first free path."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.kernels.rrt_connect import connect
+from zarm_planner.kernels.trees import make_trees
+
+Array = NDArray[np.float64]
+
+ENDLESS = 2**62
+"""Samples that no search comes to."""
+
+
+def search(
+    model: RobotModel, world: World, start: Array, goals: Array, *, seed: int, deadline: Deadline, most: int = ENDLESS
+) -> Array | None:
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `most` samples or `deadline` came first.
+
+    Start and goals are free and within the limits, the nearest goal stands first; straight lines are tried in that
+    order. The same seed gives the same path. Consecutive rows are joined by straight edges that are free to
+    `kernels.collision.RESOLUTION`.
+    """
+    goals = goals.reshape(-1, model.dof)
+    found = connect(
+        model.arrays,
+        world.arrays,
+        memory(model.arrays),
+        make_trees(model.dof),
+        sampling_range(model, np.vstack((start, goals))),
+        model.weight,
+        np.array(start, np.float32, order="C"),
+        np.array(goals, np.float32, order="C"),
+        np.array([seed], np.uint64),
+        most,
+        deadline.at,
+    )
+    if len(found) == 0:
+        return None
+    path = found.astype(np.float64)
+    # The kernels compute in float32; the ends are the caller's own, and nothing leaves the limits by rounding.
+    path = np.clip(path, model.lower, model.upper)
+    path[0] = start
+    path[-1] = goals[np.argmin(np.abs(goals - found[-1]).max(axis=1))]
+    return path
+
+
+def sampling_range(model: RobotModel, ends: Array) -> NDArray[np.float32]:
+    """Where samples are drawn, (2, dof) lower and upper, in a search between `ends` (n, dof).
+
+    A joint that turns further than once need not be sampled over all of its turns: within half a turn of the start and the
+    goals every posture occurs.
+    """
+    half_turn = np.where(model.revolute, np.pi, np.inf)
+    lower = np.maximum(model.lower, ends.min(axis=0) - half_turn)
+    upper = np.minimum(model.upper, ends.max(axis=0) + half_turn)
+    return np.array((lower, upper), np.float32)

@@ -1,0 +1,88 @@
+"""Shortcuts: a shorter path along a given one, and the quickest of several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.kernels import leg
+from zarm_planner.kernels import shortcut as kernel
+from zarm_planner.kernels.trees import make_trees
+from zarm_planner.search.rrt_connect import sampling_range
+
+Array = NDArray[np.float64]
+
+_SAME = 1e-6
+"""Rows nearer to each other (rad) differ by the rounding of float32."""
+
+
+def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadline: Deadline) -> Array:
+    """A free path (m, dof) between the ends of the free `path` (n, dof) that is no longer, without repeated rows.
+
+    Where both ends are one configuration the path can be one row.
+    The same seed gives the same path. `deadline` only makes it end sooner: the path so far is a good one.
+    """
+    room = np.empty((len(path) + kernel.MOST, model.dof), np.float32)
+    room[: len(path)] = path
+    rows = kernel.shortcut(
+        model.arrays,
+        world.arrays,
+        memory(model.arrays),
+        room,
+        len(path),
+        np.array([seed], np.uint64),
+        deadline.at,
+    )
+    return _without_repeats(model, room[:rows], path[0], path[-1])
+
+
+class Quickest(NamedTuple):
+    """A path (n, dof), if there is one, and the seconds that the search for it and the shortcuts on it took."""
+
+    path: Array | None
+    search: float
+    shortcut: float
+
+
+def quickest_of(
+    model: RobotModel, world: World, start: Array, goal: Array, *, seeds: Sequence[int], deadline: Deadline, most: int
+) -> Quickest:
+    """The quickest of the paths, shortcuts taken, from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
+
+    The path is None where a search came to `most` samples, or `deadline` came first, before there was one.
+    """
+    spent = np.zeros(2)
+    rows = leg.quickest_of(
+        model.arrays,
+        world.arrays,
+        memory(model.arrays),
+        make_trees(model.dof),
+        sampling_range(model, np.stack((start, goal))),
+        model.weight,
+        np.array((start, goal), np.float32),
+        model.velocity.astype(np.float32),
+        np.array(seeds, np.uint64),
+        most,
+        deadline.at,
+        spent,
+    )
+    path = _without_repeats(model, rows, start, goal) if len(rows) else None
+    return Quickest(path, float(spent[0]), float(spent[1]))
+
+
+def _without_repeats(model: RobotModel, rows: NDArray[np.float32], start: Array, end: Array) -> Array:
+    """A path of the kernels with its very ends, within the joints' ranges; no row is another one's but for rounding."""
+    path = [start]
+    for row in np.clip(rows[1:-1].astype(np.float64), model.lower, model.upper):
+        if min(np.abs(row - path[-1]).max(), np.abs(row - end).max()) > _SAME:
+            path.append(row)
+    if np.any(end != path[-1]):
+        path.append(end)
+    return np.array(path)

@@ -1,0 +1,1 @@
+"""Trajectories along paths: joint positions with time, velocity and acceleration."""

@@ -1,0 +1,77 @@
+"""Ever faster motions for as long as there is time: other routes, and more shortcuts on the best motions so far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.timing.smoothing import DEVIATION, Smoothing
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+GAIN = 0.005
+"""A motion that saves less than this part of the best one is not worth a verification."""
+_ATTEMPTS = 500
+"""Shortcuts on a new route, and on the best motion, in each round; about a millisecond on MotionBenchMaker's problems."""
+_KEPT = 4
+"""Motions that are kept, so that there is another where the best one is refused."""
+
+Routes = Callable[[int], tuple[Array, Sequence[int]] | None]
+"""The k-th route: a free path (n, dof) from the start to a goal, and which rows of it the motion has to pass; None where
+there is none. The same k gives the same route."""
+
+
+@dataclass
+class Improvement:
+    """The search for a faster motion. What it tries is the same for the same seed; how much of it, time decides.
+
+    Every motion is one of `smoothing.smooth_path`, along one of `routes`.
+    """
+
+    model: RobotModel
+    world: World
+    limits: Limits
+    dt: float
+    routes: Routes
+    seed: int
+    deviation: float = DEVIATION
+    _round: int = field(default=0, init=False)
+    _best: list[Smoothing] = field(default_factory=list, init=False)
+    _given: tuple[Smoothing, float] | None = field(default=None, init=False)
+
+    def faster_than(self, duration: float, deadline: Deadline) -> TimedTrajectory | None:
+        """A motion that lasts at most `(1 - GAIN) * duration` s; None where `deadline` came before one was found.
+
+        To ask again for one that is faster than before is to say that the last answer was of no use: it is not developed
+        further. Raises what `routes` raises, and InvalidRequest where a motion is longer than `trajectory.MAX_SAMPLES`.
+        """
+        wanted = (1.0 - GAIN) * duration
+        if self._given is not None and self._given[1] < duration:
+            self._best.remove(self._given[0])
+        self._given = None
+        while not deadline.passed:
+            self._develop(deadline)
+            if self._best and self._best[0].duration <= wanted:
+                trajectory = self._best[0].trajectory()
+                if trajectory.duration <= wanted:
+                    self._given = self._best[0], trajectory.duration
+                    return trajectory
+        return None
+
+    def _develop(self, deadline: Deadline) -> None:
+        """One round: a new route, and more shortcuts on the best motion."""
+        seed = self.seed + 2 * self._round
+        if (route := self.routes(self._round)) is not None:
+            path, vias = route
+            new = Smoothing(self.model, self.world, path, self.limits, self.dt, vias=vias, deviation=self.deviation)
+            new.shortcut(_ATTEMPTS, seed, deadline)
+            self._best.append(new)
+        if self._best:
+            self._best.sort(key=lambda smoothing: smoothing.duration)
+            del self._best[_KEPT:]
+            self._best[0].shortcut(_ATTEMPTS, seed + 1, deadline)
+        self._round += 1

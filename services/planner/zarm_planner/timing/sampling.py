@@ -1,0 +1,46 @@
+"""When a trajectory is sampled, and how slow it must be to hold its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from zarm_contract.errors import InvalidRequest
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+TOLERANCE = 2e-4
+"""By which part a motion may be too fast: then velocity is at most so much over its limit, acceleration twice and jerk three
+times as much, all within 0.1 %."""
+MAX_SAMPLES = 15_000
+"""The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
+
+
+def sample_times(knots: Array, factor: float, dt: float) -> Array:
+    """Times (n,) from the first to the last of the ascending `knots` (k,) in s, these among them; at `factor` times as long
+    they are `dt` s apart or less.
+
+    Raises InvalidRequest where these are more than MAX_SAMPLES.
+    """
+    pieces = np.maximum(1.0, np.ceil(np.diff(knots) * factor / dt - 1e-6))
+    if (count := pieces.sum()) > MAX_SAMPLES:
+        raise InvalidRequest(
+            f"the motion would last {(knots[-1] - knots[0]) * factor:.3g} s, and needs more than the {MAX_SAMPLES} samples "
+            "that one message holds; raise velocity_scale and acceleration_scale",
+            field="velocity_scale",
+        )
+    return np.interp(np.arange(int(count) + 1), np.insert(np.cumsum(pieces), 0, 0.0), knots)
+
+
+def within(sample: Callable[[float], TimedTrajectory], limits: Limits) -> TimedTrajectory:
+    """A motion that can be sampled at any factor of its shortest duration, as much slower as the limits demand."""
+    factor = 1.0
+    for _ in range(8):  # one or two rounds are the rule: sampled elsewhere, the motion has its extremes elsewhere
+        trajectory = sample(factor)
+        load = limits.load(trajectory)
+        if load <= 1 + TOLERANCE:
+            return trajectory
+        factor *= load
+    return trajectory.slower(load)

@@ -1,0 +1,215 @@
+"""Path -> trajectory: when the joints are where, inside the limits on velocity, acceleration and jerk.
+
+Corners of the path are rounded by quintic curves that leave it by at most a stated distance; TOPPRA (Pham and Pham, "A New
+Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018) finds the fastest way along; a moving
+average over time turns its steps of acceleration into ramps (Biagiotti and Melchiorri, "FIR filters for online trajectory
+planning with time- and frequency-domain specifications", 2012). What is then still over a limit between two samples is
+cured by running the whole motion slower.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from toppra import SplineInterpolator
+from toppra.algorithm import TOPPRA
+from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
+
+from zarm_contract.errors import InvalidRequest
+from zarm_planner.timing.sampling import sample_times, within
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+_STEP = 0.05
+"""Length of path (rad) between points at which TOPPRA decides on a velocity."""
+_STEPS = 8
+"""At least so many of them on each straight piece and on each rounded corner."""
+_CURVE_STEP = 0.025
+"""And on a curve through many points."""
+_ROUNDING = 3 / 16
+"""A corner rounded from `leg` before it to `leg` after it is left by `_ROUNDING * leg * |u_after - u_before|`."""
+logging.getLogger("toppra").setLevel(logging.CRITICAL)
+
+
+def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> TimedTrajectory:
+    """The fast motion from rest to rest along `path` (n, dof), sampled every `dt` s or a little less.
+
+    Corners of the polyline `path` are rounded and left by at most `deviation` (rad, Euclidean). With `deviation` 0, and
+    where that is faster, the motion stops at every corner. Limits are held within 0.1 %.
+
+    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    """
+    path = _distinct(path)
+    if len(path) == 1:
+        return TimedTrajectory.standing(path[0], dt)
+    edges = [_straight(a, b, limits, dt) for a, b in itertools.pairwise(path)]
+    if (
+        len(edges) > 1
+        and deviation > 0
+        and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
+    ):
+        with suppress(InvalidRequest):  # round a corner of next to no size it may be longer than stopping there ever is
+            trajectory = within(partial(fastest.sample, dt=dt), limits)
+            if trajectory.duration < sum(edge.duration for edge in edges):
+                return trajectory
+    return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
+
+
+def _distinct(path: Array) -> Array:
+    """The path (n, dof) without rows that repeat the one before."""
+    keep: NDArray[np.bool_] = np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)
+    return path[keep]
+
+
+def round_corners(path: Array, deviation: float) -> TimedTrajectory:
+    """The polyline `path` with rounded corners, as the motion along it at about 1 rad/s: its time is the length (rad)."""
+    edges = np.diff(path, axis=0)
+    length = np.linalg.norm(edges, axis=1)
+    along = edges / length[:, None]
+    turn = np.linalg.norm(np.diff(along, axis=0), axis=1)
+    leg = np.minimum(deviation / (_ROUNDING * np.maximum(turn, 1e-9)), 0.5 * np.minimum(length[:-1], length[1:]))
+    before, after = path[1:-1] - leg[:, None] * along[:-1], path[1:-1] + leg[:, None] * along[1:]
+    straight = length - np.append(leg, 0.0) - np.insert(leg, 0, 0.0)
+    knots = np.concatenate([path[:1], np.stack([before, after], axis=1).reshape(-1, path.shape[1]), path[-1:]])
+    tangents = np.repeat(along, 2, axis=0)
+    steps = np.empty(2 * len(length) - 1)
+    steps[0::2], steps[1::2] = straight, 2 * leg
+    keep = np.insert(steps > 1e-9, 0, True)  # where two roundings meet, nothing straight is left between them
+    time = np.insert(np.cumsum(steps), 0, 0.0)
+    return TimedTrajectory(time[keep], knots[keep], tangents[keep], np.zeros_like(knots[keep]))
+
+
+def through(points: Array) -> TimedTrajectory:
+    """The curve through `points` (n, dof) as the motion along it at about 1 rad/s: its time is the length (rad).
+
+    A cubic spline: its slope and its curvature are continuous.
+    """
+    points = _distinct(points)
+    length = np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
+    spline = SplineInterpolator(length, points)
+    return TimedTrajectory(length, points, spline(length, 1), spline(length, 2))
+
+
+def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajectory | None:
+    """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or a little less.
+
+    Limits are held within 0.1 %. None where TOPPRA's numbers fail.
+
+    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    """
+    fastest = _fastest(curve, limits, dt, _CURVE_STEP, 1)
+    return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """How a curve is run along: velocity `sd` (m,) at lengths `s` (m,), reached at times `t` (m,), in between at constant
+    acceleration; all of that then averaged over `window` s, whereby it lasts longer by as much.
+    """
+
+    curve: TimedTrajectory
+    s: Array
+    sd: Array
+    t: Array
+    window: float
+
+    @property
+    def duration(self) -> float:
+        return float(self.t[-1]) + self.window
+
+    def sample(self, factor: float, dt: float) -> TimedTrajectory:
+        """The motion at `factor` times its shortest duration, sampled every `dt` s or a little less."""
+        t = sample_times(np.array([0.0, 0.5, 1.0]) * self.duration, factor, dt)
+        area1, s1, sd1 = self._raw(t)
+        area0, s0, sd0 = self._raw(t - self.window)
+        s = np.clip((area1 - area0) / self.window, 0.0, self.s[-1])
+        sd, sdd = ((s1 - s0) / self.window / factor)[:, None], ((sd1 - sd0) / self.window / factor**2)[:, None]
+        sd[-1] = sdd[-1] = 0.0
+        position, slope, bend = self.curve.sample(s)
+        position[-1] = self.curve.position[-1]
+        return TimedTrajectory(t * factor, position, slope * sd, bend * sd**2 + slope * sdd)
+
+    def _raw(self, t: Array) -> tuple[Array, Array, Array]:
+        """Before averaging: the integral over time of the length, the length and the velocity."""
+        h = np.diff(self.t)
+        sdd = np.diff(self.sd) / h
+        area = np.insert(np.cumsum(h * (self.s[:-1] + h * (self.sd[:-1] / 2 + h * sdd / 6))), 0, 0.0)
+        inside = np.clip(t, 0.0, self.t[-1])
+        i = np.clip(np.searchsorted(self.t, inside, side="right") - 1, 0, len(h) - 1)
+        x, s, sd, sdd = inside - self.t[i], self.s[i], self.sd[i], sdd[i]
+        after_end = self.s[-1] * np.maximum(t - self.t[-1], 0.0)
+        return area[i] + x * (s + x * (sd / 2 + x * sdd / 6)) + after_end, s + x * (sd + x * sdd / 2), sd + x * sdd
+
+
+def _window(acceleration: Array, limits: Limits, dt: float) -> float:
+    """Seconds over which to average: from full acceleration to the opposite within the jerk limits.
+
+    Two samples at least, for the quintic between two samples follows no step.
+    """
+    return max(2 * dt, float(np.max(2 * acceleration / limits.jerk)))
+
+
+def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
+    """From `a` to `b`: speed up, keep the speed if there is room for it, slow down."""
+    edge = np.abs(b - a)
+    length = float(np.linalg.norm(edge))
+    with np.errstate(divide="ignore"):
+        top, rate = float(np.min(limits.velocity / edge)) * length, float(np.min(limits.acceleration / edge)) * length
+    top = min(top, math.sqrt(rate * length))
+    ramp, keep = top * top / rate / 2, length - top * top / rate
+    steps = np.array([ramp, keep, ramp] if keep > 1e-9 * length else [ramp, ramp])
+    sd = np.array([0.0, *[top] * (len(steps) - 1), 0.0])
+    t = np.cumsum(steps * 2 / (sd[1:] + sd[:-1]))
+    curve = round_corners(np.stack([a, b]), 0.0)
+    window = _window(edge / length * rate, limits, dt)
+    return _Profile(curve, np.insert(np.cumsum(steps), 0, 0.0), sd, np.insert(t, 0, 0.0), window)
+
+
+class _ToppraPath:
+    """A curve as TOPPRA asks for it."""
+
+    def __init__(self, curve: TimedTrajectory) -> None:
+        self._curve = curve
+        self.dof = curve.position.shape[1]
+        self.path_interval = curve.time[[0, -1]]
+
+    def __call__(self, s: Array, order: int = 0) -> Array:
+        return np.asarray(self._curve.sample(s)[order])
+
+
+def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, least: int) -> _Profile | None:
+    """TOPPRA under the limits on velocity and acceleration, at points not further apart than `step` (rad), `least` on each
+    piece of the curve; None where its numbers fail.
+    """
+    pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
+    s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
+    constraints = [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
+    toppra = TOPPRA(constraints, _ToppraPath(curve), gridpoints=s, solver_wrapper="seidel")
+    toppra.compute_parameterization(0.0, 0.0)
+    sd = toppra.problem_data.sd_vec
+    if sd is None or not np.all(np.isfinite(sd)) or np.any(sd[1:] + sd[:-1] <= 0.0):
+        return None
+    t = np.insert(np.cumsum(2 * np.diff(s) / (sd[1:] + sd[:-1])), 0, 0.0)
+    moving = np.ptp(curve.position, axis=0) > 0.0
+    return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
+
+
+def _join(trajectories: list[TimedTrajectory]) -> TimedTrajectory:
+    """Motions from rest to rest, one after the other."""
+    starts = np.cumsum([0.0, *(trajectory.duration for trajectory in trajectories[:-1])])
+    first, *rest = trajectories
+    return TimedTrajectory(
+        np.concatenate([first.time, *(m.time[1:] + start for m, start in zip(rest, starts[1:], strict=True))]),
+        *(
+            np.concatenate([getattr(first, rows), *(getattr(m, rows)[1:] for m in rest)])
+            for rows in ("position", "velocity", "acceleration")
+        ),
+    )

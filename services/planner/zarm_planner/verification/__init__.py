@@ -1,0 +1,1 @@
+"""The last gate before a trajectory leaves the planner."""

@@ -1,0 +1,76 @@
+"""The last gate: a trajectory leaves the planner only if all that was asked of it holds, between its samples too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from zarm_geometry.exact import RESOLUTION, ExactScene
+from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.timing.sampling import TOLERANCE
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+_POSITION = 1e-6
+"""Rad by which a motion may miss its start and its goal."""
+_RANGE = 1e-4
+"""Rad by which a joint may be outside its range: rounding, and interpolation between samples."""
+
+
+class VerificationFailed(Exception):
+    """A trajectory breaks a promise; the message says which, where and by how much."""
+
+
+def verify(
+    trajectory: TimedTrajectory,
+    start: Array,
+    goal: Array,
+    limits: Limits,
+    scene: ExactScene,
+    check: Callable[[], None],
+    constraint: PathConstraint | None = None,
+) -> float:
+    """The trajectory's smallest distance (m) to the scene and to the robot itself, at most 1.
+
+    Raises VerificationFailed unless the trajectory leads from `start` to `goal` (dof,), from rest to rest, inside the joints'
+    ranges and `limits`, and free of collision: between the configurations looked at no point of the robot moves further
+    than `RESOLUTION`, and `constraint` is looked at there. `check` is called now and then and may raise.
+    """
+    model, joints = scene.model, scene.model.robot.descriptor.joints
+    for values, wanted, what in (
+        (trajectory.position[0], start, "starts away from the start"),
+        (trajectory.position[-1], goal, "ends away from the goal"),
+        (trajectory.velocity[0], 0.0, "does not start at rest"),
+        (trajectory.velocity[-1], 0.0, "does not end at rest"),
+    ):
+        if not np.all(np.abs(values - wanted) <= _POSITION):
+            raise VerificationFailed(f"the trajectory {what}")
+    if not (load := limits.load(trajectory)) <= 1 + 1.5 * TOLERANCE:  # and some rounding
+        raise VerificationFailed(f"the trajectory needs {load:.2f} times the allowed speed")
+
+    times = _moments(trajectory, scene.reach)
+    position = trajectory.positions(times)
+    outside = np.maximum(model.lower - position, position - model.upper)
+    if not np.all(outside <= _RANGE):
+        sample, joint = np.unravel_index(int(np.argmax(outside)), outside.shape)
+        raise VerificationFailed(
+            f"the trajectory takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "
+            f"{times[sample]:.2f} s"
+        )
+    if constraint is not None and (lost := constraint.violation(position)):
+        raise VerificationFailed(f"{lost[1]} at {times[lost[0]]:.2f} s of the trajectory")
+    nearest = scene.nearest(position, check)
+    if nearest.distance <= 0.0 and nearest.pair:
+        raise VerificationFailed(
+            f"{nearest.pair[0]} would be {-1e3 * nearest.distance:.1f} mm inside {nearest.pair[1]} at "
+            f"{times[nearest.sample]:.2f} s of the trajectory"
+        )
+    return nearest.distance
+
+
+def _moments(trajectory: TimedTrajectory, reach: Array) -> Array:
+    """Times (k,) between which no point of the robot moves further than RESOLUTION, the samples' own among them."""
+    pieces = np.maximum(1, np.ceil(trajectory.travel(reach) / RESOLUTION)).astype(int)
+    return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), trajectory.time)

@@ -1,0 +1,50 @@
+"""When a trajectory passes its waypoints, and whether it comes near enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from zarm_geometry.robot_model import RobotModel
+from zarm_planner.verification.verify import VerificationFailed
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+_STEP = 0.001
+"""Seconds between looks."""
+
+
+def passing_times(
+    model: RobotModel,
+    trajectory: TimedTrajectory,
+    waypoints: Sequence[Array],
+    position_tolerance: float,
+    angle_tolerance: float,
+) -> tuple[float, ...]:
+    """The times (s) at which the tip is nearest to its poses at `waypoints` (dof,), which are passed in this order.
+
+    Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad).
+    """
+    t = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
+    tips = model.fk_tip(trajectory.sample(t)[0])
+    times: list[float] = []
+    begin = 0
+    for number, wanted in enumerate(model.fk_tip(np.array(waypoints).reshape(-1, model.dof))):
+        distance = np.linalg.norm(tips[begin:, :3, 3] - wanted[:3, 3], axis=1)
+        # |A - B| = 2 sqrt(2) sin(angle / 2) in the Frobenius norm, for rotations A and B.
+        apart = np.linalg.norm(tips[begin:, :3, :3] - wanted[:3, :3], axis=(1, 2))
+        angle = 2.0 * np.arcsin(np.minimum(apart / np.sqrt(8.0), 1.0))
+        use = np.maximum(distance / position_tolerance, angle / angle_tolerance)
+        if use.min() > 1.0:
+            k = int(np.argmin(use))
+            raise VerificationFailed(
+                f"the trajectory passes waypoint {number} at a distance of {1e3 * distance[k]:.1f} mm and "
+                f"{np.rad2deg(angle[k]):.2f} deg"
+            )
+        first = int(np.argmax(use <= 1.0))
+        outside = np.flatnonzero(use[first:] > 1.0)
+        last = first + int(outside[0]) if len(outside) else len(use)
+        begin += first + int(np.argmin(use[first:last]))
+        times.append(float(t[begin]))
+    return tuple(times)

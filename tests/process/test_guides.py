@@ -1,0 +1,97 @@
+"""The guides: their commands parse, those of the tutorials work as written, and their sentences are those of zarm."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import typer
+
+from support.command_line import Up, zarm
+from support.harness import PATIENCE, free_endpoint
+from support.markdown import PAGES, ROOT, commands, section
+from zarm_cli.commands import command_line
+
+DOCS = ROOT / "docs"
+COMMISSIONING = (DOCS / "how-to" / "commission-a-robot.md").read_text()
+ENDPOINT = "tcp/127.0.0.1:7447"
+FOLLOWED = {
+    "commissioning": section(COMMISSIONING, "1. One machine, simulated").split("The same through ROS", 1)[0],
+    **{path.stem: path.read_text().split("## From ROS 2", 1)[0] for path in (DOCS / "tutorials").glob("[!i]*.md")},
+}
+"""What is followed here from its first command to its last; what goes through ROS is followed with the tests of the bridge."""
+TYPED = [(path, words) for path in PAGES for words in commands(path.read_text(), "zarm")]
+
+
+def parse(words: list[str]) -> None:
+    """Raises what a person would be told of a command line that cannot be read."""
+    command, context, rest = typer.main.get_command(command_line()), None, words
+    while True:
+        context = command.make_context(rest[0], rest[1:], parent=context)
+        if not hasattr(command, "resolve_command"):
+            return
+        left = [*context._protected_args, *context.args]
+        _, command, arguments = command.resolve_command(context, left)
+        rest = [left[0], *arguments]
+
+
+@pytest.mark.parametrize("words", [pytest.param(words, id=f"{path.stem}: {' '.join(words)}") for path, words in TYPED])
+def test_every_command_can_be_read(words: list[str]) -> None:
+    parse(words)
+
+
+@pytest.mark.parametrize(
+    "words", [["zarm", "sing"], ["zarm", "plan", "--too", "1"], ["zarm", "scene", "add", "cuboid"]]
+)
+def test_one_that_cannot_be_read_is_noticed(words: list[str]) -> None:
+    with pytest.raises(typer.TyperException):
+        parse(words)
+
+
+@pytest.mark.parametrize("guide", FOLLOWED)
+def test_the_simulated_robot_moves_by_the_commands_as_written(guide: str, tmp_path: Path) -> None:
+    up, *others = commands(FOLLOWED[guide], "zarm", "zenoh")
+    assert up[:2] == ["zarm", "up"]
+    with ExitStack() as running:
+        started = running.enter_context(Up(free_endpoint(), tmp_path, *up[2:]))
+        for words in others:
+            if words[:2] == ["zarm", "up"]:
+                running.close()
+                started = running.enter_context(Up(free_endpoint(), tmp_path, *words[2:]))
+            elif words[0] == "zenoh":
+                assert _zenoh(words[1:], started.endpoint)
+            else:
+                done = zarm(*words[1:], ZARM_CONNECT=started.endpoint)
+                assert done.returncode == 0, f"{words}: {done.stderr}"
+
+
+def _zenoh(arguments: list[str], endpoint: str) -> str:
+    """What the zenoh command line prints."""
+    program = str(Path(sys.executable).with_name("zenoh"))
+    words = [program, *(endpoint if word == ENDPOINT else word for word in arguments)]
+    done = subprocess.run(words, env=os.environ, capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 0, f"{arguments}: {done.stderr}"
+    return done.stdout
+
+
+def sentences() -> list[str]:
+    """What the first column of the table of faults quotes, piece by piece."""
+    table = section(COMMISSIONING, "When something does not work").splitlines()
+    rows = [line for line in table if line.startswith("| ")]
+    return [piece for row in rows[1:] for piece in re.findall(r"`([^`]+)`", row.split(" | ")[0])]
+
+
+def test_the_table_quotes_what_zarm_says() -> None:
+    sources = "".join(
+        path.read_text() for folder in ("libs", "services") for path in sorted((ROOT / folder).rglob("*.py"))
+    )
+    joined = re.sub(r'"\s*\n\s*f?"', "", sources)
+    system = {"No space left on device", "zarm status --json"}
+    missing = [text for text in sentences() if text not in joined and text not in system]
+    assert missing == []
+    assert len(sentences()) > 25

@@ -1,0 +1,15 @@
+"""Limits for tests that have no robot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+
+
+def joint_limits(velocity: Array, acceleration: Array, jerk: Array) -> Limits:
+    """These (J,) rad/s, rad/s^2, rad/s^3, of joints that may be anywhere."""
+    everywhere = np.full(len(velocity), np.inf)
+    names = tuple(f"joint_{i}" for i in range(len(velocity)))
+    return Limits(names, -everywhere, everywhere, velocity, acceleration, jerk)
