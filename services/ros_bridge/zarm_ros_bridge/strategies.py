@@ -125,7 +125,7 @@ class StrategyServices:
     def _check_type(self, chosen: str) -> None:
         """Raises InvalidRequest for a robot_type that stands for no strategy of the executor; where that is away, applying it does."""
         try:
-            known = [self._type(one.name) for one in self._engine.strategies().strategies]
+            known = [self._type(one.name) for one in self._engine.client.strategy().strategies]
         except Unavailable:
             return
         if chosen not in known:
