@@ -16,6 +16,8 @@ from zarm_contract.messages import DriverFault
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
 
+pytestmark = pytest.mark.timed
+
 STREAMED, WHOLE = "joint_speed", "joint_trajectory"
 
 

@@ -85,6 +85,7 @@ def test_every_command_of_the_tutorials_is_run_here() -> None:
             assert any(plain.startswith(command, start) for command in COMMANDS), plain[start : start + 120]
 
 
+@pytest.mark.slow
 def test_version_1_ghost(bus: Bus) -> None:
     assert "Set parameter successful" in ros2(CHOOSE["ghost"])
     assert "success: true" in ros2(APPLY)
@@ -94,6 +95,7 @@ def test_version_1_ghost(bus: Bus) -> None:
     assert "ghost" in ros2(ACTIVE)
 
 
+@pytest.mark.slow
 def test_version_1_emulator(bus: Bus) -> None:
     ros2(CHOOSE["ghost"])
     ros2(APPLY)

@@ -13,6 +13,7 @@ import pytest
 
 from support.command_line import ROBOT, SERVICES, Command, Up, the_one_line, zarm
 from support.harness import eventually, free_endpoint
+from support.tiers import sampled
 from zarm_contract.keys import ALL_ALIVE
 from zarm_runtime.bus import Bus
 
@@ -84,7 +85,7 @@ def test_where_logs_are_json_every_line_of_a_service_is_and_the_reason_of_a_fail
     assert {json.loads(line)["robot"] for line in lines} == {ROBOT}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", sampled(signal.SIGTERM, signal.SIGINT))
 def test_an_interrupt_before_anything_is_ready_leaves_no_process(tmp_path: Path, number: signal.Signals) -> None:
     arguments = ("up", "--listen", free_endpoint(), "--state", str(tmp_path))
     with Command(*arguments, folder=tmp_path) as up:
