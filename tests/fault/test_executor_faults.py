@@ -24,8 +24,6 @@ from zarm_runtime.session import open_router
 from zarm_trajectory.follower import CATCH_UP
 from zarm_trajectory.trajectory import TimedTrajectory
 
-pytestmark = pytest.mark.timed
-
 GIVEN_UP = 6.0
 """Seconds after which a client asks no longer, and the router has given up the link."""
 SLOW = rest_to_rest(moved(1.5, -0.5), slower=2.0)

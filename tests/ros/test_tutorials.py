@@ -16,6 +16,7 @@ import yaml
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.paths import PROGRAMS, SHARED
 from support.ros.stack import KEYS
+from support.trajectories import patient
 from zarm_contract.messages import JointState
 from zarm_runtime.bus import Bus
 
@@ -60,9 +61,10 @@ def ros2(command: str) -> str:
 def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """The whole of zarm, and the driver of the robot on the side of ROS."""
     folder = tmp_path_factory.mktemp("tutorials")
+    robot = str(patient(folder / "patient"))
     with router() as endpoint, Bus(endpoint) as session:
         processes = [
-            ServiceProcess(name, endpoint, folder, name=KEYS.robot, arguments=arguments)
+            ServiceProcess(name, endpoint, folder, robot, KEYS.robot, arguments=arguments)
             for name, arguments in (("leeloo_sim", ("--ros",)), ("planner", ()), ("executor", ()), ("ros_bridge", ()))
         ]
         with processes[0], processes[1], processes[2], processes[3]:
