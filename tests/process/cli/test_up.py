@@ -6,7 +6,6 @@ import json
 import re
 import signal
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,14 +17,7 @@ from zarm_contract.keys import ALL_ALIVE
 from zarm_runtime.bus import Bus
 
 
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """A stack that no test here stops."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
-        yield stack
-
-
-def test_up_says_what_runs_where_and_what_to_try_next(up: Up) -> None:
+def test_up_says_what_runs_where_and_what_to_try_next(up: Up, empty_scene: None) -> None:
     assert ROBOT in up.output()
     assert up.endpoint in up.output()
     assert "emulator" in up.output()
