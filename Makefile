@@ -10,15 +10,22 @@ MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/cu
 
 REQUIREMENTS := deploy/requirements
 
-.PHONY: demo test test-deploy ros lint docs bench requirements licences audit clean
+.PHONY: demo test test-all test-deploy ros lint docs bench requirements licences audit clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
 
-# Without the ROS bridge its tests are skipped, and say so.
+# Every promise once. What is timed runs alone. Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest --numprocesses=2 --ignore=tests/deploy
+	@$(BIN)/pytest --ignore=tests/deploy --numprocesses=2 -m "not slow and not timed"
+	@$(BIN)/pytest --ignore=tests/deploy -m "timed and not slow"
+
+# What `make test` runs, what it leaves out as repetition, and more examples of each property.
+test-all: $(VENV)/.dev $(VENV)/.kernels
+	@$(MAKE) --no-print-directory ros || true
+	@$(BIN)/pytest --ignore=tests/deploy --hypothesis-profile=full --numprocesses=2 -m "not timed"
+	@$(BIN)/pytest --ignore=tests/deploy --hypothesis-profile=full -m timed
 
 # The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.
 COMPOSE = $(if $(shell docker compose version 2>/dev/null),docker compose,docker-compose)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import gc
-import os
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
@@ -12,16 +11,20 @@ from support.executor.client import Client
 from support.harness import ServiceProcess, router
 from support.pendulum import write_pendulum
 from support.trajectories import KEYS
-from support.workers import ByTime, give_way
 from zarm_runtime.bus import Bus
 
-settings.register_profile("untimed", deadline=None)  # nothing timed is asserted: machines differ
-settings.load_profile("untimed")
+IN_PROCESS = Path(__file__).parent / "unit"
+
+settings.register_profile("quick", deadline=None, max_examples=20)  # nothing timed is asserted: machines differ
+settings.register_profile("full", deadline=None, max_examples=100)
+settings.load_profile("quick")
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByTime:
-    """One worker for what must be in time, one for the rest."""
-    return ByTime(config, log)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What runs in the process of the tests is fast, but for what is marked slow."""
+    for item in items:
+        if item.path.is_relative_to(IN_PROCESS) and item.get_closest_marker("slow") is None:
+            item.add_marker("fast")
 
 
 def pytest_collection_finish() -> None:
@@ -29,10 +32,8 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """In a run of two workers the one that is in no hurry gives way."""
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        give_way(item.nodeid)
+def pytest_runtest_setup() -> None:
+    """The services of the tests before are no longer of interest."""
     ServiceProcess.started[:] = [one for one in ServiceProcess.started if one.process.poll() is None]
 
 

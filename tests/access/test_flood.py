@@ -19,6 +19,8 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import Nothing
 from zarm_runtime.bus import Bus
 
+pytestmark = pytest.mark.slow
+
 KEYS = Keys("some_robot")
 FLOOD = str(PROGRAMS / "flood.py")
 FIREWALL = str(ROOT / "deploy" / "firewall.nft")

@@ -17,6 +17,7 @@ from support.certificates import issue
 from support.command_line import HOME, Command, Up, the_one_line, vector, zarm
 from support.harness import PATIENCE, eventually, free_endpoint
 from support.paths import EXAMPLES, ROOT
+from support.trajectories import patient
 from zarm_cli.authority import Authority, today
 from zarm_contract.access import Role
 from zarm_contract.codec import encode
@@ -63,7 +64,8 @@ def certified(certificates: Path) -> Iterator[dict[str, str]]:
 def up(certified: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
     """A robot behind the simulated driver, on a bus with access control."""
     folder = tmp_path_factory.mktemp("up")
-    with Up(free_endpoint(), folder, "--driver", "sim", "--strategy", "joint_speed", **certified) as stack:
+    robot = ("--robot", str(patient(folder / "patient")), "--driver", "sim", "--strategy", "joint_speed")
+    with Up(free_endpoint(), folder, *robot, **certified) as stack:
         yield stack
 
 

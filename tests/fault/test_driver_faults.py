@@ -16,12 +16,14 @@ from zarm_contract.messages import DriverFault
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
 
+pytestmark = pytest.mark.timed
+
 STREAMED, WHOLE = "joint_speed", "joint_trajectory"
 
 
 @pytest.fixture(params=[STREAMED, WHOLE])
 def robot(request: pytest.FixtureRequest, bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[Driven]:
-    with driven(bus, endpoint, tmp_path, request.param) as robot:
+    with driven(bus, endpoint, tmp_path, request.param, waited_for=False) as robot:
         yield robot
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
@@ -80,7 +82,7 @@ def test_a_driver_that_still_plays_is_stopped_as_soon_as_the_router_is_back(tmp_
         first = stack.enter_context(ExitStack())
         first.enter_context(open_router(endpoint))
         bus = stack.enter_context(Bus(endpoint))
-        robot = stack.enter_context(driven(bus, endpoint, tmp_path, WHOLE))
+        robot = stack.enter_context(driven(bus, endpoint, tmp_path, WHOLE, waited_for=False))
         goal_id = robot.client.execute(rest_to_rest(FAR, slower=6.0))
         robot.client.under_way(goal_id, 0.1)
         first.close()

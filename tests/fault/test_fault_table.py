@@ -28,6 +28,8 @@ from zarm_leeloo_sim.player import CEILING
 from zarm_runtime.bus import Bus
 from zarm_trajectory.follower import CATCH_UP
 
+pytestmark = pytest.mark.timed
+
 STREAMED, WHOLE = "joint_speed", "joint_trajectory"
 
 EXECUTION, CSPACE, PARAMS = ROBOT.descriptor.execution, ROBOT.descriptor.cspace, ROBOT.descriptor.strategy_params
@@ -349,6 +351,17 @@ ROWS = (
 )
 
 
+OF_EACH_KIND = {
+    ("executor killed", STREAMED),
+    ("driver silent", STREAMED),
+    ("driver stalls", WHOLE),
+    ("joints are NaN", STREAMED),
+    ("router restarted", STREAMED),
+    ("executor's link cut", STREAMED),
+}
+"""What `make test` runs of the table."""
+
+
 class Stage:
     """One arena at a time, kept from one test to the next as long as it does."""
 
@@ -386,7 +399,12 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 @pytest.mark.parametrize(
     ("strategy", "row"),
     [
-        pytest.param(strategy, row, id=f"{row.name}-{strategy}")
+        pytest.param(
+            strategy,
+            row,
+            id=f"{row.name}-{strategy}",
+            marks=() if (row.name, strategy) in OF_EACH_KIND else pytest.mark.slow,
+        )
         for wired in (False, True)
         for strategy in (STREAMED, WHOLE)
         for row in ROWS

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually
 from support.resources import burden
 from support.trajectories import HOME, KEYS, moved, rest_to_rest
 from zarm_contract.messages import ExecutorState, JointState, Nothing
 from zarm_runtime.bus import Bus
+
+pytestmark = pytest.mark.slow
 
 THERE, BACK = rest_to_rest(moved(0.005)), rest_to_rest(HOME, moved(0.005))
 GROWTH = 4 * 2**20

@@ -16,6 +16,8 @@ from support.trajectories import KEYS
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
+pytestmark = pytest.mark.slow
+
 BOUND = 320 * 2**20
 """Bytes of memory that the executor has at most."""
 GROWTH = 64 * 2**20

@@ -30,6 +30,8 @@ from zarm_contract.messages import Message
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
+pytestmark = pytest.mark.slow
+
 COUNT = int(os.environ.get("ZARM_FUZZ", "2000"))
 SEED = 1
 CLIENTS = 16

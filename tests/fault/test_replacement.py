@@ -32,6 +32,8 @@ from zarm_contract.messages import (
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
 
+pytestmark = pytest.mark.slow
+
 SLOW = rest_to_rest(moved(0.8), slower=6.0)
 
 

@@ -21,6 +21,8 @@ from zarm_contract.messages import JointGoal, Plan, PlanRequest
 from zarm_contract.robot import ROBOTS
 from zarm_runtime.bus import Bus
 
+pytestmark = pytest.mark.slow
+
 SECONDS = float(os.environ.get("ZARM_SOAK_SECONDS", "20"))
 RATE = 250
 PATIENT = 0.5

@@ -29,6 +29,8 @@ from zarm_contract.messages import (
 )
 from zarm_runtime.bus import Bus
 
+pytestmark = pytest.mark.slow
+
 THERE = rest_to_rest(FAR, slower=2.0)
 SPEED = float(np.max(np.abs(THERE.velocity)))
 STEP = 0.01

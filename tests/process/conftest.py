@@ -1,4 +1,4 @@
-"""A planner, and a `zarm up`, that the tests of one file share."""
+"""A planner that the tests of one file share."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 
-from support.command_line import KEYS, Up
-from support.harness import ServiceProcess, free_endpoint, router
-from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
+from support.command_line import KEYS
+from support.harness import ServiceProcess, router
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
@@ -36,23 +35,3 @@ def foreign(planner: Bus, place: str) -> Iterator[zenoh.Session]:
     session = open_client(place)
     yield session
     session.close()  # type: ignore[no-untyped-call]
-
-
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """`zarm up`, which the tests of one file share."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
-        yield stack
-
-
-@pytest.fixture(scope="module")
-def observer(up: Up) -> Iterator[Bus]:
-    """A client on its bus."""
-    with Bus(up.endpoint) as session:
-        yield session
-
-
-@pytest.fixture
-def empty_scene(observer: Bus) -> None:
-    """Its scene is empty."""
-    observer.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), SceneEdited, timeout=5)

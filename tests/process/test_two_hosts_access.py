@@ -15,6 +15,7 @@ from support.network.two_hosts import obstacle
 pytestmark = pytest.mark.skipif(bool(obstacle()), reason=obstacle() or "")
 
 
+@pytest.mark.slow
 def test_with_certificates_the_two_are_one_bus_and_are_again_after_a_cut(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Quaternion, Vector3
 from geometry_msgs.msg import Pose as RosPose
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState as RosJointState
 from std_msgs.msg import ColorRGBA
 
 from curobo_msgs.srv import AddObject, TrajectoryGeneration
+from support.examples import examples
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     Capsule,
@@ -44,7 +45,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 def promised(*values: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """For fifty of these values."""
-    return lambda test: settings(max_examples=50)(given(*values)(test))
+    return lambda test: examples(0.5)(given(*values)(test))
 
 
 JOINTS = ("joint_1", "joint_2", "joint_3")

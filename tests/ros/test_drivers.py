@@ -18,7 +18,7 @@ from support.executor.client import Client
 from support.harness import ServiceProcess, eventually
 from support.ros.client import RosClient, told
 from support.ros.stack import controller
-from support.trajectories import rest_to_rest
+from support.trajectories import patient, rest_to_rest
 from zarm_contract import messages as m
 from zarm_contract.keys import Keys
 from zarm_contract.robot import load_robot
@@ -45,8 +45,9 @@ def test_a_ur5e_is_moved_through_its_controller_topic(bus: Bus, endpoint: str, t
         stack.enter_context(controller(UR5E))
         bridge = stack.enter_context(ServiceProcess("ros_bridge", endpoint, tmp_path, robot="ur5e"))
         bridge.wait_ready(bus, keys)
+        robot = str(patient(tmp_path / "patient", UR5E))
         executor = ServiceProcess(
-            "executor", endpoint, tmp_path, robot="ur5e", arguments=("--strategy", "joint_trajectory")
+            "executor", endpoint, tmp_path, robot=robot, arguments=("--strategy", "joint_trajectory")
         )
         stack.enter_context(executor).wait_ready(bus, keys)
         client = Client(bus, keys)

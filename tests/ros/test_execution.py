@@ -239,6 +239,7 @@ def test_a_preempting_goal_takes_the_place_of_another_clients_motion(robot: Robo
     assert robot.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10).status == "cancelled"
 
 
+@pytest.mark.slow
 def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Robot, actions: Actions) -> None:
     robot.plan()
     goals = [actions.send() for _ in range(50)]

@@ -13,7 +13,10 @@ from support.ros.stack import KEYS, stack
 SLOW = PROGRAMS / "slow_bridge.py"
 
 
-@pytest.mark.parametrize("names", [("execute_trajectory",) * 2, ("send_trajectory", "execute_trajectory")])
+@pytest.mark.parametrize(
+    "names",
+    [("execute_trajectory",) * 2, pytest.param(("send_trajectory", "execute_trajectory"), marks=pytest.mark.slow)],
+)
 def test_the_one_that_was_sent_last_moves_the_robot_where_the_thread_of_the_first_is_slower(
     tmp_path: Path, names: tuple[str, str]
 ) -> None:

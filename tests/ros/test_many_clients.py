@@ -14,6 +14,8 @@ from support.ros.crowd import Crowd
 from support.ros.goals import ABORTED, SUCCEEDED, Actions, Robot
 from support.ros.stack import KEYS, Stack, stack
 
+pytestmark = pytest.mark.slow
+
 PROCESSES, NODES = 5, 10
 FLOOD = 100
 GROWTH = 32 * 2**20

@@ -186,6 +186,7 @@ def test_the_parameters_follow_whoever_switches(running: Stack, parameters: Node
     assert parameters.get("control_strategy") == "emulator"
 
 
+@pytest.mark.slow
 def test_after_many_switches_at_once_the_parameters_say_what_is_active(running: Stack, parameters: Node) -> None:
     for _ in range(10):
         pending = parameters.client.set_parameters([Parameter("control_strategy", value="ghost")])

@@ -269,6 +269,7 @@ def test_a_planner_chosen_by_the_parameter_is_the_active_one_unless_it_is_not_th
     assert arm.ros.call(GetPlanners, "get_planners").current_planner_name == "joint_space"
 
 
+@pytest.mark.slow
 def test_many_clients_at_once_all_get_their_plan(arm: Stack) -> None:
     client = arm.ros.node.create_client(TrajectoryGeneration, "/unified_planner/generate_trajectory")
     assert client.wait_for_service(60)

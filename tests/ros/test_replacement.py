@@ -5,12 +5,15 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
+import pytest
 from std_srvs.srv import Trigger
 
 from support.executor.client import Client
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.ros.stack import KEYS, stack
 from support.trajectories import moved, rest_to_rest
+
+pytestmark = pytest.mark.slow
 
 SLOW = rest_to_rest(moved(0.8), slower=6.0)
 

@@ -139,6 +139,7 @@ def test_what_is_larger_than_the_limits_is_refused_with_the_limit(running: Stack
     assert len(message) < LONGEST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GOOD)
 def test_every_service_answers_damaged_requests_with_a_sentence(running: Stack, name: str) -> None:
     kind, good = GOOD[name]

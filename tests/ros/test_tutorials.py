@@ -18,6 +18,7 @@ from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.markdown import PAGES, commands
 from support.paths import PROGRAMS, SHARED
 from support.ros.stack import KEYS
+from support.trajectories import patient
 from zarm_contract.messages import JointState
 from zarm_runtime.bus import Bus
 
@@ -62,9 +63,10 @@ def ros2(command: str) -> str:
 def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """The whole of zarm, and the driver of the robot on the side of ROS."""
     folder = tmp_path_factory.mktemp("tutorials")
+    robot = str(patient(folder / "patient"))
     with router() as endpoint, Bus(endpoint) as session:
         processes = [
-            ServiceProcess(name, endpoint, folder, name=KEYS.robot, arguments=arguments)
+            ServiceProcess(name, endpoint, folder, robot, KEYS.robot, arguments=arguments)
             for name, arguments in (("leeloo_sim", ("--ros",)), ("planner", ()), ("executor", ()), ("ros_bridge", ()))
         ]
         with processes[0], processes[1], processes[2], processes[3]:
@@ -97,6 +99,7 @@ def test_every_command_of_a_tutorial_is_run_here(page: Path) -> None:
         assert typed in known, " ".join(words)
 
 
+@pytest.mark.slow
 def test_version_1_ghost(bus: Bus) -> None:
     assert "Set parameter successful" in ros2(CHOOSE["ghost"])
     assert "success: true" in ros2(APPLY)
@@ -106,6 +109,7 @@ def test_version_1_ghost(bus: Bus) -> None:
     assert "ghost" in ros2(ACTIVE)
 
 
+@pytest.mark.slow
 def test_version_1_emulator(bus: Bus) -> None:
     ros2(CHOOSE["ghost"])
     ros2(APPLY)

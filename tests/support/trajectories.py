@@ -87,11 +87,21 @@ def trapezoid(
 
 def descriptor_at(control_rate: float, folder: Path) -> Path:
     """The descriptor of the tests' robot with another rate (Hz) of the control loop, in a folder of its own."""
+    return _descriptor(folder, ROBOT, f"control_rate: {control_rate}")
+
+
+def patient(folder: Path, robot: Robot = ROBOT) -> Path:
+    """The descriptor of a robot that is given 1 s to tell its joints, in a folder of its own: for tests that move it through a
+    driver on a machine that is busy, and say nothing of how soon its silence is noticed."""
+    return _descriptor(folder, robot, "joint_state_timeout: 1.0")
+
+
+def _descriptor(folder: Path, robot: Robot, execution: str) -> Path:
     folder.mkdir(parents=True)
-    text = find_robot(ROBOT.descriptor.name).read_text() + f"\nexecution: {{control_rate: {control_rate}}}\n"
-    descriptor = folder / f"{ROBOT.descriptor.name}.yaml"
-    descriptor.write_text(text)
-    shutil.copy(ROBOT.urdf_path, folder)
+    name = robot.descriptor.name
+    descriptor = folder / f"{name}.yaml"
+    descriptor.write_text(f"{find_robot(name).read_text()}\nexecution: {{{execution}}}\n")
+    shutil.copy(robot.urdf_path, folder)
     return descriptor
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from support.command_line import ROBOT, ZARM, Router, the_one_line, zarm
 from support.harness import free_endpoint
+from support.tiers import sampled
 
 INTERRUPTED = """
 import importlib.abc, os, signal, sys
@@ -122,7 +123,9 @@ def test_a_port_where_something_else_listens_is_unavailable() -> None:
     assert "is no Zenoh router" in the_one_line(result.stderr)
 
 
-@pytest.mark.parametrize("module", ["zarm_cli.commands", "concurrent.futures", "pydantic", "zenoh", "rich.console"])
+@pytest.mark.parametrize(
+    "module", sampled("zenoh", "zarm_cli.commands", "concurrent.futures", "pydantic", "rich.console")
+)
 def test_ctrl_c_while_a_command_is_loaded_ends_it_without_a_word(module: str) -> None:
     ended = subprocess.run([sys.executable, "-c", INTERRUPTED, module], capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (130, "")

@@ -8,6 +8,7 @@ import pytest
 
 from support.command_line import Command
 from support.harness import eventually
+from support.tiers import sampled
 
 
 def test_two_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path) -> None:
@@ -21,7 +22,7 @@ def test_two_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: 
             assert demo.errors() == ""
 
 
-@pytest.mark.parametrize("moment", ["leash", "zarm_planner.service"])
+@pytest.mark.parametrize("moment", sampled("zarm_planner.service", "leash"))
 def test_ctrl_c_while_the_demo_starts_leaves_no_process(tmp_path: Path, moment: str) -> None:
     with Command("demo", folder=tmp_path) as demo:
         eventually(lambda: any(moment in " ".join(line) for line in demo.command_lines()), f"{moment} runs")
@@ -30,7 +31,7 @@ def test_ctrl_c_while_the_demo_starts_leaves_no_process(tmp_path: Path, moment: 
         assert demo.family() == []
 
 
-@pytest.mark.parametrize("moment", ["ready", "clearance", "reached"])
+@pytest.mark.parametrize("moment", sampled("reached", "ready", "clearance"))
 def test_ctrl_c_in_the_middle_of_the_demo_leaves_no_process(tmp_path: Path, moment: str) -> None:
     with Command("demo", folder=tmp_path) as demo:
         demo.wait_for(moment)

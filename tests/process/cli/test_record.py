@@ -13,6 +13,7 @@ import pytest
 from support.command_line import Command, the_one_line, zarm
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually, free_endpoint
+from support.tiers import sampled
 from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_contract.codec import encode
 from zarm_contract.keys import Keys
@@ -33,7 +34,7 @@ def begun(command: Command) -> None:
     eventually(lambda: "Ctrl-C" in command.errors(), "it records")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", sampled(signal.SIGINT, signal.SIGTERM))
 def test_a_motion_is_on_record_as_it_went_over_the_bus_and_is_told(
     client: Client, endpoint: str, tmp_path: Path, number: int
 ) -> None:

@@ -6,25 +6,18 @@ import json
 import re
 import signal
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from support.command_line import ROBOT, SERVICES, Command, Up, the_one_line, zarm
 from support.harness import eventually, free_endpoint
+from support.tiers import sampled
 from zarm_contract.keys import ALL_ALIVE
 from zarm_runtime.bus import Bus
 
 
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """A stack that no test here stops."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
-        yield stack
-
-
-def test_up_says_what_runs_where_and_what_to_try_next(up: Up) -> None:
+def test_up_says_what_runs_where_and_what_to_try_next(up: Up, empty_scene: None) -> None:
     assert ROBOT in up.output()
     assert up.endpoint in up.output()
     assert "emulator" in up.output()
@@ -84,7 +77,7 @@ def test_where_logs_are_json_every_line_of_a_service_is_and_the_reason_of_a_fail
     assert {json.loads(line)["robot"] for line in lines} == {ROBOT}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", sampled(signal.SIGTERM, signal.SIGINT))
 def test_an_interrupt_before_anything_is_ready_leaves_no_process(tmp_path: Path, number: signal.Signals) -> None:
     arguments = ("up", "--listen", free_endpoint(), "--state", str(tmp_path))
     with Command(*arguments, folder=tmp_path) as up:

@@ -16,7 +16,7 @@ from support.executor.driven import FAR, LIMIT, THERE, driven
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import EXAMPLES
 from support.resources import ahead_of_others, favour
-from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
+from support.trajectories import HOME, KEYS, ROBOT, moved, patient, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_contract.robot import find_robot, load_robot
@@ -221,7 +221,9 @@ def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
 def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path: Path, strategy: str) -> None:
     with (
         example(bus, endpoint) as told,
-        ServiceProcess("executor", endpoint, tmp_path, arguments=("--strategy", strategy)) as process,
+        ServiceProcess(
+            "executor", endpoint, tmp_path, robot=str(patient(tmp_path / "patient")), arguments=("--strategy", strategy)
+        ) as process,
     ):
         process.wait_ready(bus, KEYS)
         favour(process)

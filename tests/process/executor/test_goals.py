@@ -9,6 +9,7 @@ import pytest
 
 from support.executor.client import Client, distance_from
 from support.harness import PATIENCE, ServiceProcess, eventually
+from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT, descriptor_at, moved, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
@@ -54,7 +55,7 @@ def test_the_joints_are_measured_at_100_hz_also_when_nothing_moves(client: Clien
     assert client.measured[-1].joint_names == ROBOT.descriptor.joints
 
 
-@pytest.mark.parametrize("rate", [125, 250, 500])
+@pytest.mark.parametrize("rate", sampled(250, 125, 500))
 def test_it_works_at_the_control_rate_of_the_descriptor(endpoint: str, bus: Bus, tmp_path: Path, rate: int) -> None:
     robot = str(descriptor_at(rate, tmp_path / "robot"))
     with ServiceProcess("executor", endpoint, tmp_path, robot=robot) as process:

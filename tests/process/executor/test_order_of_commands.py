@@ -10,6 +10,7 @@ import zenoh
 
 from support.executor.client import Client
 from support.harness import PATIENCE, ServiceProcess, eventually
+from support.tiers import sampled
 from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import Problem
@@ -71,7 +72,7 @@ def stays_where_it_was_stopped(client: Client, execute: Message) -> None:
     eventually(client.stands, "the robot stands")  # what was measured before may still come
 
 
-@pytest.mark.parametrize("samples", [50, 200, 3000, 16000])
+@pytest.mark.parametrize("samples", sampled(200, 50, 3000, 16000))
 def test_an_execute_that_was_sent_before_a_stop_does_not_start_after_it(
     executor: ServiceProcess, client: Client, endpoint: str, samples: int
 ) -> None:
@@ -88,7 +89,7 @@ def test_an_execute_that_was_sent_before_a_stop_does_not_start_after_it(
                 assert (client.position() == where).all()
 
 
-@pytest.mark.parametrize("samples", [50, 3000])
+@pytest.mark.parametrize("samples", sampled(3000, 50))
 def test_a_frozen_executor_takes_what_it_finds_in_the_order_in_which_it_came_from_whichever_session(
     executor: ServiceProcess, client: Client, endpoint: str, samples: int
 ) -> None:

@@ -116,6 +116,7 @@ def test_a_scene_of_ten_thousand_objects_is_planned_in_and_one_more_is_refused(
     assert str(MAX_OBJECTS) in fault.message
 
 
+@pytest.mark.slow
 def test_two_hundred_simultaneous_requests_are_all_answered(planner: Bus) -> None:
     def ask(seed: int) -> str:
         try:

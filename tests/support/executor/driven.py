@@ -11,7 +11,7 @@ import numpy as np
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually
 from support.resources import favour
-from support.trajectories import HOME, ROBOT, moved, rest_to_rest
+from support.trajectories import HOME, ROBOT, moved, patient, rest_to_rest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState, Nothing
 from zarm_contract.robot import Robot
@@ -25,10 +25,16 @@ LIMIT = 1.2
 
 
 class Driven:
-    """`client` talks to the executor; `told` is what the driver told of its joints, `commands` what it was sent."""
+    """`client` talks to the executor; `told` is what the driver told of its joints, `commands` what it was sent.
 
-    def __init__(self, bus: Bus, endpoint: str, folder: Path, strategy: str, robot: Robot = ROBOT) -> None:
+    A robot that is `waited_for` may be silent for longer, as on a busy machine, before the executor takes it for dead.
+    """
+
+    def __init__(
+        self, bus: Bus, endpoint: str, folder: Path, strategy: str, robot: Robot = ROBOT, *, waited_for: bool = False
+    ) -> None:
         self.bus, self.endpoint, self.folder = bus, endpoint, folder
+        self._descriptor = str(patient(folder / "patient", robot)) if waited_for else robot.descriptor.name
         self.strategy, self.joints = strategy, robot.descriptor.joints
         self.keys = keys = Keys(robot.descriptor.name)
         self.client = Client(bus, keys)
@@ -40,11 +46,11 @@ class Driven:
         self.executor: ServiceProcess
 
     def new_driver(self, *arguments: str) -> ServiceProcess:
-        return ServiceProcess("leeloo_sim", self.endpoint, self.folder, self.keys.robot, arguments=arguments)
+        return ServiceProcess("leeloo_sim", self.endpoint, self.folder, self._descriptor, arguments=arguments)
 
     def new_executor(self) -> ServiceProcess:
         arguments = ("--strategy", self.strategy)
-        return ServiceProcess("executor", self.endpoint, self.folder, self.keys.robot, arguments=arguments)
+        return ServiceProcess("executor", self.endpoint, self.folder, self._descriptor, arguments=arguments)
 
     def suffer(self, fault: DriverFault) -> None:
         """Give the driver a fault."""
@@ -88,11 +94,11 @@ class Driven:
 
 @contextmanager
 def driven(
-    bus: Bus, endpoint: str, folder: Path, strategy: str, *driver: str, robot: Robot = ROBOT
+    bus: Bus, endpoint: str, folder: Path, strategy: str, *driver: str, robot: Robot = ROBOT, waited_for: bool = True
 ) -> Iterator[Driven]:
     """The two processes, ready."""
     with ExitStack() as stack:
-        arm = Driven(bus, endpoint, folder, strategy, robot)
+        arm = Driven(bus, endpoint, folder, strategy, robot, waited_for=waited_for)
         arm.driver = stack.enter_context(arm.new_driver(*driver))
         arm.driver.wait_ready(bus, arm.keys)
         arm.executor = stack.enter_context(arm.new_executor())

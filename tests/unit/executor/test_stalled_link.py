@@ -6,10 +6,11 @@ from pathlib import Path as Folder
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from support.arrivals import arrival
+from support.examples import examples
 from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
 from support.trajectories import HOME, trapezoid
 from zarm_contract.messages import DriverCommand
@@ -42,7 +43,7 @@ def stalled_for(folder: Folder, case: Case, after: float, seconds: float, rate: 
     return bench
 
 
-@settings(max_examples=4)
+@examples(0.04)
 @given(
     case=st.sampled_from(DRIVEN),
     after=st.floats(0.02, 1.8),

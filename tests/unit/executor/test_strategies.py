@@ -12,6 +12,7 @@ from support.arrivals import arrival
 from support.executor.driven import FAR, LIMIT
 from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
 from support.executor.waves import target
+from support.tiers import sampled
 from support.trajectories import HOME, trapezoid
 from zarm_contract.errors import Unavailable
 from zarm_contract.strategies import DRIVER_STRATEGIES
@@ -19,11 +20,12 @@ from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.strategies.joint_speed import JointSpeed
 from zarm_trajectory.trajectory import TimedTrajectory
 
-at_every_rate = pytest.mark.parametrize("rate", [100.0, 130.0, 250.0, 500.0])
+at_every_rate = pytest.mark.parametrize("rate", sampled(100.0, 130.0, 250.0, 500.0))
 """Of the control loop, Hz; at 130 no period of chunks or of points is one of ticks."""
 
 at_every_phase = pytest.mark.parametrize(
-    ("rate", "phase"), [(100.0, 0.0), (100.0, 0.009), (130.0, 0.003), (250.0, 0.003), (250.0, 0.009), (500.0, 0.003)]
+    ("rate", "phase"),
+    sampled((100.0, 0.0), (100.0, 0.009), (130.0, 0.003), (250.0, 0.003), (250.0, 0.009), (500.0, 0.003)),
 )
 """Where (s) between two ticks of the control loop (Hz) those of the driver are."""
 
@@ -56,8 +58,8 @@ def test_it_reaches_the_goal_inside_the_limits(bench: DriverBench) -> None:
 
 
 @at_every_rate
-@pytest.mark.parametrize("phase", [0.0, 0.009])
-@pytest.mark.parametrize("after", [0.05, 0.7, 1.5, 2.3])
+@pytest.mark.parametrize("phase", sampled(0.009, 0.0))
+@pytest.mark.parametrize("after", sampled(0.7, 0.05, 1.5, 2.3))
 def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(bench: DriverBench, after: float) -> None:
     path = bench.execute()
     bench.run(after)
@@ -70,7 +72,7 @@ def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(be
         assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
-@pytest.mark.parametrize("after", [0.05, 0.7, 1.5])
+@pytest.mark.parametrize("after", sampled(0.7, 0.05, 1.5))
 def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after: float) -> None:
     bench.execute()
     bench.run(after)
@@ -87,7 +89,7 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
 
 
-@pytest.mark.parametrize("ticks", [*range(8), 40])
+@pytest.mark.parametrize("ticks", sampled(1, 0, *range(2, 8), 40))
 @pytest.mark.parametrize("command", ["pause", "slower", "cancel"])
 def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
     bench: DriverBench, ticks: int, command: str
@@ -129,7 +131,7 @@ def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
     assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
-@pytest.mark.parametrize("scale", [0.05, 0.4])
+@pytest.mark.parametrize("scale", sampled(0.4, 0.05))
 def test_at_a_lower_speed_a_goal_is_held_goes_on_and_is_not_overdue(bench: DriverBench, scale: float) -> None:
     bench.machine.set_speed(scale)
     path = bench.execute()
@@ -236,7 +238,7 @@ def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_pat
 
 
 @at_every_rate
-@pytest.mark.parametrize("after", [0.02, 0.7, 1.5, 2.38])
+@pytest.mark.parametrize("after", sampled(0.7, 0.02, 1.5, 2.38))
 def test_a_control_loop_that_was_away_in_motion_ends_in_fault_at_rest(bench: DriverBench, after: float) -> None:
     bench.execute()
     bench.run(after)

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from support.examples import examples
 from support.planner.small_arm import small_arm
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere
@@ -124,7 +125,7 @@ def truth(model: RobotModel, q: Array, objects: Sequence[SceneObject]) -> float:
     return min([FARTHEST, *(apart(a, b) for a, b in pairs)])
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_distance_is_that_of_alternating_projections(model: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -197,7 +198,7 @@ def dense(a: Array, b: Array, scene: ExactScene) -> Array:
     return np.linspace(a, b, int(np.abs(b - a) @ scene.reach / 0.005) + 2)
 
 
-@settings(max_examples=20)
+@examples(0.2)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_motion_has_the_clearance_of_its_nearest_configuration(model: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -231,7 +232,7 @@ def measured(model: RobotModel, motion: Array, objects: Sequence[SceneObject]) -
     return smallest
 
 
-@settings(max_examples=10)
+@examples(0.1)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_motion_is_never_said_to_keep_further_away_than_fcl_measures_anywhere(model: RobotModel, seed: int) -> None:
     """Every two shapes at every configuration, none left out by a bound; coarse motions too, which leave nothing to luck."""
@@ -245,7 +246,7 @@ def test_a_motion_is_never_said_to_keep_further_away_than_fcl_measures_anywhere(
         assert everywhere[found.sample] <= 0.0
 
 
-@settings(max_examples=20)
+@examples(0.2)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_bounds_enclose_the_distance(model: RobotModel, seed: int) -> None:
     """By two other computations. FCL is never too short; but of capsules or cylinders and boxes 1 in 1000 is too long."""
@@ -267,7 +268,7 @@ def test_bounds_enclose_the_distance(model: RobotModel, seed: int) -> None:
         assert apart(solid_of_shape(shape), solid_of_shape(obstacle)) <= max(upper, 0.0) + 1e-4
 
 
-@settings(max_examples=20)
+@examples(0.2)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_sheet_of_5_mm_is_missed_on_the_way(model: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -295,7 +296,7 @@ def _half_turn(turn: Array) -> tuple[float, float]:
     return float(np.sin(angle)), float(np.cos(angle))
 
 
-@settings(max_examples=30)
+@examples(0.3)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_point_moves_further_than_its_reach(model: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)

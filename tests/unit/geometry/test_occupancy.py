@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from support.examples import examples
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Primitive, SceneObject, Sphere, Voxels
 from zarm_geometry import rows
@@ -42,7 +43,7 @@ def primitives(count: int, seed: int) -> list[Primitive]:
     return items
 
 
-@settings(max_examples=15)
+@examples(0.15)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.05, 0.3]))
 def test_no_point_of_an_object_is_outside_and_no_cell_is_empty(seed: int, resolution: float) -> None:
     world = World(primitives(1, seed), 0.0)

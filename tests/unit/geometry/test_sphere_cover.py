@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from support.examples import examples
 from support.planner.sphere_model import distance, random_object
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import obstacle_shape
@@ -14,7 +15,7 @@ from zarm_geometry.sphere_cover import MOST, STANDS_OUT, sphere_cover
 KINDS = ("cuboid", "sphere", "capsule", "cylinder")
 
 
-@settings(max_examples=60)
+@examples(0.6)
 @given(st.sampled_from(KINDS), st.floats(0.01, 0.6), st.integers(0, 2**32 - 1))
 def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -28,7 +29,7 @@ def test_a_few_balls_cover_a_shape_whole(kind: str, size: float, seed: int) -> N
     assert len(balls) <= MOST
 
 
-@settings(max_examples=60)
+@examples(0.6)
 @given(st.sampled_from(KINDS), st.floats(0.01, 0.6), st.integers(0, 2**32 - 1))
 def test_the_balls_stand_out_by_little(kind: str, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from support.examples import examples
 from support.planner.second_opinion import link_pose
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import clearances, random_objects
@@ -241,7 +242,7 @@ def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
     assert np.all(motion.position == start)
 
 
-@settings(max_examples=50)
+@examples(0.5)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-7, np.pi]))
 def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_frame(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
@@ -260,7 +261,7 @@ def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_fr
         np.testing.assert_allclose(found[3:], axes @ shift, atol=1e-12)
 
 
-@settings(max_examples=40)
+@examples(0.4)
 @given(st.sampled_from(sorted(MODELS)), st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
 def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
     name: str, message: HeldAxes, seed: int

@@ -14,6 +14,7 @@ import pytest
 from support.planner.second_opinion import Collisions
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import random_object, random_objects
+from support.tiers import sampled
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Attached, JointGoal, Trajectory
 from zarm_contract.robot import Robot, load_robot
@@ -60,8 +61,8 @@ def assert_limits_held(trajectory: Trajectory, robot: Robot) -> None:
     assert np.all(position <= np.array(robot.upper) + 2e-4)
 
 
-@pytest.mark.parametrize("changed", ["bare", "carrying", "ignoring"])
-@pytest.mark.parametrize("name", IGNORED)
+@pytest.mark.parametrize("changed", sampled("bare", "carrying", "ignoring"))
+@pytest.mark.parametrize("name", sampled(*IGNORED))
 def test_every_motion_is_free_and_within_limits(name: str, changed: str, tmp_path: Path) -> None:
     robot = small_arm(tmp_path) if name == "small_arm" else load_robot(name)
     bare, planned = RobotModel.of(robot), 0

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from support.examples import examples
 from support.planner.limits import joint_limits
 from support.planner.sphere_model import clearances, random_objects
 from zarm_contract.messages import Cuboid
@@ -126,7 +127,7 @@ def test_a_path_that_goes_nowhere_is_a_short_rest(model: RobotModel) -> None:
     np.testing.assert_array_equal(motion.position, [LEFT, LEFT])
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(st.integers(0, 2**32))
 @example(3)
 def test_in_random_worlds_the_motion_is_as_free_as_the_path(seed: int) -> None:
@@ -190,7 +191,7 @@ def test_rows_that_are_no_vias_need_not_be_passed(model: RobotModel) -> None:
     assert passings(free, ZIGZAG[3:4])[1].max() > DEVIATION
 
 
-@settings(max_examples=15)
+@examples(0.15)
 @given(st.integers(0, 2**32), st.sampled_from([None, 200.0, 20.0]), st.sampled_from([0.004, 0.01, 0.02]))
 @example(3, None, 0.01)
 @example(1025, None, 0.02)
@@ -237,7 +238,7 @@ def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
 numbers = st.floats(-1.0, 1.0)
 
 
-@settings(max_examples=300)
+@examples(3)
 @given(st.lists(st.tuples(numbers, numbers, numbers, numbers), min_size=1, max_size=4))
 @example([(0.0, 0.5, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0)])
 def test_a_ramp_joins_two_states_inside_the_limits(joints: list[tuple[float, float, float, float]]) -> None:

@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from support.examples import examples
 from support.planner.limits import joint_limits
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.timing.time_parameterization import time_path
@@ -57,7 +58,7 @@ def distance_to(path: Array, points: Array) -> float:
     return float(best.max())
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(waypoints, scales, deviations)
 def test_velocity_and_acceleration_hold_between_samples_too(points: Array, scale: float, deviation: float) -> None:
     motion = time_path(points * scale, LIMITS, DT, deviation)
@@ -66,7 +67,7 @@ def test_velocity_and_acceleration_hold_between_samples_too(points: Array, scale
     assert np.all(np.abs(between(motion, 2, fractions)) <= LIMITS.acceleration * 1.005)
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(waypoints, scales, deviations)
 def test_acceleration_changes_no_faster_from_sample_to_sample_than_the_jerk_limit(
     points: Array, scale: float, deviation: float
@@ -76,7 +77,7 @@ def test_acceleration_changes_no_faster_from_sample_to_sample_than_the_jerk_limi
     assert np.all(jerk <= LIMITS.jerk * 1.005)
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(waypoints, scales, deviations)
 @example(np.array([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]]), 1.0, 0.05)  # there and straight back
 @example(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0]]), 1.0, 0.05)  # a waypoint twice
@@ -92,7 +93,7 @@ def test_the_motion_leads_from_the_first_to_the_last_point_from_rest_to_rest(
     assert np.all(np.diff(motion.time) <= DT * (1 + 1e-6))
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(waypoints, scales, deviations)
 def test_the_motion_leaves_the_path_by_no_more_than_the_deviation(
     points: Array, scale: float, deviation: float
@@ -103,7 +104,7 @@ def test_the_motion_leaves_the_path_by_no_more_than_the_deviation(
     assert distance_to(path, positions) <= deviation + 1e-4 * LIMITS.velocity.max()
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @given(waypoints, deviations)
 def test_rounding_corners_is_never_slower_than_stopping_at_them(points: Array, deviation: float) -> None:
     assume(np.linalg.norm(np.diff(points, axis=0), axis=1).min() > 1e-3)

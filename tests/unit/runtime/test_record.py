@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
+from support.examples import examples
 from zarm_contract.codec import decode, encode, schema
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
@@ -50,13 +51,13 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "records" / "one.mcap"
 
 
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(0.5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.lists(entries, max_size=20))
 def test_whatever_is_written_is_read_back_in_the_order_of_its_time(path: Path, content: list[Entry]) -> None:
     assert list(read_record(write(path, content))) == sorted(content, key=lambda entry: entry[0])
 
 
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(0.5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(states=st.lists(joint_states, min_size=1, max_size=5))
 def test_messages_that_are_written_are_read_back_equal(path: Path, states: list[JointState]) -> None:
     write(path, [(at, KEYS.joint_states, encode(state)) for at, state in enumerate(states)])
@@ -151,7 +152,7 @@ def test_a_disk_that_is_full_is_an_error_of_the_system_and_leaves_no_record(path
     assert not path.exists()
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(1, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_of_a_file_that_is_damaged_nothing_is_read_that_was_not_written(path: Path, data: st.DataObject) -> None:
     content = [(at, KEYS.joint_states, b"%d" % at * 50) for at in range(50)]

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from support.examples import examples
 from support.executor.waves import chunk
 from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
@@ -27,7 +28,7 @@ def swing(*distances: float, start: Array = HOME, slower: float = 1.5) -> TimedT
     return TimedTrajectory.of(rest_to_rest(moved(*distances, start=start), start, slower=slower), JOINTS)
 
 
-@settings(max_examples=40)
+@examples(0.4)
 @given(
     first=st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3),  # both together inside the range of joint 3
     second=st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3),

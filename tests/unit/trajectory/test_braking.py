@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
+from support.examples import examples
 from support.trajectories import HOME, ROBOT, trapezoid
 from zarm_trajectory.braking import braking
 from zarm_trajectory.follower import Follower
@@ -24,7 +25,7 @@ def planned_path(seed: int) -> TimedTrajectory:
 
 
 @example(seed=593, share=0.5, speed=0.8671875)  # the acceleration of the path jumps within a point
-@settings(max_examples=200)
+@examples(2)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.05, 0.999), speed=st.floats(0.01, 1.0))
 def test_from_anywhere_it_leads_along_the_path_to_rest_inside_the_limits_as_fast_as_braking_step_by_step(
     seed: int, share: float, speed: float

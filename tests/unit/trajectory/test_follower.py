@@ -5,9 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from support.examples import examples
 from support.trajectories import HOME, ROBOT, moved, rest_to_rest, trapezoid
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
 from zarm_trajectory.quintic import Array
@@ -66,7 +67,7 @@ def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
         np.testing.assert_allclose(follower.velocity, path.at(tick * TICK)[1], atol=1e-9)
 
 
-@settings(max_examples=40)
+@examples(0.4)
 @given(seed=st.integers(0, 2**32 - 1), when=st.floats(0.0, 1.0))
 def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_path(seed: int, when: float) -> None:
     path = curved_path(seed)
@@ -108,7 +109,7 @@ def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
     assert np.all(np.abs(accelerations(np.array(positions))) <= LIMIT * ROUNDING)
 
 
-@settings(max_examples=20)
+@examples(0.2)
 @given(
     seed=st.integers(0, 2**32 - 1),
     targets=st.lists(
@@ -145,7 +146,7 @@ def planned_path(seed: int) -> TimedTrajectory:
     )
 
 
-@settings(max_examples=6)
+@examples(0.06)
 @given(seed=st.integers(0, 2**32 - 1), speed=st.sampled_from([0.05, 0.5, 1.0]))
 def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_comes_to_the_end(
     seed: int, speed: float
@@ -163,7 +164,7 @@ def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_co
         follower.advance(TICK)
 
 
-@settings(max_examples=10)
+@examples(0.1)
 @given(seed=st.integers(0, 2**32 - 1), tick=st.integers(0, 5))
 def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_no_longer_than_from_the_start(
     seed: int, tick: int

@@ -1,0 +1,12 @@
+"""How many examples a property is tried with: a share of the profile's, so that one option of pytest changes all of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import settings
+
+
+def examples(share: float, **others: Any) -> settings:
+    """As many as the profile says, times `share`: less for a property whose single example takes long; other settings too."""
+    return settings(max_examples=max(1, round(share * settings.default.max_examples)), **others)
