@@ -12,7 +12,7 @@ import pytest
 from support.certificates import issue
 from support.command_line import the_one_line, zarm
 from support.harness import free_endpoint
-from zarm_cli.authority import hosts_of, load_certificate, today
+from zarm_cli.certificate_authority import hosts_of, load_certificate, today
 from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest
 from zarm_runtime.certificates import Certificates

@@ -44,15 +44,15 @@ class Sessions:
         ear.undeclare()
         return FORGED in heard
 
-    def answered(self, role: Role, key: str, asker: Role, by: Role) -> list[bytes]:
-        """What `asker` is answered on a key that `by` serves, and `role` too."""
+    def answered(self, role: Role, key: str, requester: Role, by: Role) -> list[bytes]:
+        """What `requester` is answered on a key that `by` serves, and `role` too."""
         queryables = [
             self.of[one].declare_queryable(key, lambda query, one=one: query.reply(key, one.encode()))
             for one in {role, by}
         ]
         for one in {role, by}:
             self.settle(self.of[one])
-        replies = self.asking[asker].get(key, target=zenoh.QueryTarget.ALL, timeout=10)
+        replies = self.asking[requester].get(key, target=zenoh.QueryTarget.ALL, timeout=10)
         answers = [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
         for queryable in queryables:
             queryable.undeclare()

@@ -18,7 +18,7 @@ from support.command_line import HOME, Command, Up, the_one_line, vector, zarm
 from support.harness import PATIENCE, eventually, free_endpoint
 from support.paths import EXAMPLES, ROOT
 from support.trajectories import patient
-from zarm_cli.authority import Authority, today
+from zarm_cli.certificate_authority import Authority, today
 from zarm_contract.access import Role
 from zarm_contract.codec import encode
 from zarm_contract.keys import Keys

@@ -54,7 +54,7 @@ OMPL_RUNS = 2
 ROBOPLAN_EVERY = 4
 """RoboPlan runs once, on every so-many-th problem."""
 SLOW = 0.005
-"""Seconds of search and shortening above which a run is told by name."""
+"""Seconds of search and shortcut above which a run is told by name."""
 PEERS: list[tuple[str, str, Callable[[Result], list[Run | None]]]] = [
     ("OMPL RRTConnect on zarm's checks of edges", "tab:orange", lambda result: result.ompl_edges),
     ("OMPL RRTConnect on zarm's checks of states", "tab:red", lambda result: result.ompl_states),
@@ -173,7 +173,7 @@ def by_scene(results: list[Result]) -> dict[tuple[str, str], list[Result]]:
 
 def zarm_table(results: list[Result]) -> Table:
     """Solved, times per stage (median / 95th percentile), and means of what came out."""
-    stages = ("search ms", "shorten ms", "together ms", "smooth ms", "verify ms")
+    stages = ("search ms", "shortcut ms", "together ms", "smooth ms", "verify ms")
     table = Table(
         "robot", "scene", "solved", *stages, "length rad", "duration s", "clearance mm", "refused", title="zarm"
     )
@@ -186,8 +186,8 @@ def zarm_table(results: list[Result]) -> Table:
             *names,
             f"{len(solved)} / {len(runs)}",
             median_p95([run.search for run in solved]),
-            median_p95([run.shorten for run in solved]),
-            median_p95([run.search + run.shorten for run in solved]),
+            median_p95([run.shortcut for run in solved]),
+            median_p95([run.search + run.shortcut for run in solved]),
             median_p95([motion.smooth for motion in motions]),
             median_p95([motion.verify for motion in motions]),
             f"{np.mean([run.length for run in solved]):.2f}",
@@ -201,7 +201,7 @@ def zarm_table(results: list[Result]) -> Table:
 
 def peers_table(results: list[Result], title: str, runs_of: Callable[[Result], list[Run | None]]) -> Table:
     """A peer's figures, and how many times as long it takes: the median over problems of its median by zarm's."""
-    columns = ("robot", "scene", "solved", "search ms", "shorten ms", "together ms", "length rad")
+    columns = ("robot", "scene", "solved", "search ms", "shortcut ms", "together ms", "length rad")
     table = Table(*columns, "x search", "x together", "x length", title=title)
     for names, group in by_scene(results).items():
         runs = [run for result in group for run in runs_of(result)]
@@ -213,14 +213,14 @@ def peers_table(results: list[Result], title: str, runs_of: Callable[[Result], l
         ]
         ratios = [
             float(np.median([np.median(list(map(of, peer))) / np.median(list(map(of, zarm))) for peer, zarm in pairs]))
-            for of in (lambda run: run.search, lambda run: run.search + run.shorten, lambda run: run.length)
+            for of in (lambda run: run.search, lambda run: run.search + run.shortcut, lambda run: run.length)
         ]
         table.add_row(
             *names,
             f"{len(solved)} / {len(runs)}",
             median_p95([run.search for run in solved]),
-            median_p95([run.shorten for run in solved]),
-            median_p95([run.search + run.shorten for run in solved]),
+            median_p95([run.shortcut for run in solved]),
+            median_p95([run.search + run.shortcut for run in solved]),
             f"{np.mean([run.length for run in solved]):.2f}",
             f"{ratios[0]:.1f}",
             f"{ratios[1]:.1f}",
@@ -237,8 +237,8 @@ def outliers(results: list[Result]) -> Iterator[str]:
             name = f"{result.robot} {result.scene} problem {result.problem} seed {seed}"
             if run is None:
                 yield f"{name}: not solved within {TIMEOUT:g} s"
-            elif run.search + run.shorten > SLOW:
-                yield f"{name}: search {1e3 * run.search:.1f} ms, shorten {1e3 * run.shorten:.1f} ms"
+            elif run.search + run.shortcut > SLOW:
+                yield f"{name}: search {1e3 * run.search:.1f} ms, shortcut {1e3 * run.shortcut:.1f} ms"
 
 
 def kernels_table(models: dict[str, RobotModel]) -> Table:
@@ -270,7 +270,7 @@ def draw(results: list[Result]) -> None:
         runs = [run for result in results for run in runs_of(result)]
         for style, stage, of in (
             (":", "search", lambda run: run.search),
-            ("-", "search and shortening", lambda run: run.search + run.shorten),
+            ("-", "search and shortcut", lambda run: run.search + run.shortcut),
         ):
             times = np.sort([1e3 * of(run) for run in runs if run])
             if len(times):

@@ -23,13 +23,13 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.planner import motion_bench
-from zarm_contract.messages import HeldAxes
+from zarm_contract.messages import PathConstraint
 from zarm_geometry.collision import is_free
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
 from zarm_planner.constraints.constrained_timing import time_constrained
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.kinematics.ik import solve_ik
 from zarm_trajectory.limits import Limits
@@ -44,10 +44,10 @@ LEGS = 5
 NEAREST = 0.5
 """Rad: a goal nearer to the start than this is no problem."""
 KINDS = {
-    "upright (theta_x, theta_y)": HeldAxes(axes=(True, True, False, False, False, False)),
-    "at one height (z)": HeldAxes(axes=(False, False, False, False, False, True)),
-    "one orientation (all theta)": HeldAxes(axes=(True, True, True, False, False, False)),
-    "line along the tool's x": HeldAxes(axes=(True, True, True, False, True, True), frame="tool"),
+    "upright (theta_x, theta_y)": PathConstraint(axes=(True, True, False, False, False, False)),
+    "at one height (z)": PathConstraint(axes=(False, False, False, False, False, True)),
+    "one orientation (all theta)": PathConstraint(axes=(True, True, True, False, False, False)),
+    "line along the tool's x": PathConstraint(axes=(True, True, True, False, True, True), frame="tool"),
 }
 
 
@@ -60,7 +60,7 @@ def main() -> None:
     if not motion_bench.AVAILABLE:
         sys.exit(f"there is nothing to measure: MotionBenchMaker's problems are not in {motion_bench.PROBLEMS}")
     table = Table(
-        "robot", "held", "solved", "search ms", "shorten ms", "timing ms", "together ms", "duration s", "used"
+        "robot", "held", "solved", "search ms", "shortcut ms", "timing ms", "together ms", "duration s", "used"
     )
     for name in motion_bench.ROBOTS:
         with tempfile.TemporaryDirectory() as folder:
@@ -70,7 +70,7 @@ def main() -> None:
     Console(width=150).print(table)
 
 
-def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: float) -> list[str]:
+def row(model: RobotModel, name: str, message: PathConstraint, count: int, timeout: float) -> list[str]:
     """Solved, times (median / 95th percentile), mean duration, and the largest part of the tolerance that is used."""
     runs = []
     limits = Limits.of(model.robot)
@@ -97,7 +97,9 @@ def row(model: RobotModel, name: str, message: HeldAxes, count: int, timeout: fl
     return [f"{len(runs)} / {count}", *cells, f"{columns[4].mean():.2f}", f"{columns[5].max():.2f}"]
 
 
-def problems(model: RobotModel, name: str, message: HeldAxes) -> Iterator[tuple[World, PathConstraint, Array, Array]]:
+def problems(
+    model: RobotModel, name: str, message: PathConstraint
+) -> Iterator[tuple[World, ConstraintManifold, Array, Array]]:
     """Random ones, without end."""
     rng = np.random.default_rng(0)
     worlds = [
@@ -111,7 +113,7 @@ def problems(model: RobotModel, name: str, message: HeldAxes) -> Iterator[tuple[
         if not is_free(model, world, start):
             continue
         pose = model.fk_tip(start)
-        held = PathConstraint.of(model, message, pose)
+        held = ConstraintManifold.of(model, message, pose)
         end = wander(world, held, start, rng)
         if np.linalg.norm(end - start) < NEAREST:
             continue
@@ -122,7 +124,7 @@ def problems(model: RobotModel, name: str, message: HeldAxes) -> Iterator[tuple[
             yield world, held, start, found.solutions
 
 
-def wander(world: World, held: PathConstraint, start: Array, rng: np.random.Generator) -> Array:
+def wander(world: World, held: ConstraintManifold, start: Array, rng: np.random.Generator) -> Array:
     """Where a free walk in steps of STEP ends that turns towards one random configuration after the other."""
     q = start
     for target in rng.uniform(held.model.lower, held.model.upper, (LEGS, held.model.dof)):

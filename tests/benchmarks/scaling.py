@@ -202,7 +202,7 @@ def rates_table(what: str, rates: dict[int, float]) -> Table:
 
 
 def by_objects(model: RobotModel, problems: list[motion_bench.Problem], counts: list[int], *, around: bool) -> Array:
-    """Medians (counts, 4) in s: making a scene ready, search and shorten, verify, the whole plan."""
+    """Medians (counts, 4) in s: making a scene ready, search and shortcut, verify, the whole plan."""
     rng = np.random.default_rng(0)
     rows: list[list[tuple[float, ...]]] = [[] for _ in counts]
     for problem in problems:
@@ -210,7 +210,7 @@ def by_objects(model: RobotModel, problems: list[motion_bench.Problem], counts: 
         objects = clutter(model, alone.position, counts[-1], rng, around=around)
         for count, row in zip(counts, rows, strict=True):
             _, timings, ready = timed_plan(model, problem, objects[:count])
-            row.append((ready, timings.search + timings.shorten, timings.verify, timings.total))
+            row.append((ready, timings.search + timings.shortcut, timings.verify, timings.total))
     return np.median(rows, axis=1)
 
 
@@ -254,7 +254,7 @@ def clutter(
     ]
 
 
-STAGES = ("scene ready", "search + shorten", "verify", "plan")
+STAGES = ("scene ready", "search + shortcut", "verify", "plan")
 
 
 def objects_table(where: str, counts: list[int], rows: Array) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from zarm_cli.authority import Authority, today
+from zarm_cli.certificate_authority import Authority, today
 from zarm_contract.access import Role
 
 

@@ -31,7 +31,7 @@ _PROBLEM = Problem(
     field="path_tolerance",
     joint="elbow",
 )
-_TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shorten=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
+_TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shortcut=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
 _CUBOID = m.Cuboid(
     kind="cuboid", name="table", position=(0.5, 0.0, -0.1), orientation=(0.0, 0.0, 0.6, 0.8), size=(1.0, 2.0, 0.2)
 )
@@ -82,7 +82,7 @@ _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
 _WAYPOINTS = m.WaypointsGoal(
     kind="waypoints", through=(_POSE_GOAL, _JOINT_GOAL), position_tolerance=0.01, angle_tolerance=0.05
 )
-_HELD = m.HeldAxes(
+_PATH_CONSTRAINT = m.PathConstraint(
     axes=(True, True, False, False, False, True), frame="tool", position_tolerance=0.002, angle_tolerance=0.01
 )
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
@@ -100,12 +100,12 @@ EXAMPLES: tuple[Message, ...] = (
     _POSE_GOAL,
     _JOINT_GOAL,
     _WAYPOINTS,
-    _HELD,
+    _PATH_CONSTRAINT,
     m.PlanRequest(
         goal=_POSE_GOAL,
         start=(0.0, 0.0),
         planner="classic",
-        held=_HELD,
+        path_constraint=_PATH_CONSTRAINT,
         request_id="request-1",
         timeout=2.5,
         max_attempts=3,
@@ -234,7 +234,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.DriverFault(stall=True, drop=0.5, delay=0.2, silent=True, die=True, jump=(0.1, -0.2)),
     # every service
     m.Nothing(),
-    m.Asker(client="93ba8b5e23a74bca83fc0b3d1f94feb6", patience=6.5),
+    m.Requester(client="93ba8b5e23a74bca83fc0b3d1f94feb6", timeout=6.5),
     m.Health(
         service="planner",
         robot="arm_2",
@@ -242,7 +242,7 @@ EXAMPLES: tuple[Message, ...] = (
         ready=False,
         activity="compiling kernels",
         version="0.1.0",
-        contract="v2",
+        contract="v3",
         robot_hash="0123456789abcdef",
         uptime=1.5,
         pid=4242,

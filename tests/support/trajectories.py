@@ -131,5 +131,5 @@ def plan(
         clearance=1.0,
         resolution=0.005,
         path_length=1.0,
-        timings=PlanTimings(ik=0.0, search=0.0, shorten=0.0, timing=0.0, verify=0.0, optimize=0.0, total=0.0),
+        timings=PlanTimings(ik=0.0, search=0.0, shortcut=0.0, timing=0.0, verify=0.0, optimize=0.0, total=0.0),
     )

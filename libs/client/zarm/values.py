@@ -99,7 +99,7 @@ class Waypoints(_Checked, messages.WaypointsGoal):
         )
 
 
-class PathConstraint(_Checked, messages.HeldAxes):
+class PathConstraint(_Checked, messages.PathConstraint):
     """Components of the tip's pose that a motion keeps as they are at its start: `PathConstraint(("theta_x", "theta_y"))`.
 
     In the `base` frame they are those of the position and of the rotation vector from the start's orientation; in the

@@ -1,4 +1,4 @@
-"""Messages to bytes and back: JSON, with the schema `zarm.<Message>.v2` as encoding."""
+"""Messages to bytes and back: JSON, with the schema `zarm.<Message>.v3` as encoding."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from zarm_contract.errors import InvalidRequest
 
 M = TypeVar("M", bound=Message)
 
-CONTRACT = "v2"
+CONTRACT = "v3"
 """Version of the messages and keys; whoever speaks on one bus must agree on it."""
 _SCHEMA = re.compile(r"zarm\.\w+\.(v\d+)$")
 MAX_BYTES = Message.max_bytes
@@ -32,7 +32,7 @@ around it, which can add up to seconds and gigabytes."""
 
 
 def schema(model: type[Message]) -> str:
-    """The schema name of a message class: `zarm.Plan.v2`."""
+    """The schema name of a message class: `zarm.Plan.v3`."""
     return f"zarm.{model.__name__}.{CONTRACT}"
 
 

@@ -19,9 +19,8 @@ from zarm_contract.access import Role, Verb, reading, require
 from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
 from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
-from zarm_contract.messages import Asker, Message
+from zarm_contract.messages import Message, Requester
 from zarm_runtime.arrivals import Arrivals
-from zarm_runtime.asking import asked_by, asker_of
 from zarm_runtime.following import Following
 from zarm_runtime.publications import (
     Latched,
@@ -33,7 +32,8 @@ from zarm_runtime.publications import (
     understood,
     unobserved,
 )
-from zarm_runtime.room import Room
+from zarm_runtime.quota import Quota
+from zarm_runtime.requester import on_behalf_of, requester_of
 from zarm_runtime.security import client_role, security_on
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_client, spoken
 
@@ -122,13 +122,13 @@ class Bus:
 
         A ZarmError raised by the handler is the answer; any other exception is logged with its trace and answered as
         `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`. Where they are `shared`, no
-        client has more of them in hand than there is room left for others. `asker` tells the handler for whom it works.
+        client has more of them in hand than there is room left for others. `requester` tells the handler for whom it works.
         An answer that cannot be sent is logged with its trace, and its outcome is `unsent`.
 
         A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
         robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
         """
-        room = Room(key, workers + backlog, shared=shared)
+        room = Quota(key, workers + backlog, shared=shared)
         self._serve(key, request, lambda asked, _: handler(asked), workers, room, readable=readable, in_order=False)
 
     def serve_in_order(
@@ -148,7 +148,7 @@ class Bus:
         for a worker or is decoded. What may be `overtaken` never has a larger number than what may not and came after it; where
         it came within some milliseconds after, it may have a smaller one.
         """
-        room = Room(key, workers + backlog, shared=False)
+        room = Quota(key, workers + backlog, shared=False)
         self._serve(key, request, handler, workers, room, readable=readable, in_order=True, overtaken=overtaken)
 
     def _serve(
@@ -157,7 +157,7 @@ class Bus:
         request: type[Request],
         handler: Callable[[Request, int], Message],
         workers: int,
-        room: Room,
+        room: Quota,
         *,
         readable: bool,
         in_order: bool,
@@ -175,9 +175,9 @@ class Bus:
                 log.exception("answer not sent key=%s", key)
                 self._answered(key, "unsent")
 
-        def handle(query: zenoh.Query, who: Asker, arrival: int) -> None:
+        def handle(query: zenoh.Query, who: Requester, arrival: int) -> None:
             try:
-                with asked_by(who):
+                with on_behalf_of(who):
                     answer(query, lambda: handler(_request(query, key, request), arrival))
             finally:
                 room.leave(who.client)
@@ -194,7 +194,7 @@ class Bus:
             if str(query.key_expr) != key and not (readable and query.payload is None):
                 with query:
                     return
-            who = asker_of(query)
+            who = requester_of(query)
             try:
                 room.enter(who.client)
             except Busy as busy:
@@ -224,9 +224,9 @@ class Bus:
                 f"the request of {len(payload)} bytes is over the limit of {MAX_BYTES}; send less at once",
                 field="payload",
             )
-        asker = Asker(client=self._client, patience=max(0.0, timeout))
+        requester = Requester(client=self._client, timeout=max(0.0, timeout))
         return self._ask(
-            key, reply, timeout, payload=payload, encoding=encoding_of(type(request)), attachment=encode(asker)
+            key, reply, timeout, payload=payload, encoding=encoding_of(type(request)), attachment=encode(requester)
         )
 
     def read(self, key: str, model: type[Reply], *, timeout: float) -> Reply:
@@ -428,7 +428,7 @@ class Bus:
         return sorted({parse_alive(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
 
     def watch_clients(self, gone: Callable[[str], object]) -> None:
-        """Call `gone(client)` with the `Asker.client` that can no longer be answered: it has left, or the link to it is lost."""
+        """Call `gone(client)` with the `Requester.client` that can no longer be answered: it has left, or the link to it is lost."""
 
         def changed(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.DELETE:
@@ -437,7 +437,7 @@ class Bus:
         self._entities.append(self._session.liveliness().declare_subscriber(ALL_CLIENTS, changed))
 
     def is_there(self, client: str, *, timeout: float = 1.0) -> bool:
-        """Whether an answer can reach the `Asker.client` now, as far as the router knows; waits `timeout` s for it."""
+        """Whether an answer can reach the `Requester.client` now, as far as the router knows; waits `timeout` s for it."""
         tokens = self._session.liveliness().get(client_token(client), timeout=timeout)
         return any(reply.ok is not None for reply in tokens)
 

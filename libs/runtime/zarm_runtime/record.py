@@ -1,7 +1,7 @@
 """A record of what happened as an MCAP file (https://mcap.dev), which Foxglove opens.
 
 A channel is a key of the bus, a message is the very bytes that went over it (encoding `json`), with the schema of its
-class (`jsonschema`, named `zarm.<Message>.v2`). `log_time` is when it was sent or received here, in ns since 1970;
+class (`jsonschema`, named `zarm.<Message>.v3`). `log_time` is when it was sent or received here, in ns since 1970;
 `publish_time` is the same, but for values that held already when the record begins: then it is when they were published.
 """
 

@@ -18,7 +18,7 @@ from zarm_runtime.security import RENEWAL_DAYS
 if TYPE_CHECKING:
     from datetime import datetime
 
-    from zarm_cli.authority import Authority
+    from zarm_cli.certificate_authority import Authority
 
 
 def certs(
@@ -37,7 +37,7 @@ def certs(
         raise Unavailable(
             "certificates are made with the package cryptography; `pip install 'zarm[certs]'` installs it"
         )
-    from zarm_cli.authority import today
+    from zarm_cli.certificate_authority import today
 
     folder = folder.absolute()
     kept_in = authority.absolute() if authority is not None else folder.with_name(f"{folder.name}-authority")
@@ -59,7 +59,7 @@ def certs(
 
 def _make(folder: Path, kept_in: Path, hosts: list[str], now: datetime) -> list[tuple[Role, str, datetime]]:
     """What was done for each role, and until when its certificate is valid. Raises InvalidRequest, nothing being changed."""
-    from zarm_cli.authority import Authority, hosts_of, load_certificate, with_loopback, write_secret
+    from zarm_cli.certificate_authority import Authority, hosts_of, load_certificate, with_loopback, write_secret
 
     hosts = with_loopback(hosts)
     existing = {role: load_certificate(file) for role in ROLES if (file := folder / f"{role}.pem").exists()}
@@ -97,7 +97,7 @@ def _good(end: datetime, now: datetime) -> bool:
 
 
 def _authority(folder: Path, kept_in: Path, now: datetime) -> Authority | None:
-    from zarm_cli.authority import Authority, load_certificate
+    from zarm_cli.certificate_authority import Authority, load_certificate
 
     shared = folder / "ca.pem"
     if not (kept_in / "ca.key").exists():

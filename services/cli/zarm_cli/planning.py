@@ -61,13 +61,13 @@ def plan(
     name: Name = None,
 ) -> None:
     """Plan a motion around the scene; nothing moves."""
-    goal, at, held = typed_goal(to, joints_goal), joints(start, "--start"), _held(hold, hold_frame)
+    goal, at, constraint = typed_goal(to, joints_goal), joints(start, "--start"), _constraint(hold, hold_frame)
     with connected(connect, name) as robot:
         found = request_plan(
             robot,
             goal,
             start=at,
-            held=held,
+            path_constraint=constraint,
             timeout=timeout,
             optimize_s=optimize,
             velocity_scale=velocity_scale,
@@ -96,7 +96,7 @@ def typed_goal(to: list[str] | None, joints_goal: str | None) -> TypedGoal:
     return TypedGoal(joints(joints_goal, "--joints"), [floats(pose, "--to", 3, 7) for pose in to or []])
 
 
-def _held(axes: str | None, frame: str | None) -> dict[str, object] | None:
+def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None:
     """Read --hold and --hold-frame; usage error for what is no axis."""
     if axes is None:
         if frame is not None:
@@ -133,7 +133,7 @@ def full_pose(robot: Robot, typed: list[float], at: list[float] | None = None) -
 def plan_table(found: Plan) -> Table:
     """A plan in the words of a person."""
     times = found.timings
-    stages = ("ik", "search", "shorten", "timing", "verify", "optimize")
+    stages = ("ik", "search", "shortcut", "timing", "verify", "optimize")
     shares = ", ".join(f"{stage} {getattr(times, stage) * 1e3:.1f}" for stage in stages)
     return facts(
         ("plan", found.plan_id),

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from zarm.robot import Robot
-from zarm_cli.agreement import mismatches
 from zarm_cli.client import AsJson, Connect, Name, connected
+from zarm_cli.compatibility import mismatches
 from zarm_cli.interrupts import pause
 from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, out, pose_text, print_json, records
 from zarm_contract.codec import CONTRACT

@@ -2,7 +2,7 @@
 
 supervisord runs as a child with a configuration of its own in a temporary folder. It looks around once a second, so a
 process that died is started again after about 1 s; starting and stopping do not wait for that look, because a call on its
-socket wakes it. It and the services hang on leashes (`zarm_cli.leash`): whatever ends the launcher ends them too.
+socket wakes it. It and the services hang on leashes (`zarm_cli.end_with_parent`): whatever ends the launcher ends them too.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ stdout_logfile_maxbytes = 0
 
 
 def _command(module: str, arguments: Sequence[str]) -> list[str]:
-    return [sys.executable, "-P", "-m", "zarm_cli.leash", module, *arguments]
+    return [sys.executable, "-P", "-m", "zarm_cli.end_with_parent", module, *arguments]
 
 
 class Supervisor:

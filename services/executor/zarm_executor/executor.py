@@ -28,7 +28,7 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.plans import Plans
 from zarm_executor.reporter import Reporter
 from zarm_executor.scene import PresentScene
-from zarm_executor.strategies.repertoire import Repertoire
+from zarm_executor.strategies.registry import StrategyRegistry
 from zarm_runtime.bus import Publisher
 from zarm_runtime.state_file import StateFile
 
@@ -49,7 +49,7 @@ class Executor:
         admission: Admission,
         plans: Plans,
         present: PresentScene,
-        strategies: Repertoire,
+        strategies: StrategyRegistry,
         publisher: Publisher[Strategies],
         speeds: Publisher[Speed],
         kept_speed: StateFile[Speed],

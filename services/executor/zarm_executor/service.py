@@ -29,7 +29,7 @@ from zarm_contract.robot import Robot
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.clocks import time_of_day
 from zarm_executor.executor import Executor
-from zarm_executor.fault_records import FaultRecords
+from zarm_executor.flight_recorder import FlightRecorder
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
 from zarm_executor.loop import LATE, Loop
@@ -111,7 +111,7 @@ def start(service: Service) -> Iterator[None]:
     # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
     with (
         owned(service.options.state / keys.robot, service.name) as folder,
-        FaultRecords(folder / "records", keys, ring) as records,
+        FlightRecorder(folder / "records", keys, ring) as records,
         service.open_bus() as command_bus,
     ):
         command_bus.observe(ring.observe)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from zarm_contract.messages import HeldAxes
+from zarm_contract.messages import PathConstraint
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
@@ -25,7 +25,7 @@ class PlanningContext:
     scene: PlanningScene
     limits: Limits
     deadline: Deadline
-    path_constraint: HeldAxes | None = None
+    path_constraint: PathConstraint | None = None
     max_attempts: int = 100
     optimize_s: float = 0.0
     seed: int = 0

@@ -53,7 +53,7 @@ from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
 from zarm_planner.warm_up import warm_up
-from zarm_runtime.asking import asker
+from zarm_runtime.requester import requester
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 
@@ -66,7 +66,7 @@ _BATCH_TIMEOUT = 60.0
 
 
 class Handlers:
-    """All answers for one robot, for any number of threads, each working for its `asker`. `name` is the robot's on the bus.
+    """All answers for one robot, for any number of threads, each working for its `requester`. `name` is the robot's on the bus.
 
     `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`). `is_there` tells whether
     a client that has left has come back. `planners` are those to choose from.
@@ -121,7 +121,7 @@ class Handlers:
                     request.acceleration_scale or settings.acceleration_scale,
                 ),
                 deadline=deadline,
-                path_constraint=request.held,
+                path_constraint=request.path_constraint,
                 max_attempts=request.max_attempts or settings.max_attempts,
                 optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
                 seed=request.seed,
@@ -130,7 +130,7 @@ class Handlers:
             return context.scene.revision, verified, context.timer.timings()
 
         revision, verified, timings = self._scheduler.run(
-            work, asker(), request.timeout or settings.timeout, request.request_id
+            work, requester(), request.timeout or settings.timeout, request.request_id
         )
         trajectory = verified.trajectory
         return Plan(
@@ -157,7 +157,7 @@ class Handlers:
 
     def _choose(self, request: PlanRequest) -> Planner:
         name = request.planner or self._settings.planner
-        return choose(name, request.goal, constrains(request.held), self._planners)
+        return choose(name, request.goal, constrains(request.path_constraint), self._planners)
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:
         """End the planning of a request, or of one that is still on its way here."""
@@ -187,7 +187,7 @@ class Handlers:
             )
             return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
 
-        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
+        return self._scheduler.run(work, requester(), _BATCH_TIMEOUT)
 
     def fk(self, request: FkRequest) -> FkPoses:
         """Poses for joints. Raises InvalidRequest."""
@@ -220,7 +220,7 @@ class Handlers:
                 )
             return CheckResults(results=tuple(results))
 
-        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
+        return self._scheduler.run(work, requester(), _BATCH_TIMEOUT)
 
     def occupancy(self, request: OccupancyRequest) -> Occupancy:
         """Which cells of a grid the scene's objects reach into. Raises InvalidRequest where they are too many."""
@@ -234,7 +234,7 @@ class Handlers:
                 cells=tuple(map(tuple, cells.tolist())),
             )
 
-        return self._scheduler.run(work, asker(), _BATCH_TIMEOUT)
+        return self._scheduler.run(work, requester(), _BATCH_TIMEOUT)
 
     def edit(self, request: SceneEdit) -> Scene:
         """Apply an edit of the scene and return the result.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from zarm_contract.errors import Cancelled, Unavailable
-from zarm_contract.messages import Asker
+from zarm_contract.messages import Requester
 from zarm_planner.deadline import Deadline
 
 T = TypeVar("T")
@@ -56,12 +56,14 @@ class Scheduler:
         self._left: dict[str, None] = {}
         self._closed = False
 
-    def run(self, work: Callable[[Deadline], T], asker: Asker, timeout: float, request_id: str | None = None) -> T:
+    def run(
+        self, work: Callable[[Deadline], T], requester: Requester, timeout: float, request_id: str | None = None
+    ) -> T:
         """The result of `work(deadline)`, which must look at it. Raises Unavailable once the service ends.
 
-        The deadline is `timeout` s from now, or when the asker does not wait any longer.
+        The deadline is `timeout` s from now, or when the requester does not wait any longer.
         """
-        job = _Job(asker.client, request_id, Deadline(min(timeout, asker.patience)))
+        job = _Job(requester.client, request_id, Deadline(min(timeout, requester.timeout)))
         with self._changed:
             if self._closed:
                 raise _ending()

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 
 from zarm_contract.messages import PlanTimings
 
-Stage = Literal["ik", "search", "shorten", "timing", "verify", "optimize"]
+Stage = Literal["ik", "search", "shortcut", "timing", "verify", "optimize"]
 
 
 @dataclass

@@ -11,14 +11,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zarm_contract.messages import HeldAxes
+from zarm_contract.messages import PathConstraint
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.kinematics.ik import solve_ik
 from zarm_planner.search.rrt_connect import search
@@ -62,7 +62,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     trajectory.travel(exact.reach)
     exact.nearest(trajectory.sample(trajectory.time)[0])
     begin("the search under path constraints")
-    constraint = PathConstraint.of(model, HeldAxes(axes=(False, False, False, True, True, True)), pose)
+    constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), pose)
     constraint.use(home)
     path = search_constrained(world, constraint, home, home[None], seed=0, deadline=deadline)
     if path is not None:

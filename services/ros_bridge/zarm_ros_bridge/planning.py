@@ -11,8 +11,8 @@ from curobo_msgs.srv import GetPlanners, SetPlanner, TrajectoryGeneration
 from zarm_contract.errors import Busy, DeadlineExceeded, InvalidRequest, PlanningFailed, Unavailable, ZarmError
 from zarm_contract.messages import (
     Goal,
-    HeldAxes,
     IkRequest,
+    PathConstraint,
     Plan,
     PlanRequest,
     Pose,
@@ -20,7 +20,7 @@ from zarm_contract.messages import (
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import Positions, is_empty, positions_of
-from zarm_ros_bridge.convert.plans import goal_of, held_of, pose_goal, poses_of, target_of
+from zarm_ros_bridge.convert.plans import goal_of, path_constraint_of, pose_goal, poses_of, target_of
 from zarm_ros_bridge.convert.trajectories import ros_joint_states
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import PLANNERS, Parameters
@@ -50,11 +50,11 @@ class Planning:
         joints, planner = self._engine.joints, self._parameters.value("planner_type")
         start = None if is_empty(request.start_pose) else positions_of(request.start_pose, joints, "start_pose")
         target = target_of(request, planner)
-        held = held_of(request, target)
+        constraint = path_constraint_of(request, target)
         if planner == "batch" and target == "target_poses":
-            plan, target = self._any_of(poses_of(request), start, held)
+            plan, target = self._any_of(poses_of(request), start, constraint)
         else:
-            plan = self._plan(goal_of(request, target, joints), target, start, held, self._deadline())
+            plan = self._plan(goal_of(request, target, joints), target, start, constraint, self._deadline())
         dt = self._engine.robot.descriptor.interpolation_dt
         response.trajectory, response.dt = ros_joint_states(plan.trajectory, dt), dt
         return (
@@ -65,13 +65,15 @@ class Planning:
     def _deadline(self) -> float:
         return time.monotonic() + float(self._parameters.value("timeout"))
 
-    def _plan(self, goal: Goal, target: str, start: Positions | None, held: HeldAxes | None, deadline: float) -> Plan:
+    def _plan(
+        self, goal: Goal, target: str, start: Positions | None, constraint: PathConstraint | None, deadline: float
+    ) -> Plan:
         """A plan to the goal, which the client gave in `target`. Raises what the planner answers, in terms of the request."""
         timeout = max(0.01, deadline - time.monotonic())
         request = PlanRequest(
             goal=goal,
             start=start,
-            held=held,
+            path_constraint=constraint,
             planner="auto",
             timeout=timeout,
             max_attempts=self._parameters.value("max_attempts"),
@@ -82,7 +84,9 @@ class Planning:
         except ZarmError as error:
             raise in_terms_of(error, {"goal.through": target, "goal": target, "start": "start_pose"}) from error
 
-    def _any_of(self, poses: tuple[Pose, ...], start: Positions | None, held: HeldAxes | None) -> tuple[Plan, str]:
+    def _any_of(
+        self, poses: tuple[Pose, ...], start: Positions | None, constraint: PathConstraint | None
+    ) -> tuple[Plan, str]:
         """The plan to one of the poses, and its place: to the one that the arm is nearest to among those that can be planned to."""
         deadline, failure = self._deadline(), None
         for index in self._nearest_first(poses, self._engine.measured().position if start is None else start):
@@ -90,7 +94,7 @@ class Planning:
                 break
             try:
                 target = f"target_poses[{index}]"
-                return self._plan(pose_goal(poses[index]), target, start, held, deadline), target
+                return self._plan(pose_goal(poses[index]), target, start, constraint, deadline), target
             except (PlanningFailed, InvalidRequest, DeadlineExceeded) as error:
                 failure = failure or error
         raise PlanningFailed(

@@ -31,7 +31,7 @@ ROUNDS = int(os.environ.get("ORDER_ROUNDS", "4"))
 GOAL = moved(0.4)
 
 
-class Asker:
+class Requester:
     """Sends queries without waiting for their answers."""
 
     def __init__(self, session: zenoh.Session) -> None:
@@ -77,13 +77,13 @@ def test_an_execute_that_was_sent_before_a_stop_does_not_start_after_it(
     executor: ServiceProcess, client: Client, endpoint: str, samples: int
 ) -> None:
     with open_client(endpoint) as session:
-        asker = Asker(session)
+        requester = Requester(session)
         for _ in range(ROUNDS):
             where = client.position()
-            asker.ask(KEYS.execute, execute_of(samples))
-            asker.ask(KEYS.stop, Nothing())
-            stopped = asker.answer(KEYS.stop, ExecutorState)
-            execute = asker.answer(KEYS.execute, Accepted)
+            requester.ask(KEYS.execute, execute_of(samples))
+            requester.ask(KEYS.stop, Nothing())
+            stopped = requester.answer(KEYS.stop, ExecutorState)
+            execute = requester.answer(KEYS.execute, Accepted)
             stays_where_it_was_stopped(client, execute)
             if isinstance(stopped, ExecutorState) and stopped.mode == "idle":
                 assert (client.position() == where).all()
@@ -94,7 +94,7 @@ def test_a_frozen_executor_takes_what_it_finds_in_the_order_in_which_it_came_fro
     executor: ServiceProcess, client: Client, endpoint: str, samples: int
 ) -> None:
     with open_client(endpoint) as one, open_client(endpoint) as other:
-        first, second = Asker(one), Asker(other)
+        first, second = Requester(one), Requester(other)
         for _ in range(ROUNDS):
             where = client.position()
             os.kill(executor.process.pid, signal.SIGSTOP)
@@ -112,13 +112,13 @@ def test_a_stream_that_was_sent_before_a_stop_does_not_begin_after_it(
     executor: ServiceProcess, client: Client, endpoint: str
 ) -> None:
     with open_client(endpoint) as session:
-        asker = Asker(session)
+        requester = Requester(session)
         for number in range(ROUNDS):
             trajectory = rest_to_rest(GOAL, slower=3.0, dt=5.0 / 3000)
             chunk = StreamChunk(goal_id=f"s-{number}", sequence=1, start=0.0, trajectory=trajectory, deadline=0.5)
             session.put(KEYS.stream, encode(chunk))
-            asker.ask(KEYS.stop, Nothing())
-            asker.answer(KEYS.stop, ExecutorState)
+            requester.ask(KEYS.stop, Nothing())
+            requester.answer(KEYS.stop, ExecutorState)
 
             def ended(name: str = f"s-{number}") -> GoalState | None:
                 return next((goal for goal in client.goals if goal.goal_id == name and goal.done), None)
@@ -131,14 +131,14 @@ def test_a_switch_that_was_sent_before_a_stop_is_not_carried_out_after_it(
     executor: ServiceProcess, client: Client, endpoint: str
 ) -> None:
     with open_client(endpoint) as session:
-        asker = Asker(session)
+        requester = Requester(session)
         for _ in range(ROUNDS):
             os.kill(executor.process.pid, signal.SIGSTOP)
-            asker.ask(KEYS.strategy, StrategyRequest(strategy="ghost"))
-            asker.ask(KEYS.stop, Nothing())
-            asker.passed_on()
+            requester.ask(KEYS.strategy, StrategyRequest(strategy="ghost"))
+            requester.ask(KEYS.stop, Nothing())
+            requester.passed_on()
             os.kill(executor.process.pid, signal.SIGCONT)
-            stopped = asker.answer(KEYS.stop, ExecutorState)
+            stopped = requester.answer(KEYS.stop, ExecutorState)
             assert isinstance(stopped, ExecutorState)
             active = client.strategy().active
             assert active == stopped.strategy, "it was carried out before the stop, or not at all"

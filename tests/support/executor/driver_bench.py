@@ -129,9 +129,9 @@ class DriverBench:
         self._told: deque[tuple[float, JointState, DriverProgress | None]] = deque()
         self._sequence = 0
         self.robot = robot_with(control_rate=rate, **params)
-        self.repertoire = build_strategies(self.robot, folder, Wire(self), KEYS)  # type: ignore[arg-type]
+        self.registry = build_strategies(self.robot, folder, Wire(self), KEYS)  # type: ignore[arg-type]
         self._pass(2 * STEP)
-        self.machine = Machine(self.repertoire.find(case.strategy), self.period)
+        self.machine = Machine(self.registry.find(case.strategy), self.period)
         self.tick()
 
     def _pass(self, seconds: float) -> None:
@@ -226,7 +226,7 @@ class DriverBench:
     def switch(self, name: str) -> None:
         """Switch to another strategy while time passes; raises what the switch raises."""
         with ThreadPoolExecutor(1) as pool:
-            switched = pool.submit(self.machine.switch, self.repertoire.find(name), 10.0, arrival())
+            switched = pool.submit(self.machine.switch, self.registry.find(name), 10.0, arrival())
             eventually(
                 lambda: switched.done() or self.machine.state().mode not in ("running", "paused"), "it is told to stop"
             )

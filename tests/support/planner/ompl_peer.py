@@ -22,7 +22,7 @@ class Run:
     """CPU seconds of both stages, and the length (rad) of what came out."""
 
     search: float
-    shorten: float
+    shortcut: float
     length: float
 
 

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from zarm_contract.messages import Cuboid, HeldAxes, JointGoal, PoseGoal, Sphere, WaypointsGoal
+from zarm_contract.messages import Cuboid, JointGoal, PathConstraint, PoseGoal, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
 from zarm_geometry import kernels as geometry_kernels
 from zarm_geometry.exact import ExactScene
@@ -54,7 +54,7 @@ def every_kind_of_plan(model: RobotModel) -> None:
     x, y, z = model.fk_tip((home + away) / 2)[:3, 3].tolist()
     post = Cuboid(kind="cuboid", name="post", position=(x, y, z + 0.05), size=(0.03, 0.03, 0.02))
     ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 3.0), radius=0.1)
-    upright = HeldAxes(axes=(True, True, False, False, False, False), angle_tolerance=0.1)
+    upright = PathConstraint(axes=(True, True, False, False, False, False), angle_tolerance=0.1)
     for objects in ((), (ball, post)):
         world = World(objects, 0.005)
         snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))

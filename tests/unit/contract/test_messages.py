@@ -130,7 +130,7 @@ def test_there_is_no_golden_file_without_a_class() -> None:
 
 @every_class
 def test_the_schema_name_carries_class_and_version(cls: type[Message]) -> None:
-    assert schema(cls) == f"zarm.{cls.__name__}.v2"
+    assert schema(cls) == f"zarm.{cls.__name__}.v3"
 
 
 @every_example

@@ -227,7 +227,7 @@ def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_pat
         bench.switch("emulator")
         bench.joint_states.newest = None
         bench.silent = True
-        strategy = bench.repertoire.find(case.strategy)
+        strategy = bench.registry.find(case.strategy)
         strategy.link._measured = None  # type: ignore[attr-defined]  # as in a process that has just started
         with pytest.raises(Unavailable, match=r"start the robot's driver; emulator is active again"):
             bench.switch(case.strategy)
@@ -355,12 +355,12 @@ def test_a_strategy_that_hands_motions_over_as_a_whole_refuses_a_stream(case: Ca
 
 def test_a_driver_that_cannot_play_a_strategy_rules_it_out_with_the_reason(tmp_path: Folder) -> None:
     bench = DriverBench(Case("emulator", params=(("strategies", ("joint_speed", "joint_trajectory")),)), tmp_path)
-    infos = {info.name: info for info in bench.repertoire.describe()}
+    infos = {info.name: info for info in bench.registry.describe()}
     assert infos["joint_speed"].available
     assert not infos["joint_pose"].available
     assert "strategy_params.strategies" in (infos["joint_pose"].reason or "")
     with pytest.raises(Unavailable, match="its driver cannot play it"):
-        bench.repertoire.find("joint_pose")
+        bench.registry.find("joint_pose")
 
 
 class Slowly(JointSpeed):
@@ -376,7 +376,7 @@ def test_a_new_strategy_is_a_module_and_a_line_in_the_list(tmp_path: Folder, mon
     monkeypatch.setitem(sys.modules, "zarm_executor.strategies.slowly", sys.modules[__name__])
     monkeypatch.setitem(DRIVER_STRATEGIES, "slowly", "chunks")  # type: ignore[arg-type]
     bench = DriverBench(Case("slowly", params=(("strategies", ("slowly",)),)), tmp_path)
-    assert [info.name for info in bench.repertoire.describe() if info.available] == ["emulator", "ghost", "slowly"]
+    assert [info.name for info in bench.registry.describe() if info.available] == ["emulator", "ghost", "slowly"]
     path = bench.execute()
     bench.until("idle")
     assert bench.last().status == "succeeded"

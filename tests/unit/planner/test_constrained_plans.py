@@ -7,14 +7,23 @@ import pytest
 
 from support.planner import second_opinion
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Cuboid, Cylinder, Goal, HeldAxes, JointGoal, PoseGoal, SceneObject, WaypointsGoal
+from zarm_contract.messages import (
+    Cuboid,
+    Cylinder,
+    Goal,
+    JointGoal,
+    PathConstraint,
+    PoseGoal,
+    SceneObject,
+    WaypointsGoal,
+)
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_planner.constraints.path_constraint import PathConstraint, constrains
+from zarm_planner.constraints.path_constraint import ConstraintManifold, constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import Verified, plan
@@ -25,8 +34,8 @@ from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
-UPRIGHT = HeldAxes(axes=(True, True, False, False, False, False), position_tolerance=0.003, angle_tolerance=0.01)
-LEVEL = HeldAxes(axes=(True, True, True, False, False, True), position_tolerance=0.003, angle_tolerance=0.01)
+UPRIGHT = PathConstraint(axes=(True, True, False, False, False, False), position_tolerance=0.003, angle_tolerance=0.01)
+LEVEL = PathConstraint(axes=(True, True, True, False, False, True), position_tolerance=0.003, angle_tolerance=0.01)
 DENSE = 0.002
 
 
@@ -43,7 +52,7 @@ def moved(model: RobotModel, x: float, y: float, z: float) -> PoseGoal:
 
 
 def held_plan(
-    model: RobotModel, goal: Goal, held: HeldAxes, *objects: SceneObject, optimize_s: float = 0.0
+    model: RobotModel, goal: Goal, held: PathConstraint, *objects: SceneObject, optimize_s: float = 0.0
 ) -> Verified:
     world = World(objects, 0.005)
     snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
@@ -84,7 +93,7 @@ def test_what_is_held_is_kept_around_an_obstacle(model: RobotModel) -> None:
 
 
 def test_all_axes_but_one_make_a_straight_line(model: RobotModel) -> None:
-    line = HeldAxes(axes=(True, True, True, False, True, True), position_tolerance=0.002, angle_tolerance=0.01)
+    line = PathConstraint(axes=(True, True, True, False, True, True), position_tolerance=0.002, angle_tolerance=0.01)
     poses = tips(model, held_plan(model, moved(model, 0.2, 0.0, 0.0), line))
     assert np.abs(poses[:, 1:3, 3] - poses[0, 1:3, 3]).max() <= line.position_tolerance
     assert poses[-1, 0, 3] - poses[0, 0, 3] == pytest.approx(0.2, abs=1e-3)
@@ -120,7 +129,7 @@ def test_a_goal_that_cannot_keep_what_is_held_is_refused_with_the_axis_and_how_f
 
 
 def test_no_axis_held_is_a_plan_like_any_other(model: RobotModel) -> None:
-    nothing = HeldAxes(axes=(False,) * 6)
+    nothing = PathConstraint(axes=(False,) * 6)
     free, held = (held_plan(model, moved(model, 0.0, 0.2, 0.1), axes) for axes in (nothing, UPRIGHT))
     assert free.trajectory.duration <= held.trajectory.duration
 
@@ -141,7 +150,7 @@ def test_verification_refuses_a_motion_that_loses_what_is_held(model: RobotModel
     away = HOME + (0.0, 0.2, 0.0, 0.0, 0.0, 0.0)
     limits, exact = Limits.of(model.robot), ExactScene(model, World((), 0.0))
     motion = time_path(np.array((HOME, away)), limits, 0.01, 0.0)
-    held = PathConstraint.of(model, UPRIGHT, model.fk_tip(HOME))
+    held = ConstraintManifold.of(model, UPRIGHT, model.fk_tip(HOME))
     assert verify(motion, HOME, away, limits, exact, lambda: None) > 0.0
     with pytest.raises(VerificationFailed, match="theta_"):
         verify(motion, HOME, away, limits, exact, lambda: None, held)

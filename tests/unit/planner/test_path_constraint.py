@@ -16,7 +16,7 @@ from support.planner.second_opinion import link_pose
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import clearances, random_objects
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Cuboid, HeldAxes, SceneObject
+from zarm_contract.messages import Cuboid, PathConstraint, SceneObject
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.kernels.collision import RESOLUTION
@@ -24,7 +24,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
 from zarm_planner.constraints.constrained_timing import time_constrained
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.manifold import CLOSE
 from zarm_planner.kinematics.ik import solve_ik
@@ -34,17 +34,17 @@ from zarm_trajectory.trajectory import TimedTrajectory
 Array = NDArray[np.float64]
 
 DT = 0.02
-UPRIGHT = HeldAxes(axes=(True, True, False, False, False, False))
-LEVEL = HeldAxes(axes=(False, False, False, False, False, True))
-LINE = HeldAxes(axes=(True, True, True, False, True, True), frame="tool")
-STILL = HeldAxes(axes=(True, True, True, True, True, True))
+UPRIGHT = PathConstraint(axes=(True, True, False, False, False, False))
+LEVEL = PathConstraint(axes=(False, False, False, False, False, True))
+LINE = PathConstraint(axes=(True, True, True, False, True, True), frame="tool")
+STILL = PathConstraint(axes=(True, True, True, True, True, True))
 KINDS = (
     UPRIGHT,
     LEVEL,
     LINE,
-    HeldAxes(axes=(True, True, True, False, False, False), angle_tolerance=0.001),
-    HeldAxes(axes=(False, False, True, True, False, False), frame="tool", position_tolerance=0.0005),
-    HeldAxes(axes=(False, False, False, True, True, True)),
+    PathConstraint(axes=(True, True, True, False, False, False), angle_tolerance=0.001),
+    PathConstraint(axes=(False, False, True, True, False, False), frame="tool", position_tolerance=0.0005),
+    PathConstraint(axes=(False, False, False, True, True, True)),
 )
 WALL = (Cuboid(kind="cuboid", name="wall", position=(0.6, 0.0, 0.2), size=(0.8, 0.02, 0.4)),)
 MODELS = {name: RobotModel.of(load_robot(name)) for name in ("panda", "ur5e", "doosan_m1013")}
@@ -81,7 +81,7 @@ def log(turn: Array) -> Array:
     return vector
 
 
-def used(model: RobotModel, message: HeldAxes, start: Array, q: Array) -> float:
+def used(model: RobotModel, message: PathConstraint, start: Array, q: Array) -> float:
     """The largest part of a tolerance that `q` uses, as the message defines it."""
     a, b = tip(model, start), tip(model, q)
     turn, shift = log(b[:3, :3] @ a[:3, :3].T), b[:3, 3] - a[:3, 3]
@@ -91,11 +91,11 @@ def used(model: RobotModel, message: HeldAxes, start: Array, q: Array) -> float:
     return float(np.max(np.abs(np.concatenate((turn, shift)) / allowed)[list(message.axes)]))
 
 
-def assert_kept(model: RobotModel, message: HeldAxes, motion: TimedTrajectory) -> None:
+def assert_kept(model: RobotModel, message: PathConstraint, motion: TimedTrajectory) -> None:
     """At ten moments per sample, by the second opinion; and inside the limits, from rest to rest."""
     moments = np.linspace(0.0, motion.duration, 10 * len(motion.time))
     positions, _, _ = motion.sample(moments)
-    held = PathConstraint.of(model, message, model.fk_tip(motion.position[0]))
+    held = ConstraintManifold.of(model, message, model.fk_tip(motion.position[0]))
     assert held.use(positions).max() <= 1.0
     assert held.violation(positions) is None
     worst = np.argsort(held.use(positions))[-20:]
@@ -108,7 +108,7 @@ def assert_kept(model: RobotModel, message: HeldAxes, motion: TimedTrajectory) -
 
 def plan_held(
     world: World,
-    held: PathConstraint,
+    held: ConstraintManifold,
     start: Array,
     goals: Array,
     limits: Limits,
@@ -128,13 +128,13 @@ def plan_held(
 
 
 def problem(
-    model: RobotModel, message: HeldAxes, rng: np.random.Generator
-) -> tuple[tuple[SceneObject, ...], PathConstraint, Array, Array]:
+    model: RobotModel, message: PathConstraint, rng: np.random.Generator
+) -> tuple[tuple[SceneObject, ...], ConstraintManifold, Array, Array]:
     """Objects, and a free start and free goals that keep what is held, at random."""
     while True:
         objects = random_objects(4, 0.25, rng)
         start = rng.uniform(model.lower, model.upper)
-        held = PathConstraint.of(model, message, model.fk_tip(start))
+        held = ConstraintManifold.of(model, message, model.fk_tip(start))
         near = held.projected(rng.uniform(model.lower, model.upper))
         pose = model.fk_tip(start if near is None else near[0])
         if message is LINE:
@@ -149,7 +149,7 @@ def problem(
 @pytest.mark.parametrize("message", KINDS)
 @pytest.mark.parametrize("name", sorted(MODELS))
 def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_free(
-    name: str, message: HeldAxes
+    name: str, message: PathConstraint
 ) -> None:
     model, rng, planned = MODELS[name], np.random.default_rng(0), 0
     for seed in range(3):
@@ -169,11 +169,13 @@ def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("message", [UPRIGHT, HeldAxes(axes=(True, True, True, False, False, False))])
-def test_a_glass_is_carried_upright_around_a_wall(sides: tuple[Array, Array], message: HeldAxes, seed: int) -> None:
+@pytest.mark.parametrize("message", [UPRIGHT, PathConstraint(axes=(True, True, True, False, False, False))])
+def test_a_glass_is_carried_upright_around_a_wall(
+    sides: tuple[Array, Array], message: PathConstraint, seed: int
+) -> None:
     start, goal = sides
     world = World(WALL, 0.005)
-    held = PathConstraint.of(PANDA, message, PANDA.fk_tip(start))
+    held = ConstraintManifold.of(PANDA, message, PANDA.fk_tip(start))
     pose = PANDA.fk_tip(goal)
     pose[:3, :3] = PANDA.fk_tip(start)[:3, :3]
     goals = solve_ik(PANDA, pose, start, world=world, max_solutions=16, seed=0, deadline=Deadline(30.0)).solutions
@@ -186,7 +188,7 @@ def test_a_glass_is_carried_upright_around_a_wall(sides: tuple[Array, Array], me
 
 def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    world, held = World(WALL, 0.005), PathConstraint.of(PANDA, UPRIGHT, PANDA.fk_tip(start))
+    world, held = World(WALL, 0.005), ConstraintManifold.of(PANDA, UPRIGHT, PANDA.fk_tip(start))
     motions = [
         plan_held(world, held, start, goal[None], Limits.of(PANDA.robot), seed=seed, deadline=Deadline(30.0))
         for seed in (1, 1, 2)
@@ -198,7 +200,7 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(sides: tup
 
 def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still() -> None:
     start = np.array(PANDA.robot.descriptor.home)
-    held = PathConstraint.of(PANDA, STILL, PANDA.fk_tip(start))
+    held = ConstraintManifold.of(PANDA, STILL, PANDA.fk_tip(start))
     goal = held.projected(start + [0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0])
     assert goal is not None
     assert np.abs(goal[0] - start).max() > 0.2
@@ -210,7 +212,7 @@ def test_an_arm_of_seven_joints_can_move_its_elbow_under_a_tip_that_stands_still
 def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Path) -> None:
     arm = RobotModel.of(small_arm(tmp_path))
     start = np.array([-3.0, 1.2, 0.3, 0.1])
-    held = PathConstraint.of(arm, LEVEL, arm.fk_tip(start))
+    held = ConstraintManifold.of(arm, LEVEL, arm.fk_tip(start))
     goals = held.projected(np.array([6.0, 0.9, 0.9, 0.15]))
     assert goals is not None
     motion = plan_held(World((), 0.0), held, start, goals, Limits.of(arm.robot), seed=0, deadline=Deadline(30.0))
@@ -222,7 +224,7 @@ def test_an_arm_that_slides_and_turns_without_end_keeps_its_height(tmp_path: Pat
 def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> None:
     start = np.array(PANDA.robot.descriptor.home)
     pose = PANDA.fk_tip(start)
-    held = PathConstraint.of(PANDA, LEVEL, pose)
+    held = ConstraintManifold.of(PANDA, LEVEL, pose)
     pose[:3, 3] += (0.1, 0.2, 0.9 * LEVEL.position_tolerance)
     held.check_goal(pose, "goal")
     goals = solve_ik(PANDA, pose, start, world=None, max_solutions=4, seed=0, deadline=Deadline(30.0)).solutions
@@ -234,7 +236,7 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
 
 def test_no_distance_at_all_gives_a_motion_that_stands_still() -> None:
     start = np.array(MODELS["ur5e"].robot.descriptor.home)
-    held = PathConstraint.of(MODELS["ur5e"], STILL, MODELS["ur5e"].fk_tip(start))
+    held = ConstraintManifold.of(MODELS["ur5e"], STILL, MODELS["ur5e"].fk_tip(start))
     motion = plan_held(
         World((), 0.0), held, start, start[None], Limits.of(held.model.robot), seed=0, deadline=Deadline(30.0)
     )
@@ -252,7 +254,7 @@ def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_fr
     turn, shift = angle * axis / np.linalg.norm(axis), rng.normal(size=3)
     pose[:3, :3], pose[:3, 3] = rotation(turn) @ start[:3, :3], start[:3, 3] + shift
     for frame, axes in (("base", np.eye(3)), ("tool", start[:3, :3].T)):
-        held = PathConstraint.of(PANDA, STILL.model_copy(update={"frame": frame}), start)
+        held = ConstraintManifold.of(PANDA, STILL.model_copy(update={"frame": frame}), start)
         found = held.deviations(pose)[0]
         vector = axes @ turn
         if angle > 3.14 and found[:3] @ vector < 0.0:  # half a turn is the same in either sense
@@ -264,11 +266,11 @@ def test_deviation_is_the_rotation_vector_and_the_shift_along_the_axes_of_the_fr
 @examples(0.4)
 @given(st.sampled_from(sorted(MODELS)), st.sampled_from(KINDS), st.integers(0, 2**32 - 1))
 def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
-    name: str, message: HeldAxes, seed: int
+    name: str, message: PathConstraint, seed: int
 ) -> None:
     model, rng = MODELS[name], np.random.default_rng(seed)
     start, q = rng.uniform(model.lower, model.upper, (2, model.dof))
-    held = PathConstraint.of(model, message, model.fk_tip(start))
+    held = ConstraintManifold.of(model, message, model.fk_tip(start))
     near = held.projected(q)
     if near is not None:
         assert used(model, message, start, near[0]) <= CLOSE / 0.0005 + 1e-4
@@ -287,7 +289,7 @@ def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
     ],
 )
 def test_a_goal_that_cannot_be_kept_to_is_refused_with_the_component_that_is_off(
-    message: HeldAxes, shift: tuple[float, float, float], turn: tuple[float, float, float], says: str
+    message: PathConstraint, shift: tuple[float, float, float], turn: tuple[float, float, float], says: str
 ) -> None:
     start = PANDA.fk_tip(PANDA.robot.descriptor.home)
     if message is LINE:
@@ -296,13 +298,13 @@ def test_a_goal_that_cannot_be_kept_to_is_refused_with_the_component_that_is_off
     goal[:3, 3] += shift
     goal[:3, :3] = rotation(np.array(turn)) @ start[:3, :3]
     with pytest.raises(InvalidRequest, match=says) as refusal:
-        PathConstraint.of(PANDA, message, start).check_goal(goal, "goal")
+        ConstraintManifold.of(PANDA, message, start).check_goal(goal, "goal")
     assert refusal.value.problem.field == "goal"
 
 
 def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Array, Array]) -> None:
     start, goal = sides
-    held = PathConstraint.of(PANDA, LEVEL, PANDA.fk_tip(start))
+    held = ConstraintManifold.of(PANDA, LEVEL, PANDA.fk_tip(start))
     low = start + [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     violation = held.violation(np.array((start, low, goal)))
     assert violation is not None
@@ -314,7 +316,7 @@ def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Arr
 def test_a_goal_in_reach_that_no_held_motion_leads_to_ends_with_its_samples_and_with_a_cancel() -> None:
     ur5e = MODELS["ur5e"]
     start = np.array(ur5e.robot.descriptor.home)
-    held = PathConstraint.of(ur5e, STILL, ur5e.fk_tip(start))
+    held = ConstraintManifold.of(ur5e, STILL, ur5e.fk_tip(start))
     found = solve_ik(
         ur5e, ur5e.fk_tip(start), start, world=None, max_solutions=8, seed=0, deadline=Deadline(30.0)
     ).solutions

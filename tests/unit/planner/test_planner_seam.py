@@ -13,8 +13,8 @@ from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import (
     AddObjects,
     Cylinder,
-    HeldAxes,
     JointGoal,
+    PathConstraint,
     PlanRequest,
     PoseGoal,
     SceneEdit,
@@ -114,7 +114,7 @@ def test_where_no_planner_is_named_those_that_were_there_before_are_taken(handle
             {"goal": PoseGoal(kind="pose", position=(0.5, 0.0, 0.5), orientation=(0.0, 1.0, 0.0, 0.0))},
             "classic or auto",
         ),
-        ({"held": HeldAxes(axes=(True, True, False, False, False, False))}, "joint_space or auto"),
+        ({"path_constraint": PathConstraint(axes=(True, True, False, False, False, False))}, "joint_space or auto"),
         ({"planner": "nobody"}, "joint_space or straight_line or too_fast or auto"),
     ],
 )

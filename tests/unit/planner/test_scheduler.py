@@ -11,15 +11,15 @@ import pytest
 
 from support.harness import PATIENCE, eventually
 from zarm_contract.errors import Cancelled, DeadlineExceeded
-from zarm_contract.messages import Asker
+from zarm_contract.messages import Requester
 from zarm_planner import scheduler
 from zarm_planner.deadline import Deadline
 from zarm_planner.scheduler import WITHDRAWN, Scheduler
-from zarm_runtime.asking import ANYONE
+from zarm_runtime.requester import ANYONE
 
 
-def client(name: str, patience: float = PATIENCE) -> Asker:
-    return Asker(client=name, patience=patience)
+def client(name: str, timeout: float = PATIENCE) -> Requester:
+    return Requester(client=name, timeout=timeout)
 
 
 class Desk:
@@ -33,7 +33,7 @@ class Desk:
         self._ends: dict[str, threading.Event] = {}
 
     def ask(
-        self, name: str, *, until: str = "told", asker: Asker | None = None, timeout: float = PATIENCE
+        self, name: str, *, until: str = "told", requester: Requester | None = None, timeout: float = PATIENCE
     ) -> Future[str]:
         """Work of the client that the first letter of the name stands for: until it is told, or asked to give way."""
         ending = self._ends[name] = threading.Event()
@@ -48,7 +48,7 @@ class Desk:
             return f"{name} was told"
 
         known = self.in_hand
-        answer = self._pool.submit(self.running.run, work, asker or client(name[0]), timeout, name)
+        answer = self._pool.submit(self.running.run, work, requester or client(name[0]), timeout, name)
         eventually(lambda: self.in_hand > known or answer.done(), f"{name} is in hand")
         return answer
 
@@ -126,7 +126,7 @@ def test_optimisation_gives_way_to_clients_that_run_less_and_not_to_those_that_r
 def test_what_nobody_waits_for_any_longer_does_not_begin() -> None:
     with desk(1) as one:
         one.ask("a1")
-        impatient = one.ask("a2", asker=client("a", patience=0.1))
+        impatient = one.ask("a2", requester=client("a", timeout=0.1))
         with pytest.raises(DeadlineExceeded):
             impatient.result(PATIENCE)
         one.has_begun("a1")

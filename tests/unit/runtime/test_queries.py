@@ -30,8 +30,8 @@ from zarm_contract.errors import (
 )
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
-from zarm_runtime.asking import ANYONE, asker
 from zarm_runtime.bus import Bus
+from zarm_runtime.requester import ANYONE, requester
 
 KEYS = Keys("arm")
 REQUEST = m.FkRequest(joints=((0.1, 0.2),))
@@ -200,7 +200,7 @@ def test_an_answer_says_what_it_is(bus: Bus, plain: zenoh.Session) -> None:
     serve(bus, lambda _: ANSWER)
     (reply,) = plain.get(KEYS.fk, payload=encode(REQUEST), timeout=PATIENCE)
     assert reply.ok is not None
-    assert str(reply.ok.encoding) == "application/json;zarm.FkPoses.v2"
+    assert str(reply.ok.encoding) == "application/json;zarm.FkPoses.v3"
 
 
 def test_looking_around_sets_off_no_command(bus: Bus, plain: zenoh.Session) -> None:
@@ -252,10 +252,10 @@ def test_the_zenoh_command_line_client_can_call_a_service(bus: Bus, endpoint: st
 
 
 def test_a_handler_is_told_who_asks_and_how_long_that_waits(bus: Bus, other: Bus, plain: zenoh.Session) -> None:
-    askers: list[m.Asker] = []
+    askers: list[m.Requester] = []
 
     def handler(_: m.FkRequest) -> m.FkPoses:
-        askers.append(asker())
+        askers.append(requester())
         return ANSWER
 
     serve(bus, handler)
@@ -264,10 +264,10 @@ def test_a_handler_is_told_who_asks_and_how_long_that_waits(bus: Bus, other: Bus
     reply_to(plain, KEYS.fk, encode(REQUEST))
     list(plain.get(KEYS.fk, payload=encode(REQUEST), attachment=b"another tool's", timeout=PATIENCE))
     first, second, *others = askers
-    assert (first.patience, second.patience) == (PATIENCE, PATIENCE / 2)
+    assert (first.timeout, second.timeout) == (PATIENCE, PATIENCE / 2)
     assert len({first.client, second.client, ANYONE.client}) == 3
     assert others == [ANYONE, ANYONE]
-    assert asker() == ANYONE
+    assert requester() == ANYONE
 
 
 def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus: Bus, other: Bus) -> None:
@@ -275,7 +275,7 @@ def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus:
 
     def handler(_: m.FkRequest) -> m.FkPoses:
         entered.release()
-        if asker().patience == PATIENCE:
+        if requester().timeout == PATIENCE:
             release.wait(PATIENCE)
         return ANSWER
 
@@ -300,7 +300,7 @@ def test_a_client_that_leaves_or_dies_is_told_of(bus: Bus, endpoint: str, signum
     release = threading.Event()
 
     def handler(_: m.FkRequest) -> m.FkPoses:
-        asked.append(asker().client)
+        asked.append(requester().client)
         release.wait(PATIENCE)
         return ANSWER
 

@@ -45,10 +45,10 @@ from zarm_contract.messages.planner import (
     FkPoses,
     FkRequest,
     Goal,
-    HeldAxes,
     IkRequest,
     IkSolutions,
     JointGoal,
+    PathConstraint,
     Plan,
     PlannerKind,
     PlannerSettings,
@@ -88,7 +88,7 @@ from zarm_contract.messages.scene import (
     Sphere,
     Voxels,
 )
-from zarm_contract.messages.service import Asker, Health, Nothing
+from zarm_contract.messages.service import Health, Nothing, Requester
 
 __all__ = [
     "MAX_ATTACHED",
@@ -98,7 +98,6 @@ __all__ = [
     "MAX_POINTS",
     "Accepted",
     "AddObjects",
-    "Asker",
     "AttachObject",
     "Attached",
     "CancelPlan",
@@ -124,7 +123,6 @@ __all__ = [
     "GoalState",
     "GoalStatus",
     "Health",
-    "HeldAxes",
     "IkRequest",
     "IkSolutions",
     "JointGoal",
@@ -139,6 +137,7 @@ __all__ = [
     "Nothing",
     "Occupancy",
     "OccupancyRequest",
+    "PathConstraint",
     "Plan",
     "PlanRequest",
     "PlanTimings",
@@ -151,6 +150,7 @@ __all__ = [
     "Primitive",
     "Quaternion",
     "RemoveObjects",
+    "Requester",
     "RobotMode",
     "Scale",
     "Scene",

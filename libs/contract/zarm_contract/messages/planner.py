@@ -56,7 +56,7 @@ PlannerKind = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 """A planner of the planner process: `classic` goes to a pose, `joint_space` to joint positions, `multi_point` through waypoints; `auto`: the goal decides."""
 
 
-class HeldAxes(Message):
+class PathConstraint(Message):
     """A path constraint: components of the tip pose that stay as at the start, `[theta_x, theta_y, theta_z, x, y, z]`.
 
     With `frame` `base` these are the position and the rotation vector from the start orientation, both in the base frame. With
@@ -87,7 +87,7 @@ class PlanRequest(Message):
     goal: Goal
     start: Joints | None = None
     planner: PlannerKind | None = None
-    held: HeldAxes | None = None
+    path_constraint: PathConstraint | None = None
     request_id: Name | None = None
     timeout: Timeout | None = None
     max_attempts: Attempts | None = None
@@ -103,7 +103,7 @@ class PlanTimings(Message):
 
     ik: NonNegative
     search: NonNegative
-    shorten: NonNegative
+    shortcut: NonNegative
     timing: NonNegative
     verify: NonNegative
     optimize: NonNegative

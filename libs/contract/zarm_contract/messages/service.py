@@ -16,14 +16,14 @@ class Nothing(ShortMessage):
     any_contract = True
 
 
-class Asker(ShortMessage):
-    """Who sends a request, and how long it waits for the answer: `patience` (s). It is the attachment of the query.
+class Requester(ShortMessage):
+    """Who sends a request, and how long it waits for the answer: `timeout` (s). It is the attachment of the query.
 
     `client` is the id of the Zenoh session. Its liveliness token shows that an answer can still reach the client.
     """
 
     client: Name
-    patience: NonNegative
+    timeout: NonNegative
 
 
 class Health(Message):

@@ -15,35 +15,35 @@ from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
 from zarm_executor.strategies.ghost import GhostOnly
-from zarm_executor.strategies.repertoire import Repertoire
+from zarm_executor.strategies.registry import StrategyRegistry
 from zarm_runtime.bus import Bus
 from zarm_runtime.state_file import StateFile
 
 
-def build_strategies(robot: Robot, folder: Path, bus: Bus, keys: Keys) -> Repertoire:
+def build_strategies(robot: Robot, folder: Path, bus: Bus, keys: Keys) -> StrategyRegistry:
     """Every strategy there is for this robot; none is open. What they keep on disk is in `folder`, drivers are on `bus`."""
     descriptor = robot.descriptor
     emulated = EmulatedRobot(descriptor, StateFile(folder / "emulated_robot.json", JointState))
-    repertoire = Repertoire()
-    repertoire.add(Emulator(emulated, np.array(descriptor.cspace.acceleration)))
-    repertoire.add(GhostOnly(emulated))
+    registry = StrategyRegistry()
+    registry.add(Emulator(emulated, np.array(descriptor.cspace.acceleration)))
+    registry.add(GhostOnly(emulated))
     params = descriptor.strategy_params
     link = None if params is None else DriverLink(bus, keys, descriptor, params)
     for name in DRIVER_STRATEGIES:
         if params is None or link is None:
-            repertoire.rule_out(
+            registry.rule_out(
                 name,
                 f"the descriptor of {descriptor.name} has no strategy_params; docs/reference/robot.md explains what to write there",
             )
         elif name not in params.strategies:
-            repertoire.rule_out(
+            registry.rule_out(
                 name,
                 f"strategy_params.strategies of {descriptor.name} does not list it, because its driver cannot play it; it "
                 f"plays {', '.join(params.strategies)}",
             )
         else:
-            repertoire.add(_driver_strategy(name)(link))
-    return repertoire
+            registry.add(_driver_strategy(name)(link))
+    return registry
 
 
 def _driver_strategy(name: str) -> type[DriverStrategy]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from zarm_geometry.collision import is_free
 from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.world import World
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels import constrained as kernel
 from zarm_planner.kernels.manifold import ConstraintArrays
@@ -24,7 +24,7 @@ comes to rest at one."""
 
 def search_constrained(
     world: World,
-    constraint: PathConstraint,
+    constraint: ConstraintManifold,
     start: Array,
     goals: Array,
     *,
@@ -63,7 +63,7 @@ def search_constrained(
 
 
 def shortcut_constrained(
-    world: World, constraint: PathConstraint, path: Array, *, seed: int, deadline: Deadline
+    world: World, constraint: ConstraintManifold, path: Array, *, seed: int, deadline: Deadline
 ) -> Array:
     """A path (m, dof) between the ends of `path` (n, dof), as free and as true to the constraint, that is no longer.
 
@@ -88,7 +88,7 @@ def shortcut_constrained(
     return np.vstack((path[0], np.clip(room[:count], model.lower, model.upper), path[-1]))
 
 
-def _inside(constraint: PathConstraint, rows: Array) -> ConstraintArrays:
+def _inside(constraint: ConstraintManifold, rows: Array) -> ConstraintArrays:
     """The constraint, with joints' ranges narrower by _INSIDE, as far as they still contain `rows` (n, dof)."""
     chain = constraint.arrays.chain
     lower = np.maximum(chain.lower, np.minimum(chain.lower + _INSIDE, rows.min(axis=0)))
@@ -96,7 +96,7 @@ def _inside(constraint: PathConstraint, rows: Array) -> ConstraintArrays:
     return constraint.arrays._replace(chain=chain._replace(lower=lower, upper=upper))
 
 
-def _on_manifold(world: World, constraint: PathConstraint, q: Array) -> Array | None:
+def _on_manifold(world: World, constraint: ConstraintManifold, q: Array) -> Array | None:
     """The configuration nearest to `q` (dof,) that keeps the constraint; None where `q` cannot get there freely."""
     rows = constraint.projected(q)
     if rows is None or not np.any(rows[0] != q):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.timing.time_parameterization import through, time_curve
 from zarm_trajectory.limits import Limits
@@ -32,7 +32,7 @@ _ROOM = 0.9
 
 
 def time_constrained(
-    constraint: PathConstraint,
+    constraint: ConstraintManifold,
     path: Array,
     limits: Limits,
     dt: float,

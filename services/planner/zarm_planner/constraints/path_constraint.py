@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import HeldAxes
+from zarm_contract.messages import PathConstraint
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.kernels.inverse import Chain
 from zarm_planner.kernels.manifold import ConstraintArrays, deviations, project_all
@@ -17,16 +17,16 @@ from zarm_planner.kernels.manifold import ConstraintArrays, deviations, project_
 Array = NDArray[np.float64]
 
 NAMES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
-"""The components of a pose in the order of `HeldAxes.axes`."""
+"""The components of a pose in the order of `PathConstraint.axes`."""
 
 
-def constrains(message: HeldAxes | None) -> TypeGuard[HeldAxes]:
+def constrains(message: PathConstraint | None) -> TypeGuard[PathConstraint]:
     """Whether a request asks for a path constraint: one that names no axes keeps nothing."""
     return message is not None and any(message.axes)
 
 
 @dataclass(frozen=True)
-class PathConstraint:
+class ConstraintManifold:
     """The components of the tip's pose that a motion keeps as they are at its start.
 
     The deviation of a pose T from the start's T0 is, along the axes of the base, the rotation vector (axis times angle, at
@@ -39,7 +39,7 @@ class PathConstraint:
     arrays: ConstraintArrays
 
     @classmethod
-    def of(cls, model: RobotModel, message: HeldAxes, start: Array) -> Self:
+    def of(cls, model: RobotModel, message: PathConstraint, start: Array) -> Self:
         """What `message` asks for, from the pose `start` (4, 4) of the tip in the base frame on."""
         pose = np.array(start, np.float64, order="C")
         return cls(

@@ -16,7 +16,7 @@ from zarm_contract.messages import JointGoal, PoseGoal
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import RESOLUTION, Nearest
 from zarm_geometry.frames import matrix
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.joints import within_range
 from zarm_planner.kinematics.ik import solve_ik
@@ -44,7 +44,7 @@ class End:
         return self.asked[None][: 0 if self.free is self.asked else 1]
 
 
-def start_end(context: PlanningContext, q: Array, constraint: PathConstraint | None) -> End:
+def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End:
     """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
     nearest = context.exact.nearest(q)
     if nearest.distance <= 0.0:
@@ -63,7 +63,11 @@ def start_end(context: PlanningContext, q: Array, constraint: PathConstraint | N
 
 
 def goal_ends(
-    context: PlanningContext, start: Array, goal: PoseGoal | JointGoal, field: str, constraint: PathConstraint | None
+    context: PlanningContext,
+    start: Array,
+    goal: PoseGoal | JointGoal,
+    field: str,
+    constraint: ConstraintManifold | None,
 ) -> tuple[End, ...]:
     """The configurations that reach a goal, which is the request's `field`; the one nearest to `start` first.
 
@@ -116,7 +120,7 @@ def goal_ends(
     return tuple(ends)
 
 
-def _end(context: PlanningContext, q: Array, constraint: PathConstraint | None) -> End | None:
+def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End | None:
     """The end at `q`, which is free of collision; None where no way that keeps the constraint leads to what is free in spheres."""
     if is_free(context.model, context.world, q):
         return End(q, q)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.messages import Goal, JointGoal, PoseGoal, WaypointsGoal
-from zarm_planner.constraints.path_constraint import PathConstraint, constrains
+from zarm_planner.constraints.path_constraint import ConstraintManifold, constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, goal_ends, start_end
 
@@ -25,7 +25,7 @@ class Problem:
     start: End
     targets: tuple[tuple[End, ...], ...]
     goal: Goal
-    constraint: PathConstraint | None
+    constraint: ConstraintManifold | None
 
     @classmethod
     def of(cls, context: PlanningContext, start: Array, goal: Goal) -> Problem:
@@ -36,7 +36,7 @@ class Problem:
         """
         model, constraint = context.model, None
         if constrains(context.path_constraint):
-            constraint = PathConstraint.of(model, context.path_constraint, model.fk_tip(start))
+            constraint = ConstraintManifold.of(model, context.path_constraint, model.fk_tip(start))
         begin = start_end(context, start, constraint)
         through: dict[str, PoseGoal | JointGoal]
         if isinstance(goal, WaypointsGoal):

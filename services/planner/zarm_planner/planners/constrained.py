@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
 from zarm_planner.constraints.constrained_timing import time_constrained
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import Problem
 from zarm_planner.planners.base import NAMES, Faster, Planner
@@ -60,17 +60,17 @@ class ConstrainedPlanner(Planner):
         return faster_than
 
 
-def _constraint(problem: Problem) -> PathConstraint:
+def _constraint(problem: Problem) -> ConstraintManifold:
     if problem.constraint is None:
-        raise InvalidRequest("there is no path constraint to keep; say which axes to hold", field="held")
+        raise InvalidRequest("there is no path constraint to keep; say which axes to hold", field="path_constraint")
     return problem.constraint
 
 
-def _route(context: PlanningContext, problem: Problem, constraint: PathConstraint) -> Route | None:
+def _route(context: PlanningContext, problem: Problem, constraint: ConstraintManifold) -> Route | None:
     return find_route(_ConstrainedPaths(context, constraint), problem, context.model.velocity)
 
 
-def _timed(context: PlanningContext, constraint: PathConstraint, route: Route) -> TimedTrajectory | None:
+def _timed(context: PlanningContext, constraint: ConstraintManifold, route: Route) -> TimedTrajectory | None:
     def free(q: Array) -> bool:
         return context.exact.nearest(q).distance > 0.0
 
@@ -84,7 +84,7 @@ class _ConstrainedPaths:
     """Paths that keep a path constraint."""
 
     context: PlanningContext
-    constraint: PathConstraint
+    constraint: ConstraintManifold
 
     def between(self, start: Array, goal: Array) -> Array | None:
         """The first that is found soon, with shortcuts."""
@@ -104,5 +104,5 @@ class _ConstrainedPaths:
         deadline.check()
         if path is None:
             return None
-        with context.timer.stage("shorten"):
+        with context.timer.stage("shortcut"):
             return shortcut_constrained(world, constraint, path, seed=seed, deadline=deadline)

@@ -95,7 +95,7 @@ class _FreePaths:
             context.model, context.world, start, goal, seeds=seeds, deadline=context.deadline, most=LEG_SAMPLES
         )
         context.timer.add("search", found.search)
-        context.timer.add("shorten", found.shortcut)
+        context.timer.add("shortcut", found.shortcut)
         context.deadline.check()
         return found.path
 
@@ -108,5 +108,5 @@ class _FreePaths:
         deadline.check()
         if path is None:
             return None
-        with context.timer.stage("shorten"):
+        with context.timer.stage("shortcut"):
             return shortcut(model, world, path, seed=seed, deadline=deadline)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
-from zarm_planner.constraints.path_constraint import PathConstraint
+from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.timing.sampling import TOLERANCE
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -30,7 +30,7 @@ def verify(
     limits: Limits,
     scene: ExactScene,
     check: Callable[[], None],
-    constraint: PathConstraint | None = None,
+    constraint: ConstraintManifold | None = None,
 ) -> float:
     """The trajectory's smallest distance (m) to the scene and to the robot itself, at most 1.
 

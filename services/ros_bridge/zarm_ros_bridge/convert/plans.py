@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from curobo_msgs.srv import TrajectoryGeneration
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import HeldAxes, JointGoal, Pose, PoseGoal, WaypointsGoal
+from zarm_contract.messages import JointGoal, PathConstraint, Pose, PoseGoal, WaypointsGoal
 from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.poses import is_given, pose_of
 
@@ -78,7 +78,7 @@ def goal_of(
     return JointGoal(kind="joints", position=tuple(finite(value, f"{target}[{i}]") for i, value in enumerate(values)))
 
 
-def held_of(request: TrajectoryGeneration.Request, target: str) -> HeldAxes | None:
+def path_constraint_of(request: TrajectoryGeneration.Request, target: str) -> PathConstraint | None:
     """What the whole motion keeps of the tip's pose at its start, in the base frame.
 
     `trajectories_contraints` have six for each of `target_poses`; since a motion holds an axis all the way or not at all, they
@@ -109,7 +109,7 @@ def held_of(request: TrajectoryGeneration.Request, target: str) -> HeldAxes | No
             )
         whole = each[:1]
     axes = whole[0] if whole else (False,) * 6
-    return HeldAxes(axes=axes) if any(axes) else None
+    return PathConstraint(axes=axes) if any(axes) else None
 
 
 def _axes(values: Sequence[int], field: str) -> list[tuple[bool, bool, bool, bool, bool, bool]]:

@@ -10,8 +10,8 @@ import pytest
 from support.harness import eventually
 from zarm_contract.errors import Code, Problem
 from zarm_contract.keys import Keys
-from zarm_executor import fault_records
-from zarm_executor.fault_records import KEPT, FaultRecords
+from zarm_executor import flight_recorder
+from zarm_executor.flight_recorder import KEPT, FlightRecorder
 from zarm_executor.ring import Ring
 from zarm_runtime.record import read_record
 
@@ -30,7 +30,7 @@ def ring() -> Ring:
 
 
 def test_a_fault_is_written_before_the_end(ring: Ring, tmp_path: Path) -> None:
-    with FaultRecords(tmp_path / "records", KEYS, ring) as records:
+    with FlightRecorder(tmp_path / "records", KEYS, ring) as records:
         records.fault(problem("tolerance_violated"))
     (path,) = (tmp_path / "records").iterdir()
     assert path.name.endswith("Z_tolerance_violated.mcap")
@@ -42,7 +42,7 @@ def test_the_newest_are_kept_and_drafts_of_a_killed_process_go(ring: Ring, tmp_p
     for path in (*old, tmp_path / "20200102T000000.000000Z_timeout.mcap.part"):
         path.write_bytes(b"")
     (tmp_path / "notes.txt").write_text("a person's")
-    with FaultRecords(tmp_path, KEYS, ring) as records:
+    with FlightRecorder(tmp_path, KEYS, ring) as records:
         records.fault(problem())
     left = sorted(path.name for path in tmp_path.iterdir())
     assert left[: KEPT - 1] == [path.name for path in old[-KEPT + 1 :]]
@@ -54,7 +54,7 @@ def test_of_faults_that_come_while_one_is_written_the_last_has_a_record(
     ring: Ring, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     codes: tuple[Code, ...] = ("timeout", "internal", "tolerance_violated")
-    records = FaultRecords(tmp_path, KEYS, ring)
+    records = FlightRecorder(tmp_path, KEYS, ring)
     contents = ring.contents
 
     def storm() -> object:  # while the first record is written
@@ -75,7 +75,7 @@ def test_where_nothing_can_be_written_a_warning_is_all(
 ) -> None:
     taken = tmp_path / "records"
     taken.write_text("no folder")
-    with caplog.at_level(logging.WARNING), FaultRecords(taken, KEYS, ring) as records:
+    with caplog.at_level(logging.WARNING), FlightRecorder(taken, KEYS, ring) as records:
         records.fault(problem())
         eventually(lambda: caplog.records, "it is logged")
         assert records._thread.is_alive()
@@ -89,8 +89,8 @@ def test_a_write_that_fails_half_way_leaves_nothing(
     def fail(self: object) -> None:
         raise OSError(28, "No space left on device")
 
-    with monkeypatch.context() as patched, FaultRecords(tmp_path, KEYS, ring) as records:
-        patched.setattr(fault_records.RecordFile, "close", fail)
+    with monkeypatch.context() as patched, FlightRecorder(tmp_path, KEYS, ring) as records:
+        patched.setattr(flight_recorder.RecordFile, "close", fail)
         records.fault(problem())
         eventually(lambda: "No space left on device" in caplog.text, "it is logged")
         patched.undo()

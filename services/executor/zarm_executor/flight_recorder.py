@@ -24,7 +24,7 @@ _PATIENCE = 10.0
 """How long (s) the end of the process waits for a record that is being written."""
 
 
-class FaultRecords:
+class FlightRecorder:
     """`<folder>/<time in UTC>_<code of the problem>.mcap` for each fault, written by a thread of its own; use it in `with`.
 
     A fault that comes while a record is written has its own written next; of several that wait, only the last, as a record

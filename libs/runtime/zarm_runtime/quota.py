@@ -8,7 +8,7 @@ from collections import Counter
 from zarm_contract.errors import Busy
 
 
-class Room:
+class Quota:
     """Room for `total` requests on `key`. Where it is `shared`, one client has no more in hand than are left for others.
 
     So one client alone gets half of it, the next half of the rest, and whoever comes late finds some; where two are greedy

@@ -11,34 +11,34 @@ import zenoh
 
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.messages import Asker
+from zarm_contract.messages import Requester
 
-ANYONE = Asker.model_construct(client="", patience=math.inf)
+ANYONE = Requester.model_construct(client="", timeout=math.inf)
 """Whoever does not say who it is, all of them together: any Zenoh client, and calls within one process."""
 
-_asker: ContextVar[Asker] = ContextVar("asker", default=ANYONE)
+_requester: ContextVar[Requester] = ContextVar("requester", default=ANYONE)
 
 
-def asker() -> Asker:
+def requester() -> Requester:
     """Who asks for what this thread works on."""
-    return _asker.get()
+    return _requester.get()
 
 
 @contextmanager
-def asked_by(who: Asker) -> Iterator[None]:
-    """Have `asker` return `who` in this thread."""
-    before = _asker.set(who)
+def on_behalf_of(who: Requester) -> Iterator[None]:
+    """Have `requester` return `who` in this thread."""
+    before = _requester.set(who)
     try:
         yield
     finally:
-        _asker.reset(before)
+        _requester.reset(before)
 
 
-def asker_of(query: zenoh.Query) -> Asker:
+def requester_of(query: zenoh.Query) -> Requester:
     """Who sent a query; ANYONE where its attachment does not say so."""
     if query.attachment is None:
         return ANYONE
     try:
-        return decode(Asker, query.attachment.to_bytes())
+        return decode(Requester, query.attachment.to_bytes())
     except InvalidRequest:  # other tools of Zenoh attach what they like
         return ANYONE

@@ -7,7 +7,7 @@ from zarm_contract.messages import StrategyInfo
 from zarm_executor.strategies.base import Strategy
 
 
-class Repertoire:
+class StrategyRegistry:
     """Every strategy by its name: those of this robot, and the reason against each other one."""
 
     def __init__(self) -> None:
