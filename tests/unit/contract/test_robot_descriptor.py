@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from support.paths import ROOT
 from support.planner.containment import contains
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import ROBOTS, load_robot
@@ -206,7 +207,7 @@ def test_the_readme_lists_every_robot() -> None:
 
 
 def example(fence: str) -> str:
-    page = Path(__file__).parents[2] / "docs" / "how-to" / "add-a-robot.md"
+    page = ROOT / "docs" / "how-to" / "add-a-robot.md"
     (block,) = re.findall(rf"```{fence}\n(.*?)```", page.read_text(), re.DOTALL)
     return str(block)
 
