@@ -49,7 +49,7 @@ def braking(path: TimedTrajectory, time: float, speed: float, limit: Array, dt: 
     rates.append(0.0)
     sigma, rate_column = np.array(speeds)[:, None], np.array(rates)[:, None]
     position, slope, bend = path.sample(np.array(times))
-    return RetimedTrajectory(
+    return RetimedTrajectory.of(
         dt, np.array(times), np.array(speeds), position, slope * sigma, bend * sigma**2 + slope * rate_column
     )
 

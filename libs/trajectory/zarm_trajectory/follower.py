@@ -109,7 +109,7 @@ class Follower:
         position, slope, bend = states
         rate = np.append(np.diff(speed), 0.0)[:, None] / dt
         speed[time >= self.path.duration] = 0.0
-        return RetimedTrajectory(
+        return RetimedTrajectory.of(
             dt, time, speed, position, slope * speed[:, None], bend * speed[:, None] ** 2 + slope * rate
         )
 

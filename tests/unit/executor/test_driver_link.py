@@ -109,15 +109,15 @@ def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: B
     points = Follower(path, link.acceleration_limit).ahead(0.02)
 
     def sent() -> bool:  # a real-time publication may be dropped until the router knows the subscriber
-        link.send(points)
+        link.send(points.points)
         return bool(commands)
 
     eventually(sent, "the command arrives")
     command = commands[-1]
     assert command.joint_names == ORDER
     columns = [JOINTS.index(name) for name in ORDER]
-    np.testing.assert_array_equal(command.position, points.position[:, columns])
-    np.testing.assert_array_equal(command.velocity, points.velocity[:, columns])
+    np.testing.assert_array_equal(command.position, points.points.position[:, columns])
+    np.testing.assert_array_equal(command.velocity, points.points.velocity[:, columns])
     np.testing.assert_allclose(command.position[-1], path.end[columns])
     np.testing.assert_allclose(np.diff(command.time), 0.02)
     number = link.stop()
@@ -141,21 +141,21 @@ def test_what_lies_ahead_is_what_the_follower_then_does() -> None:
     for target, time_, speed in ((1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, 1.0, 0.0), (1.0, 0.5, 0.4)):
         follower = Follower(path, limit, time=time_, speed=speed, target=target)
         ahead = follower.ahead(0.02)
-        for index in range(len(ahead.time)):
-            np.testing.assert_allclose(ahead.position[index], follower.position, atol=1e-9)
-            np.testing.assert_allclose(ahead.velocity[index], follower.velocity, atol=1e-9)
+        for index in range(len(ahead)):
+            np.testing.assert_allclose(ahead.points.position[index], follower.position, atol=1e-9)
+            np.testing.assert_allclose(ahead.points.velocity[index], follower.velocity, atol=1e-9)
             assert ahead.at(index)[0] == pytest.approx(follower.time)
             follower.advance(0.02)
         assert follower.settled
-        assert not ahead.velocity[-1].any()
-        assert np.max(np.abs(ahead.acceleration)) <= 1.02
-        assert np.max(np.abs(np.diff(ahead.velocity, axis=0))) / 0.02 <= 1.01
+        assert not ahead.points.velocity[-1].any()
+        assert np.max(np.abs(ahead.points.acceleration)) <= 1.02
+        assert np.max(np.abs(np.diff(ahead.points.velocity, axis=0))) / 0.02 <= 1.01
 
 
 def test_a_chunk_has_as_many_points_as_asked_for_and_stays_at_the_end() -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(0.05)), JOINTS)
     ahead = Follower(path, np.ones(6)).ahead(0.02, 100)
-    assert ahead.position.shape == (100, 6)
-    np.testing.assert_allclose(ahead.position[-1], path.end)
-    np.testing.assert_array_equal(ahead.position[0], HOME)
-    assert not ahead.velocity[-50:].any()
+    assert ahead.points.position.shape == (100, 6)
+    np.testing.assert_allclose(ahead.points.position[-1], path.end)
+    np.testing.assert_array_equal(ahead.points.position[0], HOME)
+    assert not ahead.points.velocity[-50:].any()

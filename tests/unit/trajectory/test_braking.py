@@ -33,18 +33,18 @@ def test_from_anywhere_it_leads_along_the_path_to_rest_inside_the_limits_as_fast
     path = planned_path(seed)
     time = share * path.duration
     points = braking(path, time, speed, LIMIT, DT)
-    np.testing.assert_allclose(points.position[0], path.at(time)[0])
-    np.testing.assert_allclose(points.velocity[0], path.at(time)[1] * speed)
-    np.testing.assert_array_equal(points.velocity[-1], np.zeros(6))
-    np.testing.assert_allclose(points.position, path.sample(points.time)[0])
-    assert np.all(np.diff(points.time) >= 0.0)
-    change = np.abs(np.diff(points.velocity, axis=0)) / DT
+    np.testing.assert_allclose(points.points.position[0], path.at(time)[0])
+    np.testing.assert_allclose(points.points.velocity[0], path.at(time)[1] * speed)
+    np.testing.assert_array_equal(points.points.velocity[-1], np.zeros(6))
+    np.testing.assert_allclose(points.points.position, path.sample(points.path_time)[0])
+    assert np.all(np.diff(points.path_time) >= 0.0)
+    change = np.abs(np.diff(points.points.velocity, axis=0)) / DT
     assert np.all(change <= LIMIT * BEND), change.max()
     follower = Follower(path, LIMIT, time=time, speed=speed, target=0.0)
-    assert len(points.time) <= len(follower.ahead(DT).time) + 3
+    assert len(points) <= len(follower.ahead(DT)) + 3
 
 
 def test_at_rest_there_is_nothing_to_brake() -> None:
     path = planned_path(1)
     for time, speed in ((0.5, 0.0), (path.duration, 1.0)):
-        assert len(braking(path, time, speed, LIMIT, DT).time) == 1
+        assert len(braking(path, time, speed, LIMIT, DT)) == 1

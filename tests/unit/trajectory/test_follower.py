@@ -193,10 +193,10 @@ def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float)
     path = curved_path(7)
     follower = Follower(path, LIMIT, time=path.duration / 3, target=target)
     ahead = follower.ahead(TICK)
-    for position in ahead.position[:200]:
+    for position in ahead.points.position[:200]:
         np.testing.assert_allclose(follower.position, position, atol=1e-9)
         follower.advance(TICK)
-    np.testing.assert_allclose(ahead.position[-1], path.end, atol=1e-9)
+    np.testing.assert_allclose(ahead.points.position[-1], path.end, atol=1e-9)
 
 
 def test_a_short_pause_between_ticks_is_caught_up_with() -> None:

@@ -14,7 +14,7 @@ from zarm_contract.robot import RobotDescriptor, StrategyParams
 from zarm_executor.strategies.base import Measured
 from zarm_runtime.bus import Bus
 from zarm_trajectory.quintic import Array
-from zarm_trajectory.retimed import RetimedTrajectory
+from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class DriverLink:
 
     # -- to the driver --
 
-    def send(self, points: RetimedTrajectory, *, positions_only: bool = False) -> int:
+    def send(self, points: TimedTrajectory, *, positions_only: bool = False) -> int:
         """Have these points played from now on; returns the command's sequence number.
 
         The driver drops them where they come later than the joints that they are based on are fresh. Raises Unavailable
@@ -76,7 +76,7 @@ class DriverLink:
                 joint_names=self._names,
                 based_on=measured.stamp,
                 expires_after=self.execution.joint_state_timeout + _PASSING_ON * len(points.time),
-                time=tuple((np.arange(len(points.time)) * points.dt).tolist()),
+                time=tuple(points.time.tolist()),
                 position=position,
                 velocity=() if positions_only else velocity,
                 acceleration=() if positions_only else acceleration,

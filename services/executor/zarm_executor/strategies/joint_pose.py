@@ -12,5 +12,5 @@ class JointPose(Streaming):
     name = "joint_pose"
 
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
-        self.link.send(ahead, positions_only=True)
-        return bool((ahead.position == ahead.position[0]).all())
+        self.link.send(ahead.points, positions_only=True)
+        return bool((ahead.points.position == ahead.points.position[0]).all())

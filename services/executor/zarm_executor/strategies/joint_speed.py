@@ -43,9 +43,9 @@ class JointSpeed(Streaming):
 
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
         base = self._playing(played)
-        velocity = self._clamped(ahead.velocity + self._correction(ahead, now), base)
+        velocity = self._clamped(ahead.points.velocity + self._correction(ahead, now), base)
         acceleration = np.diff(velocity, axis=0, prepend=base[None]) / self._dt
-        self.link.send(RetimedTrajectory(ahead.dt, ahead.time, ahead.speed, ahead.position, velocity, acceleration))
+        self.link.send(TimedTrajectory(ahead.points.time, ahead.points.position, velocity, acceleration))
         self._before, self._sent = base, velocity
         return not velocity.any()
 
@@ -70,9 +70,9 @@ class JointSpeed(Streaming):
         error = self._error(now)
         self._lead(now, error)
         if error is None or self._led or self._held():
-            return np.zeros_like(ahead.velocity)
+            return np.zeros_like(ahead.points.velocity)
         gain = self.link.params.gain
-        share = gain * (1.0 - gain * self._dt) ** np.arange(len(ahead.time))
+        share = gain * (1.0 - gain * self._dt) ** np.arange(len(ahead))
         return np.outer(share, error)
 
     def _held(self) -> bool:

@@ -188,15 +188,15 @@ class JointTrajectory(DriverStrategy):
             return
         if self._index == command.last:
             # Where the robot came to rest is not just where it should have: the driver was on its way.
-            measured, time = self.link.measured(), float(command.time[-1])
+            measured, time = self.link.measured(), float(command.path_time[-1])
             if measured is not None:
-                time = path.nearest(measured.position, command.time[0] - _OVERRUN, time + _OVERRUN)
+                time = path.nearest(measured.position, command.path_time[0] - _OVERRUN, time + _OVERRUN)
             self._play(self._along(path, time, 0.0))
             self._lead_back()
         elif self.link.params.stop == "empty":
             return  # nobody knows what the driver is braking through
         else:
-            index = self._next(command, dt, encoded=(path.duration - float(command.time[-1])) / command.dt)
+            index = self._next(command, dt, encoded=(path.duration - float(command.path_time[-1])) / command.dt)
             if index is None:
                 return
             time, speed, _ = command.at(index)
@@ -228,7 +228,7 @@ class JointTrajectory(DriverStrategy):
             return self._told + 1.0 + int(encoding) if self._gone_on else None
         if self._late(command):
             return self._playing(command) + int(encoding)
-        due = self._clock + encoding - _ENCODING * len(command.time) / command.dt
+        due = self._clock + encoding - _ENCODING * len(command) / command.dt
         return float(round(due)) if abs(due - round(due)) * command.dt <= dt / 2 else None
 
     def _playing(self, command: RetimedTrajectory) -> float:
@@ -254,7 +254,7 @@ class JointTrajectory(DriverStrategy):
             return
         # A robot that stands already must not begin to move in order to brake.
         empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
-        self._sequence = self.link.stop() if empty else self.link.send(self._command)
+        self._sequence = self.link.stop() if empty else self.link.send(self._command.points)
         self._sent_at = now
         self.sent(now)
         self._unsent = False
@@ -277,7 +277,7 @@ class JointTrajectory(DriverStrategy):
     def _told_of(self, command: RetimedTrajectory) -> float:
         """The index of the point that the driver has told of last; 0 before it has told of any."""
         fraction = None if self._sequence is None else self.link.fraction(self._sequence)
-        return 0.0 if fraction is None else fraction * len(command.time) - 1.0
+        return 0.0 if fraction is None else fraction * len(command) - 1.0
 
     def _nearest(self, first: float, last: float) -> float:
         """The index, in this range, of the point nearest to the measured robot.
@@ -288,7 +288,7 @@ class JointTrajectory(DriverStrategy):
         if measured is None or command is None:
             return 0.0
         begin = max(int(first), 0)
-        distance = np.abs(command.position[begin : int(max(last, 0.0)) + 1] - measured.position).max(axis=1)
+        distance = np.abs(command.points.position[begin : int(max(last, 0.0)) + 1] - measured.position).max(axis=1)
         about = distance.min() + self.link.execution.goal_tolerance / 2
         return float(begin + np.flatnonzero(distance <= about)[-1])
 
@@ -298,15 +298,15 @@ class JointTrajectory(DriverStrategy):
         if measured is None or command is None:
             return
         limits = self.link.velocity_clamp, self.link.acceleration_limit, self.link.jerk_limit
-        way = TimedTrajectory.standing(command.position[0]).approached_from(measured.position, *limits)
+        way = TimedTrajectory.standing(command.points.position[0]).approached_from(measured.position, *limits)
         times = np.arange(0.0, way.duration - 1.0, command.dt)  # without the second of rest
         position, velocity, acceleration = way.sample(times)
         held = np.zeros_like(times)
-        self._command = RetimedTrajectory(
+        self._command = RetimedTrajectory.of(
             command.dt,
-            np.concatenate((held + command.time[0], command.time)),
-            np.concatenate((held, command.speed)),
-            np.vstack((position, command.position)),
-            np.vstack((velocity, command.velocity)),
-            np.vstack((acceleration, command.acceleration)),
+            np.concatenate((held + command.path_time[0], command.path_time)),
+            np.concatenate((held, command.path_speed)),
+            np.vstack((position, command.points.position)),
+            np.vstack((velocity, command.points.velocity)),
+            np.vstack((acceleration, command.points.acceleration)),
         )

@@ -140,7 +140,7 @@ class Streaming(DriverStrategy, Steerable):
         if begin is not None:
             played = 0 if self._sent_at is None else round((begin - self._sent_at) / self._dt)
             ahead = self._ahead(follower, begin - now)
-            self._chunk, self._played_at = ahead, begin + len(ahead.time) * self._dt
+            self._chunk, self._played_at = ahead, begin + len(ahead) * self._dt
             follower.target = self._wanted
             rests = self._send(ahead, now, played)
             self._sent_at, self._urgent = begin, False
@@ -257,7 +257,7 @@ class Streaming(DriverStrategy, Steerable):
         scout.advance(seconds)
         scout.target = self._wanted
         ahead = scout.ahead(self._dt, self._count)
-        time, speed = float(ahead.time[-1]), float(ahead.speed[-1])
+        time, speed = float(ahead.path_time[-1]), float(ahead.path_speed[-1])
         return ahead.followed_by(braking(follower.path, time, speed, self.link.acceleration_limit, self._dt))
 
     def _caught_up(self) -> bool:
