@@ -24,24 +24,26 @@ _APART = 1e-4
 """Samples of a blended path are at least this far apart, s."""
 
 
-def blended(path: TimedTrajectory, now: float, chunk: TimedTrajectory, start: float, limits: Limits) -> TimedTrajectory:
-    """`path` until the path time `now` (s), or until `start` where that is later, then over to `chunk`.
+def blended(
+    trajectory: TimedTrajectory, now: float, chunk: TimedTrajectory, start: float, limits: Limits
+) -> TimedTrajectory:
+    """`trajectory` until the path time `now` (s), or until `start` where that is later, then over to `chunk`.
 
     `chunk` has its own time 0 at the path time `start`; where `now` is later, what it holds before is passed over. Both
     rest at their ends for as long as need be.
 
     Raises ExecutionRefused (`limit_violated`) where no blending time is inside the limits, and InvalidRequest where `chunk`
-    starts later than `LONGEST_REST` after the end of `path`.
+    starts later than `LONGEST_REST` after the end of `trajectory`.
     """
-    if start > path.duration + LONGEST_REST:
+    if start > trajectory.duration + LONGEST_REST:
         raise InvalidRequest(
-            f"the chunk starts at {start:.2f} s of a stream that ends at {path.duration:.2f} s so far; let it start at most "
+            f"the chunk starts at {start:.2f} s of a stream that ends at {trajectory.duration:.2f} s so far; let it start at most "
             f"{LONGEST_REST:g} s after that",
             field="start",
         )
     begin = max(now, start)
     joins = begin + BLENDS
-    before = _states(path, np.full_like(joins, begin))
+    before = _states(trajectory, np.full_like(joins, begin))
     after = _states(chunk, joins - start)
     with np.errstate(all="ignore"):
         first = limits.first_inside(coefficients(before, after, BLENDS), BLENDS)
@@ -53,21 +55,21 @@ def blended(path: TimedTrajectory, now: float, chunk: TimedTrajectory, start: fl
             code="limit_violated",
         )
     join = float(joins[first])
-    old = (path.time >= path.time[max(0, int(np.searchsorted(path.time, now - PAST, side="right")) - 1)]) & (
-        path.time < begin - _APART
-    )
+    old = (
+        trajectory.time >= trajectory.time[max(0, int(np.searchsorted(trajectory.time, now - PAST, side="right")) - 1)]
+    ) & (trajectory.time < begin - _APART)
     new = chunk.time + start > join + _APART
-    times, states = [path.time[old]], [path.states[:, old]]
-    if path.duration + _APART < begin - _APART:  # it rests until then
-        times.append(np.array([path.duration + _APART]))
-        states.append(_states(path, times[-1]))
+    times, states = [trajectory.time[old]], [trajectory.states[:, old]]
+    if trajectory.duration + _APART < begin - _APART:  # it rests until then
+        times.append(np.array([trajectory.duration + _APART]))
+        states.append(_states(trajectory, times[-1]))
     times += [np.array([begin, join]), chunk.time[new] + start]
     states += [before[:, :1], after[:, first : first + 1], chunk.states[:, new]]
     return TimedTrajectory(np.concatenate(times), *np.concatenate(states, axis=1))
 
 
-def _states(path: TimedTrajectory, times: Array) -> Array:
+def _states(trajectory: TimedTrajectory, times: Array) -> Array:
     """Position, velocity and acceleration (3, N, J) at N times (N,); at and beyond its end a path is at rest."""
-    states = path.sample(times.clip(path.time[0], path.duration))
-    states[1:, times >= path.duration] = 0.0
+    states = trajectory.sample(times.clip(trajectory.time[0], trajectory.duration))
+    states[1:, times >= trajectory.duration] = 0.0
     return states

@@ -24,31 +24,31 @@ _STANDING = 1e-9
 """Slope of a path, rad/s, below which a joint says nothing about the path speed."""
 
 
-def braking(path: TimedTrajectory, time: float, speed: float, limit: Array, dt: float) -> RetimedTrajectory:
+def braking(trajectory: TimedTrajectory, time: float, speed: float, limit: Array, dt: float) -> RetimedTrajectory:
     """Points every `dt` s from path time `time` (s) with path speed `speed` to rest, as hard as the limits (J,) rad/s^2 allow.
 
     The last point is at rest. A path that decelerates to its end at its limits is followed to its end.
     """
-    table = _Table(path, time, _SHARE * limit, dt / _FINENESS)
+    table = _Table(trajectory, time, _SHARE * limit, dt / _FINENESS)
     times, speeds, rates = [time], [speed], []
-    while speed > 0.0 and time < path.duration and len(times) < _LONGEST:
+    while speed > 0.0 and time < trajectory.duration and len(times) < _LONGEST:
         if not table.covers(time + speed * dt):
-            table = _Table(path, time, _SHARE * limit, dt / _FINENESS)
+            table = _Table(trajectory, time, _SHARE * limit, dt / _FINENESS)
         rate = max(table.least(time, speed), -speed / dt)
         after = speed + rate * dt
         rate = max(
             rate, table.least(time + 0.5 * (speed + after) * dt, after)
         )  # the limits hold where the step ends, too
         after = speed + rate * dt
-        time = min(time + 0.5 * (speed + after) * dt, path.duration)
-        speed = 0.0 if after < 1e-9 or time >= path.duration else after
+        time = min(time + 0.5 * (speed + after) * dt, trajectory.duration)
+        speed = 0.0 if after < 1e-9 or time >= trajectory.duration else after
         times.append(time)
         speeds.append(speed)
         rates.append(rate)
     speeds[-1] = 0.0
     rates.append(0.0)
     sigma, rate_column = np.array(speeds)[:, None], np.array(rates)[:, None]
-    position, slope, bend = path.sample(np.array(times))
+    position, slope, bend = trajectory.sample(np.array(times))
     return RetimedTrajectory.of(
         dt, np.array(times), np.array(speeds), position, slope * sigma, bend * sigma**2 + slope * rate_column
     )
@@ -57,10 +57,10 @@ def braking(path: TimedTrajectory, time: float, speed: float, limit: Array, dt: 
 class _Table:
     """The strongest braking on `_SPAN` s of a path from `begin` on, sampled every `step` s."""
 
-    def __init__(self, path: TimedTrajectory, begin: float, limit: Array, step: float) -> None:
+    def __init__(self, trajectory: TimedTrajectory, begin: float, limit: Array, step: float) -> None:
         self._begin, self._step = begin, step
         grid = np.arange(begin, begin + _SPAN + step, step)
-        _, slope, bend = path.sample(np.minimum(grid, path.duration))
+        _, slope, bend = trajectory.sample(np.minimum(grid, trajectory.duration))
         moving = np.abs(slope) > _STANDING
         inverse = 1.0 / np.where(moving, np.abs(slope), 1.0)
         self._flat = np.where(moving, -limit * inverse, -np.inf)

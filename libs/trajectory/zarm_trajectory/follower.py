@@ -38,14 +38,14 @@ class Follower:
 
     def __init__(
         self,
-        path: TimedTrajectory,
+        trajectory: TimedTrajectory,
         acceleration_limit: Array,
         *,
         time: float = 0.0,
         speed: float = 1.0,
         target: float = 1.0,
     ) -> None:
-        self.path = path
+        self.trajectory = trajectory
         self.time = time
         self.speed = speed
         self.target = target
@@ -55,7 +55,7 @@ class Follower:
     @property
     def finished(self) -> bool:
         """Whether the end of the path is reached."""
-        return self.time >= self.path.duration
+        return self.time >= self.trajectory.duration
 
     @property
     def at_rest(self) -> bool:
@@ -78,9 +78,9 @@ class Follower:
             self._step(step)
             dt -= step
 
-    def join(self, path: TimedTrajectory) -> None:
-        """Go on along `path`, which is at `time` where the present one is there."""
-        self.path = path
+    def join(self, trajectory: TimedTrajectory) -> None:
+        """Go on along `trajectory`, which is at `time` where the present one is there."""
+        self.trajectory = trajectory
         self._reach()
 
     def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
@@ -90,7 +90,7 @@ class Follower:
         """
         scout = copy.copy(self)
         rows: list[tuple[float, float, Array]] = []
-        for _ in range(math.ceil(self.path.duration / (_SLOWEST * dt)) if count is None else count):
+        for _ in range(math.ceil(self.trajectory.duration / (_SLOWEST * dt)) if count is None else count):
             rows.append((scout.time, scout.speed, scout._state))
             if count is None and (scout.settled or scout.speed == scout.target):
                 break
@@ -102,19 +102,19 @@ class Follower:
         speed = np.array([row[1] for row in rows])
         states = np.stack([row[2] for row in rows], axis=1)
         if not scout.settled and count is None:  # at constant speed from here: all points at once
-            rest = np.arange(scout.time, self.path.duration, dt * scout.speed)[1:]
-            rest = np.append(rest, self.path.duration)
-            time, states = np.concatenate((time, rest)), np.concatenate((states, self.path.sample(rest)), axis=1)
+            rest = np.arange(scout.time, self.trajectory.duration, dt * scout.speed)[1:]
+            rest = np.append(rest, self.trajectory.duration)
+            time, states = np.concatenate((time, rest)), np.concatenate((states, self.trajectory.sample(rest)), axis=1)
             speed = np.concatenate((speed, np.full(len(rest), scout.speed)))
         position, slope, bend = states
         rate = np.append(np.diff(speed), 0.0)[:, None] / dt
-        speed[time >= self.path.duration] = 0.0
+        speed[time >= self.trajectory.duration] = 0.0
         return RetimedTrajectory.of(
             dt, time, speed, position, slope * speed[:, None], bend * speed[:, None] ** 2 + slope * rate
         )
 
     def _reach(self) -> None:
-        self._state = self.path.at(self.time)
+        self._state = self.trajectory.at(self.time)
         self.position: Array = self._state[0]
         self.velocity: Array = self._state[1] * (0.0 if self.at_rest else self.speed)
 
@@ -123,7 +123,7 @@ class Follower:
         speed = min(max(self.speed + rate * dt, 0.0), 1.0)
         if abs(speed - self.target) < 1e-9:
             speed = self.target
-        self.time = min(self.time + 0.5 * (self.speed + speed) * dt, self.path.duration)
+        self.time = min(self.time + 0.5 * (self.speed + speed) * dt, self.trajectory.duration)
         self.speed = speed
         self._reach()
 
@@ -150,7 +150,7 @@ class Follower:
     def _bounds_after(self, rate: float, dt: float) -> list[tuple[float, float]]:
         """The bounds of the rate where `dt` at this one leads, at the path speed before and after it."""
         speed = min(max(self.speed + rate * dt, 0.0), 1.0)
-        ahead = self.path.at(self.time + 0.5 * (self.speed + speed) * dt)
+        ahead = self.trajectory.at(self.time + 0.5 * (self.speed + speed) * dt)
         return [self._bounds(ahead, sigma) for sigma in (self.speed, speed)]
 
     def _bounds(self, state: Array, speed: float) -> tuple[float, float]:

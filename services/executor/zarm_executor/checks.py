@@ -16,48 +16,48 @@ REST_VELOCITY = 1e-3
 """A motion that starts and ends slower than this (rad/s) starts and ends at rest."""
 
 
-def executable(trajectory: Trajectory, robot: Robot) -> TimedTrajectory:
-    """The path of a trajectory that this robot can follow.
+def executable(message: Trajectory, robot: Robot) -> TimedTrajectory:
+    """The trajectory of a message that this robot can follow.
 
     Raises InvalidRequest (joints, times, rest at both ends) or ExecutionRefused (`limit_violated`, by position,
     velocity or acceleration, between samples too).
     """
-    path = TimedTrajectory.of(trajectory, robot.descriptor.joints)
+    trajectory = TimedTrajectory.of(message, robot.descriptor.joints)
     with np.errstate(all="ignore"):  # absurd numbers overflow to inf and NaN, which no comparison below lets pass
-        _rest(path, robot.descriptor.joints, (0, -1))
-        Limits.of(robot).check(path)
-    return path
+        _rest(trajectory, robot.descriptor.joints, (0, -1))
+        Limits.of(robot).check(trajectory)
+    return trajectory
 
 
-def continuation(trajectory: Trajectory, robot: Robot, turns: Array) -> TimedTrajectory:
-    """The path of a trajectory, shifted by `turns` (J,) rad, that this robot can follow from a motion; it ends at rest.
+def continuation(message: Trajectory, robot: Robot, turns: Array) -> TimedTrajectory:
+    """The trajectory of a message, shifted by `turns` (J,) rad, that this robot can follow from a motion; it ends at rest.
 
     Raises what `executable` raises.
     """
-    path = TimedTrajectory.of(trajectory, robot.descriptor.joints).shifted(turns)
+    trajectory = TimedTrajectory.of(message, robot.descriptor.joints).shifted(turns)
     with np.errstate(all="ignore"):
-        _rest(path, robot.descriptor.joints, (-1,))
-        Limits.of(robot).check(path)
-    return path
+        _rest(trajectory, robot.descriptor.joints, (-1,))
+        Limits.of(robot).check(trajectory)
+    return trajectory
 
 
-def startable(path: TimedTrajectory, measured: Measured | None, now: float, robot: Robot) -> TimedTrajectory:
-    """The path as it runs from where the robot stands, `measured` on the clock that reads `now`.
+def startable(trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: Robot) -> TimedTrajectory:
+    """The trajectory as it runs from where the robot stands, `measured` on the clock that reads `now`.
 
     A revolute joint may stand whole turns from where the path starts: then the path is shifted by them, where the joint's
     range allows. What is left, at most `start_tolerance`, is moved first, slowly enough for every limit.
 
     Raises ExecutionRefused: `no_joint_state` or `start_state_mismatch`.
     """
-    path, at = placed(path, measured, now, robot)
+    trajectory, at = placed(trajectory, measured, now, robot)
     limits = robot.descriptor.cspace
-    return path.approached_from(at.position, *map(np.array, (limits.velocity, limits.acceleration, limits.jerk)))
+    return trajectory.approached_from(at.position, *map(np.array, (limits.velocity, limits.acceleration, limits.jerk)))
 
 
 def placed(
-    path: TimedTrajectory, measured: Measured | None, now: float, robot: Robot
+    trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: Robot
 ) -> tuple[TimedTrajectory, Measured]:
-    """The path, shifted by whole turns so that the robot stands within `start_tolerance` of its start; and where it stands.
+    """The trajectory, shifted by whole turns so that the robot stands within `start_tolerance` of its start; and where it stands.
 
     Raises what `startable` raises.
     """
@@ -71,8 +71,8 @@ def placed(
                 code="start_state_mismatch",
                 joint=joint,
             )
-    path = path.shifted(_turns(path, measured.position, robot))
-    for joint, is_at, starts_at in zip(joints, measured.position, path.start, strict=True):
+    trajectory = trajectory.shifted(_turns(trajectory, measured.position, robot))
+    for joint, is_at, starts_at in zip(joints, measured.position, trajectory.start, strict=True):
         if not abs(is_at - starts_at) <= execution.start_tolerance:
             raise ExecutionRefused(
                 f"{joint} is at {is_at:.4f} rad but the motion starts at {starts_at:.4f} rad, {abs(is_at - starts_at):.4f} "
@@ -80,7 +80,7 @@ def placed(
                 code="start_state_mismatch",
                 joint=joint,
             )
-    return path, measured
+    return trajectory, measured
 
 
 def _fresh(measured: Measured | None, now: float, execution: Execution) -> Measured:
@@ -96,11 +96,11 @@ def _fresh(measured: Measured | None, now: float, execution: Execution) -> Measu
     return measured
 
 
-def _turns(path: TimedTrajectory, position: Array, robot: Robot) -> Array:
+def _turns(trajectory: TimedTrajectory, position: Array, robot: Robot) -> Array:
     """Whole turns (J,) in rad, by which the path must be shifted to start nearest to `position` inside the limits."""
     turning = {joint.name for joint in robot.urdf.joint_of_child.values() if joint.type in ("revolute", "continuous")}
-    turns = 2 * np.pi * np.round((position - path.start) / (2 * np.pi))
-    lowest, highest = path.position.min(axis=0) + turns, path.position.max(axis=0) + turns
+    turns = 2 * np.pi * np.round((position - trajectory.start) / (2 * np.pi))
+    lowest, highest = trajectory.position.min(axis=0) + turns, trajectory.position.max(axis=0) + turns
     allowed = (lowest >= np.array(robot.lower) - POSITION_TOLERANCE) & (
         highest <= np.array(robot.upper) + POSITION_TOLERANCE
     )
@@ -108,10 +108,10 @@ def _turns(path: TimedTrajectory, position: Array, robot: Robot) -> Array:
     return np.where(allowed, turns, 0.0)
 
 
-def _rest(path: TimedTrajectory, joints: tuple[str, ...], rows: tuple[int, ...]) -> None:
+def _rest(trajectory: TimedTrajectory, joints: tuple[str, ...], rows: tuple[int, ...]) -> None:
     for row in rows:
         end = "start" if row == 0 else "end"
-        for joint, speed in zip(joints, np.abs(path.velocity[row]), strict=True):
+        for joint, speed in zip(joints, np.abs(trajectory.velocity[row]), strict=True):
             if not speed <= REST_VELOCITY:
                 raise InvalidRequest(
                     f"{joint} moves at {speed:.3g} rad/s at the {end} of the motion; a motion starts and ends at rest",

@@ -71,13 +71,13 @@ class Executor:
         with self._admission.turn(arrival, preempt=request.preempt) as turn:
             chosen = self._plans.chosen(request)
             scene = self._present.demand(chosen.name, chosen.scene_revision)
-            path = executable(chosen.trajectory, self._robot)
+            trajectory = executable(chosen.trajectory, self._robot)
             goal_id = self._named(request.goal_id)
             if request.preempt:
                 turn.preempt(goal_id)
                 scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest took a while
-            path = startable(path, self._machine.joint_state(), time.monotonic(), self._robot)
-            turn.start(Goal(goal_id, chosen.plan_id, path, Monitor(path, self._robot.descriptor), scene))
+            trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
+            turn.start(Goal(goal_id, chosen.plan_id, trajectory, Monitor(trajectory, self._robot.descriptor), scene))
         return Accepted(goal_id=goal_id)
 
     def _named(self, goal_id: str | None) -> str:

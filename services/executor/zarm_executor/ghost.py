@@ -31,7 +31,7 @@ class Ghost:
         self._trajectories = bus.publisher(keys.preview_trajectory, Trajectory)
         self._joint_states = bus.publisher(keys.preview_joint_states, JointState)
         self._newest: Plan | None = None
-        self._path: TimedTrajectory | None = None
+        self._trajectory: TimedTrajectory | None = None
         self._began = 0.0
         self._lock = threading.Lock()
 
@@ -46,14 +46,14 @@ class Ghost:
             self._play(now)
         except Exception:  # nothing that only shows may end a process that moves a robot
             log.exception("the preview failed; it goes on with the next plan")
-            self._path = None
+            self._trajectory = None
 
     def _play(self, now: float) -> None:
         plan = self._next() if now - self._began > LEAST else None
         if plan is not None:
             self._begin(plan, now)
-        if self._path is not None:
-            position, velocity, _ = self._path.at(now - self._began)
+        if self._trajectory is not None:
+            position, velocity, _ = self._trajectory.at(now - self._began)
             self._joint_states.put(
                 JointState(
                     stamp=time.time(),
@@ -70,7 +70,7 @@ class Ghost:
 
     def _begin(self, plan: Plan, now: float) -> None:
         try:
-            self._path = executable(plan.trajectory, self._robot)
+            self._trajectory = executable(plan.trajectory, self._robot)
         except ZarmError as error:
             log.warning("a plan cannot be previewed plan_id=%s reason=%s", plan.plan_id, error)
             return

@@ -27,14 +27,14 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Chunk:
-    """A piece of a stream: `path` begins at `start` s of it. The next one is due `deadline` s after the moment `received`.
+    """A piece of a stream: `trajectory` begins at `start` s of it. The next one is due `deadline` s after the moment `received`.
 
     `received` is on the monotonic clock; `scene` is the revision that the scene had then.
     """
 
     sequence: int
     start: float
-    path: TimedTrajectory
+    trajectory: TimedTrajectory
     received: float
     deadline: float
     last: bool
@@ -43,7 +43,7 @@ class Chunk:
 
 @dataclass
 class Goal:
-    """A motion along `path`; of a stream `chunk` is the newest one.
+    """A motion along `trajectory`; of a stream `chunk` is the newest one.
 
     `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None where nobody had
     told one.
@@ -52,7 +52,7 @@ class Goal:
 
     goal_id: str
     plan_id: str | None
-    path: TimedTrajectory
+    trajectory: TimedTrajectory
     monitor: Monitor
     scene: SceneRevision | None = None
     status: GoalStatus = "accepted"
@@ -72,10 +72,10 @@ class Goal:
         """Whether the end of its path is its goal, rather than where to wait for the next chunk."""
         return self.chunk is None or self.chunk.last
 
-    def steer(self, path: TimedTrajectory, chunk: Chunk) -> None:
-        """Go on along `path`, which leads to `chunk`."""
-        self.path, self.chunk, self.scene = path, chunk, chunk.scene
-        self.monitor.steer(path)
+    def steer(self, trajectory: TimedTrajectory, chunk: Chunk) -> None:
+        """Go on along `trajectory`, which leads to `chunk`."""
+        self.trajectory, self.chunk, self.scene = trajectory, chunk, chunk.scene
+        self.monitor.steer(trajectory)
 
     def late(self, now: float) -> Problem | None:
         """Why it must end because its next chunk is late; the time does not run while it is held."""
@@ -96,13 +96,13 @@ class Goal:
             goal_id=self.goal_id,
             plan_id=self.plan_id,
             status=self.status,
-            progress=min(max(progress.time / self.path.duration, 0.0), 1.0),
+            progress=min(max(progress.time / self.trajectory.duration, 0.0), 1.0),
             elapsed=self.elapsed,
-            duration=self.path.duration,
+            duration=self.trajectory.duration,
             joint_command=tuple(progress.command.tolist()),
             problem=self.outcome.problem if self.outcome else None,
         )
 
     def before_motion(self) -> GoalState:
         """What is said about it while the robot stands at its start."""
-        return self.state(Progress(time=0.0, speed=0.0, command=self.path.start, finished=False))
+        return self.state(Progress(time=0.0, speed=0.0, command=self.trajectory.start, finished=False))

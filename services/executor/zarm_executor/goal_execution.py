@@ -33,7 +33,7 @@ class GoalExecution:
 
     def start(self, speed_scale: float) -> None:
         """Begin to move the robot, which stands at the start of the path. Raises what the strategy raises."""
-        self._strategy.start(self.goal.path, speed_scale)
+        self._strategy.start(self.goal.trajectory, speed_scale)
         self._note()
 
     def end(self, outcome: Outcome) -> None:
@@ -76,9 +76,9 @@ class GoalExecution:
         goal = self.goal
         if goal.outcome is None and not goal.complete:
             strategy = self._steerable()
-            path = blended(goal.path, strategy.commanded(), chunk.path, chunk.start, limits)
-            goal.steer(path, chunk)
-            strategy.steer(path)
+            trajectory = blended(goal.trajectory, strategy.commanded(), chunk.trajectory, chunk.start, limits)
+            goal.steer(trajectory, chunk)
+            strategy.steer(trajectory)
 
     def _steerable(self) -> Steerable:
         if not isinstance(self._strategy, Steerable):

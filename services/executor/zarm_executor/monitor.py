@@ -22,8 +22,8 @@ Measured over random paths at every limit: 1.13."""
 class Monitor:
     """Watches one motion. Times are on the monotonic clock; joints in the descriptor's order."""
 
-    def __init__(self, path: TimedTrajectory, robot: RobotDescriptor) -> None:
-        self._path = path
+    def __init__(self, trajectory: TimedTrajectory, robot: RobotDescriptor) -> None:
+        self._trajectory = trajectory
         self._joints = robot.joints
         self._execution = robot.execution
         delay = 0.0 if robot.strategy_params is None else robot.strategy_params.delay
@@ -36,9 +36,9 @@ class Monitor:
         self._reached_at: float | None = None
         self._heard_at: float | None = None
 
-    def steer(self, path: TimedTrajectory) -> None:
-        """The motion goes on along `path`, which is at its present time where the one before is there."""
-        self._path = path
+    def steer(self, trajectory: TimedTrajectory) -> None:
+        """The motion goes on along `trajectory`, which is at its present time where the one before is there."""
+        self._trajectory = trajectory
 
     def go_on(self) -> None:
         """The motion goes on after a stop."""
@@ -64,11 +64,12 @@ class Monitor:
         self._commanded += 0.0 if progress.at_rest else dt * progress.speed
         execution = self._execution
         allowed = (
-            execution.allowed_duration_factor * self._path.duration / SLOWEST_PACE + execution.allowed_duration_margin
+            execution.allowed_duration_factor * self._trajectory.duration / SLOWEST_PACE
+            + execution.allowed_duration_margin
         )
         if not progress.finished and self._commanded > allowed:
             raise ExecutionFailed(
-                f"the robot is at {progress.time:.2f} s of a motion of {self._path.duration:.2f} s after "
+                f"the robot is at {progress.time:.2f} s of a motion of {self._trajectory.duration:.2f} s after "
                 f"{self._commanded:.2f} s, more than allowed; check its driver, then reset",
                 code="driver_stalled",
             )
@@ -92,7 +93,7 @@ class Monitor:
             self._reached, self._reached_at = progress.time, now
         elif now - self._reached_at > self._execution.progress_timeout:
             raise ExecutionFailed(
-                f"the robot has been at {progress.time:.2f} s of a motion of {self._path.duration:.2f} s for "
+                f"the robot has been at {progress.time:.2f} s of a motion of {self._trajectory.duration:.2f} s for "
                 f"{now - self._reached_at:.2f} s (progress_timeout {self._execution.progress_timeout:g} s); check its "
                 "driver, then reset",
                 code="driver_stalled",
@@ -167,7 +168,7 @@ class Monitor:
         return now - self._rest_since > self._execution.settle_time
 
     def _beside_goal(self, measured: Measured) -> Array:
-        return np.abs(measured.position - self._path.end)
+        return np.abs(measured.position - self._trajectory.end)
 
     def _on_path(self, measured: Measured, progress: Progress) -> None:
         error, tolerance = np.abs(measured.position - progress.command), self._execution.path_tolerance

@@ -63,26 +63,28 @@ class Streams:
                 if chunk.start != 0.0:
                     raise InvalidRequest("the first chunk of a stream starts at 0 s of it", field="start")
                 planned = executable(chunk.trajectory, self._robot)
-                path, at = placed(planned, self._machine.joint_state(), time.monotonic(), self._robot)
-                self._turns = path.start - planned.start
+                trajectory, at = placed(planned, self._machine.joint_state(), time.monotonic(), self._robot)
+                self._turns = trajectory.start - planned.start
                 # From where the robot stands, which may be a tolerance away, it is led over as between two chunks.
-                path = blended(TimedTrajectory.standing(at.position), 0.0, path, 0.0, self._limits)
-                monitor = Monitor(path, self._robot.descriptor)
-                piece = self._chunk(chunk, path, received)
-                turn.start(Goal(chunk.goal_id, None, path, monitor, piece.scene, chunk=piece))
+                trajectory = blended(TimedTrajectory.standing(at.position), 0.0, trajectory, 0.0, self._limits)
+                monitor = Monitor(trajectory, self._robot.descriptor)
+                piece = self._chunk(chunk, trajectory, received)
+                turn.start(Goal(chunk.goal_id, None, trajectory, monitor, piece.scene, chunk=piece))
         except ZarmError as error:
             self._refuse(chunk, error)
 
     def _go_on(self, chunk: StreamChunk, received: float) -> None:
         try:
-            path = continuation(chunk.trajectory, self._robot, self._turns)
-            self._machine.steer(chunk.goal_id, self._chunk(chunk, path, received), self._limits)
+            trajectory = continuation(chunk.trajectory, self._robot, self._turns)
+            self._machine.steer(chunk.goal_id, self._chunk(chunk, trajectory, received), self._limits)
         except ZarmError as error:
             self._machine.abort(chunk.goal_id, error.problem)
             self._reporter.publish()
 
-    def _chunk(self, chunk: StreamChunk, path: TimedTrajectory, received: float) -> Chunk:
-        return Chunk(chunk.sequence, chunk.start, path, received, chunk.deadline, chunk.last, scene=self._machine.scene)
+    def _chunk(self, chunk: StreamChunk, trajectory: TimedTrajectory, received: float) -> Chunk:
+        return Chunk(
+            chunk.sequence, chunk.start, trajectory, received, chunk.deadline, chunk.last, scene=self._machine.scene
+        )
 
     def _refuse(self, chunk: StreamChunk, error: ZarmError) -> None:
         """Say under the stream's goal why it has not begun."""

@@ -215,7 +215,7 @@ class DriverBench:
             at = self.now - start
             piece = Chunk(index + 1, at, chunk(at), self.now, 0.1, False)
             if index == 0:
-                path = blended(TimedTrajectory.standing(self.positions[-1]), 0.0, piece.path, 0.0, limits)
+                path = blended(TimedTrajectory.standing(self.positions[-1]), 0.0, piece.trajectory, 0.0, limits)
                 goal = Goal("stream", None, path, Monitor(path, self.robot.descriptor), chunk=piece)
                 self.machine.start(goal, arrival())
             else:

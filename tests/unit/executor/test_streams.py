@@ -42,9 +42,9 @@ def test_chunks_are_followed_without_a_jump_and_the_last_one_succeeds(bench: Ben
     assert bench.machine.sequence("stream-1") == sequence
     now = bench.arm.follower.time
     bench.steer(sequence + 1, now, chunk(now), last=True)
-    path = bench.arm.follower.path
+    path = bench.arm.follower.trajectory
     bench.steer(sequence + 2, now, chunk(now))  # there is none after the last one
-    assert bench.arm.follower.path is path
+    assert bench.arm.follower.trajectory is path
     bench.until("idle")
     assert bench.statuses() == ["accepted", "running", "succeeded"]
     assert bench.last().progress == 1.0
@@ -76,10 +76,10 @@ def test_a_late_chunk_ends_the_goal_at_the_next_tick_and_is_no_fault(bench: Benc
 
 def test_a_chunk_out_of_reach_changes_nothing_until_the_client_is_told(bench: Bench) -> None:
     sequence = follow(bench, 1.0)
-    path = bench.arm.follower.path
+    path = bench.arm.follower.trajectory
     with pytest.raises(ExecutionRefused):
         bench.steer(sequence + 1, bench.arm.follower.time, chunk(1.0, off=0.5))
-    assert bench.arm.follower.path is path
+    assert bench.arm.follower.trajectory is path
     assert bench.machine.sequence("stream-1") == sequence
 
 
@@ -113,9 +113,9 @@ def test_while_a_stream_runs_nothing_else_does_and_its_chunks_alone_lead_it(benc
     follow(bench, 0.5)
     with pytest.raises(Busy, match="stream-1"):
         bench.machine.admit()
-    path = bench.arm.follower.path
+    path = bench.arm.follower.trajectory
     bench.machine.steer("stream-2", Chunk(9, 0.5, chunk(0.5), bench.now, 0.1, False), LIMITS)
-    assert bench.arm.follower.path is path
+    assert bench.arm.follower.trajectory is path
 
 
 def test_a_client_that_is_slower_than_its_chunks_are_long_has_a_robot_that_rests_and_goes_on(bench: Bench) -> None:
@@ -124,7 +124,7 @@ def test_a_client_that_is_slower_than_its_chunks_are_long_has_a_robot_that_rests
         bench.tick()
     bench.tick()
     assert bench.machine.state().mode == "running"
-    begun = bench.arm.follower.path.end
+    begun = bench.arm.follower.trajectory.end
     further = chunk(0.0, 0.1, 0.5).shifted(begun - HOME)
     bench.steer(2, bench.arm.follower.time, further, last=True)
     bench.until("idle")

@@ -157,7 +157,7 @@ def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_co
         for target in (0.0, speed):
             other.target = target
             other.ahead(0.05)  # is not without end
-            for _ in range(math.ceil(2.5 * other.path.duration / speed / TICK)):
+            for _ in range(math.ceil(2.5 * other.trajectory.duration / speed / TICK)):
                 other.advance(TICK)
             assert other.settled, f"at {follower.time} s, asked for {target}"
         assert other.finished
@@ -177,7 +177,7 @@ def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_n
     follower.target = 1.0
     positions = followed(follower)
     assert np.all(np.abs(accelerations(positions)) <= LIMIT * 1.01 * ROUNDING)
-    assert len(positions) * TICK <= follower.path.duration + 0.1
+    assert len(positions) * TICK <= follower.trajectory.duration + 0.1
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.5])

@@ -64,8 +64,8 @@ class Strategy(ABC):
         """Raise Unavailable, with the remedy, where this strategy could not move the robot now."""
 
     @abstractmethod
-    def start(self, path: TimedTrajectory, speed: float) -> None:
-        """Begin to move along `path`, which starts where the robot stands, at this path speed in (0, 1]."""
+    def start(self, trajectory: TimedTrajectory, speed: float) -> None:
+        """Begin to move along `trajectory`, which starts where the robot stands, at this path speed in (0, 1]."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -103,5 +103,5 @@ class Steerable(Strategy):
         """The path time (s) that is commanded now."""
 
     @abstractmethod
-    def steer(self, path: TimedTrajectory) -> None:
-        """Go on along `path`, which is at the commanded path time where the present one is there."""
+    def steer(self, trajectory: TimedTrajectory) -> None:
+        """Go on along `trajectory`, which is at the commanded path time where the present one is there."""

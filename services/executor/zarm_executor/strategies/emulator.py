@@ -88,9 +88,9 @@ class Emulator(Steerable):
     def admit(self) -> None:
         """An emulated robot can always move."""
 
-    def start(self, path: TimedTrajectory, speed: float) -> None:
-        """Begin at the start of `path`."""
-        self._follower = Follower(path, self._limit, speed=speed, target=speed)
+    def start(self, trajectory: TimedTrajectory, speed: float) -> None:
+        """Begin at the start of `trajectory`."""
+        self._follower = Follower(trajectory, self._limit, speed=speed, target=speed)
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""
@@ -104,9 +104,9 @@ class Emulator(Steerable):
         """How far the path is followed, s."""
         return self._follower.time
 
-    def steer(self, path: TimedTrajectory) -> None:
-        """Go on along `path`."""
-        self._follower.join(path)
+    def steer(self, trajectory: TimedTrajectory) -> None:
+        """Go on along `trajectory`."""
+        self._follower.join(trajectory)
 
     def tick(self, now: float, dt: float) -> None:
         """Put the robot where the clock says that it is."""

@@ -32,7 +32,7 @@ class GhostOnly(Strategy):
             '(executor/strategy with {"strategy": "emulator"})'
         )
 
-    def start(self, path: TimedTrajectory, speed: float) -> None:
+    def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Refuse: nothing moves."""
         self.admit()
 

@@ -31,14 +31,14 @@ class JointSpeed(Streaming):
         self._leading_since: float | None = None
         self._led = False
 
-    def start(self, path: TimedTrajectory, speed: float) -> None:
-        """Begin at the start of `path`, from rest."""
-        super().start(path, speed)
+    def start(self, trajectory: TimedTrajectory, speed: float) -> None:
+        """Begin at the start of `trajectory`, from rest."""
+        super().start(trajectory, speed)
         self._stands()
 
-    def steer(self, path: TimedTrajectory) -> None:
-        """Go on along `path`, at whose end the robot is to be led anew."""
-        super().steer(path)
+    def steer(self, trajectory: TimedTrajectory) -> None:
+        """Go on along `trajectory`, at whose end the robot is to be led anew."""
+        super().steer(trajectory)
         self._leading_since, self._led = None, False
 
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:

@@ -40,7 +40,7 @@ class JointTrajectory(DriverStrategy):
 
     def __init__(self, link: DriverLink) -> None:
         super().__init__(link)
-        self._path: TimedTrajectory | None = None
+        self._trajectory: TimedTrajectory | None = None
         self._command: RetimedTrajectory | None = None
         self._sequence: int | None = None
         self._sent_at = 0.0
@@ -58,12 +58,12 @@ class JointTrajectory(DriverStrategy):
         self._lost_at: float | None = None
         self._back_at = -np.inf
 
-    def start(self, path: TimedTrajectory, speed: float) -> None:
-        """Have the whole of `path` played from the next tick on."""
-        self._path, self._speed = path, speed
+    def start(self, trajectory: TimedTrajectory, speed: float) -> None:
+        """Have the whole of `trajectory` played from the next tick on."""
+        self._trajectory, self._speed = trajectory, speed
         self._braking = self._stopping = self._resuming = False
         self._lost_at = None
-        self._play(self._along(path, 0.0, speed))
+        self._play(self._along(trajectory, 0.0, speed))
 
     def stop(self) -> None:
         """Have the robot brake along the path, from the next tick on."""
@@ -114,12 +114,12 @@ class JointTrajectory(DriverStrategy):
 
     def progress(self) -> Progress:
         """How far the robot is."""
-        path, command = self._path, self._command
-        if path is None or command is None:
+        trajectory, command = self._trajectory, self._command
+        if trajectory is None or command is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
         time, speed, position = command.at(self._index)
         over = self._lost_at is None and not self._resuming
-        return Progress(time, speed, position, finished=over and time >= path.duration)
+        return Progress(time, speed, position, finished=over and time >= trajectory.duration)
 
     def _brake_unheard(self, now: float) -> None:
         """Where the driver is not heard it is told to stop, by its own means, until it is heard again and the robot stands.
@@ -137,15 +137,15 @@ class JointTrajectory(DriverStrategy):
         self._stopping = self._unsent = False
         self._braking = True
         self.hold(now)
-        if self._path is not None and measured is not None and self.link.heard(now):
-            self._find(self._path, measured, now - self._lost_at)
+        if self._trajectory is not None and measured is not None and self.link.heard(now):
+            self._find(self._trajectory, measured, now - self._lost_at)
             self._lost_at = None if self.link.standing() else now
 
-    def _find(self, path: TimedTrajectory, measured: Measured, unseen: float) -> None:
+    def _find(self, trajectory: TimedTrajectory, measured: Measured, unseen: float) -> None:
         """Put the motion where the robot is, which brakes by itself, on its path; it was not seen for `unseen` s."""
         time, speed = self.progress().time, 0.0 if self.link.standing() else 1.0
-        time = path.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + unseen)
-        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=speed)
+        time = trajectory.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + unseen)
+        follower = Follower(trajectory, self.link.acceleration_limit, time=time, speed=speed, target=speed)
         self._command = follower.ahead(self.link.params.point_dt, 1)
         self._index = self._clock = 0.0
 
@@ -169,8 +169,8 @@ class JointTrajectory(DriverStrategy):
         self._stopping = False
         self._braking = True
         time, speed, _ = command.at(min(index, command.last))
-        if self._path is not None:
-            self._play(Follower(self._path, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
+        if self._trajectory is not None:
+            self._play(Follower(self._trajectory, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
 
     def _brakes_from(self, command: RetimedTrajectory, now: float, dt: float) -> float | None:
         """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
@@ -183,37 +183,37 @@ class JointTrajectory(DriverStrategy):
 
     def _resume(self, command: RetimedTrajectory, dt: float) -> None:
         """Have the rest of the path played, from where the robot came to rest or is in its braking."""
-        path = self._path
-        if path is None:
+        trajectory = self._trajectory
+        if trajectory is None:
             return
         if self._index == command.last:
             # Where the robot came to rest is not just where it should have: the driver was on its way.
             measured, time = self.link.measured(), float(command.path_time[-1])
             if measured is not None:
-                time = path.nearest(measured.position, command.path_time[0] - _OVERRUN, time + _OVERRUN)
-            self._play(self._along(path, time, 0.0))
+                time = trajectory.nearest(measured.position, command.path_time[0] - _OVERRUN, time + _OVERRUN)
+            self._play(self._along(trajectory, time, 0.0))
             self._lead_back()
         elif self.link.params.stop == "empty":
             return  # nobody knows what the driver is braking through
         else:
-            index = self._next(command, dt, encoded=(path.duration - float(command.path_time[-1])) / command.dt)
+            index = self._next(command, dt, encoded=(trajectory.duration - float(command.path_time[-1])) / command.dt)
             if index is None:
                 return
             time, speed, _ = command.at(index)
-            self._play(self._along(path, time, speed))
+            self._play(self._along(trajectory, time, speed))
         self._braking = self._resuming = False
 
     def _repace(self, command: RetimedTrajectory, now: float, dt: float) -> None:
         """Have the rest played at the new path speed, from where the driver will be when it has it."""
-        if self._path is None or (not self._unsent and now - self._sent_at < _PACE_PERIOD):
+        if self._trajectory is None or (not self._unsent and now - self._sent_at < _PACE_PERIOD):
             return
         index = self._index if self._unsent else self._next(command, dt, encoded=command.last - self._index)
         if index is None:
             return
         time, speed, _ = command.at(index)
         self._repacing = False
-        if time < self._path.duration:
-            self._play(self._along(self._path, time, self._speed if self._unsent else speed))
+        if time < self._trajectory.duration:
+            self._play(self._along(self._trajectory, time, self._speed if self._unsent else speed))
 
     def _next(self, command: RetimedTrajectory, dt: float, encoded: float = 0.0) -> float | None:
         """The index of the point that comes next when the driver has what is sent in this tick; None where that is not known.
@@ -246,8 +246,8 @@ class JointTrajectory(DriverStrategy):
         behind = (self._clock - self._index) * command.dt
         return self.link.params.state_topic is None and behind > self.link.params.delay + _ON_TIME
 
-    def _along(self, path: TimedTrajectory, time: float, speed: float) -> Follower:
-        return Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=self._speed)
+    def _along(self, trajectory: TimedTrajectory, time: float, speed: float) -> Follower:
+        return Follower(trajectory, self.link.acceleration_limit, time=time, speed=speed, target=self._speed)
 
     def _transmit(self, now: float) -> None:
         if self._command is None:

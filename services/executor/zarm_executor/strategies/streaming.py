@@ -75,11 +75,11 @@ class Streaming(DriverStrategy, Steerable):
 
     # -- what the state machine asks --
 
-    def start(self, path: TimedTrajectory, speed: float) -> None:
-        """Begin at the start of `path`."""
-        self._follower = Follower(path, self.link.acceleration_limit, speed=speed, target=speed)
+    def start(self, trajectory: TimedTrajectory, speed: float) -> None:
+        """Begin at the start of `trajectory`."""
+        self._follower = Follower(trajectory, self.link.acceleration_limit, speed=speed, target=speed)
         self._reference = Reference(self._memory)
-        self._expected = Commanded(0.0, 0.0, 0.0, path.start)
+        self._expected = Commanded(0.0, 0.0, 0.0, trajectory.start)
         self._sent_at, self._over, self._away, self._lost_at, self._chunk = None, False, None, None, None
         self._wanted = speed
 
@@ -100,10 +100,10 @@ class Streaming(DriverStrategy, Steerable):
         """How far the path is commanded, s; the robot is `delay` behind."""
         return 0.0 if self._follower is None else self._follower.time
 
-    def steer(self, path: TimedTrajectory) -> None:
-        """Go on along `path` with the next chunk, which does not wait for its turn."""
+    def steer(self, trajectory: TimedTrajectory) -> None:
+        """Go on along `trajectory` with the next chunk, which does not wait for its turn."""
         if self._follower is not None:
-            self._follower.join(path)
+            self._follower.join(trajectory)
             self._urgent, self._over = True, False
 
     def tick(self, now: float, dt: float) -> None:
@@ -194,16 +194,16 @@ class Streaming(DriverStrategy, Steerable):
 
         A robot that is elsewhere has not had it: then from where, and as fast as, the robot moves by now.
         """
-        path, limit = follower.path, self.link.acceleration_limit
+        trajectory, limit = follower.trajectory, self.link.acceleration_limit
         self._reference = Reference(self._memory)
         if self._chunk is not None and self._sent_at is not None:
             index = (now - self._sent_at) / self._dt
             before, speed_before, expected = self._chunk.at(index - self._delay / self._dt)
             measured = self.link.measured()
             if measured is not None and np.all(np.abs(measured.position - expected) <= _ON_CHUNK):
-                self._reference.note(now - self._delay, Follower(path, limit, time=before, speed=speed_before))
+                self._reference.note(now - self._delay, Follower(trajectory, limit, time=before, speed=speed_before))
                 time, speed, _ = self._chunk.at(index)
-                self._follower = Follower(path, limit, time=time, speed=speed, target=self._wanted)
+                self._follower = Follower(trajectory, limit, time=time, speed=speed, target=self._wanted)
                 return self._follower
         self._forget_sent()
         self._follower = self._found(follower, now, dt)
@@ -211,14 +211,14 @@ class Streaming(DriverStrategy, Steerable):
 
     def _found(self, follower: Follower, now: float, dt: float) -> Follower:
         """The motion at what the robot will be commanded to when it has come from where it is now."""
-        measured, path = self.link.measured(), follower.path
+        measured, trajectory = self.link.measured(), follower.trajectory
         if measured is None:
             return follower
-        time = path.nearest(measured.position, follower.time - _BEHIND, follower.time + dt)
-        slope = path.at(time)[1]
+        time = trajectory.nearest(measured.position, follower.time - _BEHIND, follower.time + dt)
+        slope = trajectory.at(time)[1]
         length = float(slope @ slope)
         speed = min(max(float(slope @ self.link.velocity()) / length, 0.0), 1.0) if length > _SLOPE else 0.0
-        follower = Follower(path, self.link.acceleration_limit, time=time, speed=speed, target=self._wanted)
+        follower = Follower(trajectory, self.link.acceleration_limit, time=time, speed=speed, target=self._wanted)
         self._reference.note(now - self._delay, follower)
         for _ in range(round(self._delay / TICK)):
             follower.advance(TICK)
@@ -231,8 +231,8 @@ class Streaming(DriverStrategy, Steerable):
         """
         measured, time = self.link.measured(), follower.time
         if measured is not None:
-            time = follower.path.nearest(measured.position, time - _BEHIND, time + ahead)
-        self._follower = Follower(follower.path, self.link.acceleration_limit, time=time, speed=0.0, target=0.0)
+            time = follower.trajectory.nearest(measured.position, time - _BEHIND, time + ahead)
+        self._follower = Follower(follower.trajectory, self.link.acceleration_limit, time=time, speed=0.0, target=0.0)
         self._stands()
         return self._follower
 
@@ -258,7 +258,7 @@ class Streaming(DriverStrategy, Steerable):
         scout.target = self._wanted
         ahead = scout.ahead(self._dt, self._count)
         time, speed = float(ahead.path_time[-1]), float(ahead.path_speed[-1])
-        return ahead.followed_by(braking(follower.path, time, speed, self.link.acceleration_limit, self._dt))
+        return ahead.followed_by(braking(follower.trajectory, time, speed, self.link.acceleration_limit, self._dt))
 
     def _caught_up(self) -> bool:
         """Whether the robot has had the time to come to rest as well."""
