@@ -118,6 +118,7 @@ def test_frozen_in_motion_it_stops_without_a_jump_and_is_in_fault_until_reset(
     assert client.ended(client.execute(rest_to_rest(HOME, stopped))).status == "succeeded"
 
 
+@pytest.mark.slow
 def test_frozen_at_rest_it_goes_on_as_if_nothing_had_been(executor: ServiceProcess, client: Client) -> None:
     os.kill(executor.process.pid, signal.SIGSTOP)
     time.sleep(2 * STALL_LIMIT)  # how long it is frozen is what is tested
@@ -184,6 +185,7 @@ def test_told_to_end_in_motion_it_comes_to_rest_first_and_ends_well(
             client.goal(goal_id)
 
 
+@pytest.mark.slow
 def test_a_storm_of_cancels_is_answered_one_by_one_and_stops_the_goal_once(client: Client) -> None:
     goal_id = client.execute(SLOW)
     client.under_way(goal_id)
@@ -198,6 +200,7 @@ def test_a_storm_of_cancels_is_answered_one_by_one_and_stops_the_goal_once(clien
     assert client.statuses(goal_id) == ["accepted", "running", "stopping", "cancelled"]
 
 
+@pytest.mark.slow
 def test_of_a_storm_of_requests_one_moves_the_robot(client: Client) -> None:
     slower = rest_to_rest(moved(1.5, -0.5), slower=10.0, dt=0.1)
 
