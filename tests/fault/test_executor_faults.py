@@ -145,6 +145,7 @@ def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
     assert client.statuses("late") == []
 
 
+@pytest.mark.slow
 def test_to_go_on_asked_of_it_long_ago_while_it_was_frozen_moves_nothing(
     executor: ServiceProcess, client: Client, bus: Bus
 ) -> None:
