@@ -9,6 +9,7 @@ import pytest
 import zenoh
 
 from support.harness import eventually, router
+from support.tiers import sampled
 from zarm_contract.codec import MAX_BYTES
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
@@ -21,7 +22,7 @@ LONGER = (ROUTER_MAX_BYTES + 1, 3 * ROUTER_MAX_BYTES)
 """One that the filter drops, and one that is not even put together."""
 
 
-@pytest.fixture(params=["off", "on"])
+@pytest.fixture(params=sampled("on", "off"))
 def endpoint(request: pytest.FixtureRequest, certificates: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """A router, with access control and without."""
     monkeypatch.setenv("ZARM_SECURITY", request.param)

@@ -17,6 +17,7 @@ from support.certificates import issue
 from support.command_line import HOME, Command, Up, the_one_line, vector, zarm
 from support.harness import PATIENCE, eventually, free_endpoint
 from support.paths import EXAMPLES, ROOT
+from support.tiers import sampled
 from support.trajectories import patient
 from zarm_cli.certificate_authority import Authority, today
 from zarm_contract.access import Role
@@ -213,7 +214,7 @@ def test_a_viewer_is_told_at_once_what_it_may_not_do(up: Up, command: tuple[str,
     assert "the role viewer is not allowed to send requests to" in the_one_line(refused.stderr)
 
 
-@pytest.mark.parametrize("role", ["viewer", "planner", "driver", "executor"])
+@pytest.mark.parametrize("role", sampled("viewer", "planner", "driver", "executor"))
 def test_whoever_asks_without_zarm_is_not_answered_and_nothing_happens(up: Up, operator: Bus, role: Role) -> None:
     add = AddObjects(op="add", objects=(BALL,), replace=True)
     operator.call(up.keys.scene_edit, SceneEdit(edit=add), SceneEdited, timeout=5)

@@ -138,6 +138,7 @@ def test_a_motion_goes_on_over_a_full_disk_and_the_next_one_is_refused_until_the
         assert sorted(file.name for file in saved.parent.iterdir()) == ["emulated_robot.json", "executor.lock"]
 
 
+@pytest.mark.slow
 def test_an_executor_does_not_start_to_emulate_over_a_full_disk_and_says_why(
     endpoint: str, tmp_path: Path, disk: Disk
 ) -> None:
@@ -149,6 +150,7 @@ def test_an_executor_does_not_start_to_emulate_over_a_full_disk_and_says_why(
         assert "Traceback" not in executor.output()
 
 
+@pytest.mark.slow
 def test_a_real_robot_is_stopped_over_a_full_disk_as_ever_and_not_moved(
     bus: Bus, endpoint: str, tmp_path: Path, disk: Disk
 ) -> None:

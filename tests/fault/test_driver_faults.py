@@ -11,6 +11,7 @@ import pytest
 
 from support.executor.driven import FAR, LIMIT, THERE, Driven, driven
 from support.harness import eventually, free_endpoint
+from support.tiers import sampled
 from support.trajectories import KEYS, rest_to_rest
 from zarm_contract.messages import DriverFault
 from zarm_runtime.bus import Bus
@@ -21,7 +22,7 @@ pytestmark = pytest.mark.timed
 STREAMED, WHOLE = "joint_speed", "joint_trajectory"
 
 
-@pytest.fixture(params=[STREAMED, WHOLE])
+@pytest.fixture(params=sampled(STREAMED, WHOLE))
 def robot(request: pytest.FixtureRequest, bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[Driven]:
     with driven(bus, endpoint, tmp_path, request.param, waited_for=False) as robot:
         yield robot

@@ -118,6 +118,7 @@ def test_frozen_in_motion_it_stops_without_a_jump_and_is_in_fault_until_reset(
     assert client.ended(client.execute(rest_to_rest(HOME, stopped))).status == "succeeded"
 
 
+@pytest.mark.slow
 def test_frozen_at_rest_it_goes_on_as_if_nothing_had_been(executor: ServiceProcess, client: Client) -> None:
     os.kill(executor.process.pid, signal.SIGSTOP)
     time.sleep(2 * STALL_LIMIT)  # how long it is frozen is what is tested
@@ -144,6 +145,7 @@ def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
     assert client.statuses("late") == []
 
 
+@pytest.mark.slow
 def test_to_go_on_asked_of_it_long_ago_while_it_was_frozen_moves_nothing(
     executor: ServiceProcess, client: Client, bus: Bus
 ) -> None:
@@ -184,6 +186,7 @@ def test_told_to_end_in_motion_it_comes_to_rest_first_and_ends_well(
             client.goal(goal_id)
 
 
+@pytest.mark.slow
 def test_a_storm_of_cancels_is_answered_one_by_one_and_stops_the_goal_once(client: Client) -> None:
     goal_id = client.execute(SLOW)
     client.under_way(goal_id)
@@ -198,6 +201,7 @@ def test_a_storm_of_cancels_is_answered_one_by_one_and_stops_the_goal_once(clien
     assert client.statuses(goal_id) == ["accepted", "running", "stopping", "cancelled"]
 
 
+@pytest.mark.slow
 def test_of_a_storm_of_requests_one_moves_the_robot(client: Client) -> None:
     slower = rest_to_rest(moved(1.5, -0.5), slower=10.0, dt=0.1)
 

@@ -354,10 +354,8 @@ ROWS = (
 OF_EACH_KIND = {
     ("executor killed", STREAMED),
     ("driver silent", STREAMED),
-    ("driver stalls", WHOLE),
     ("joints are NaN", STREAMED),
     ("router restarted", STREAMED),
-    ("executor's link cut", STREAMED),
 }
 """What `make test` runs of the table."""
 

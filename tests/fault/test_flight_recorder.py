@@ -74,6 +74,7 @@ def test_a_fault_leaves_a_record_of_all_that_led_to_it(moving: Driven) -> None:
         assert part in story.stdout
 
 
+@pytest.mark.slow
 def test_every_fault_has_a_record_of_its_own(moving: Driven) -> None:
     moving.suffer(DriverFault(stall=True))
     moving.fault("tolerance_violated")
@@ -86,6 +87,7 @@ def test_every_fault_has_a_record_of_its_own(moving: Driven) -> None:
     assert written(moving, 2).name.endswith("driver_stalled.mcap")
 
 
+@pytest.mark.slow
 def test_a_record_that_cannot_be_written_is_a_warning_and_the_executor_goes_on(moving: Driven) -> None:
     (moving.folder / KEYS.robot / "records").write_text("a file where the folder is to be")
     moving.suffer(DriverFault(stall=True))
@@ -103,6 +105,7 @@ def test_a_fault_is_on_record_even_if_the_executor_is_told_to_end_at_once(moving
     assert list(read_record(written(moving)))
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_while_the_record_is_written_leaves_no_half_of_it(moving: Driven) -> None:
     pid = moving.executor.process.pid
     _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)

@@ -12,11 +12,10 @@ import pytest
 
 from support.faults.arena import STEP, Arena
 from support.harness import eventually
-from support.tiers import sampled
 from zarm_executor.machine import STALL_LIMIT
 from zarm_leeloo_sim.player import Kind
 
-pytestmark = pytest.mark.timed
+pytestmark = [pytest.mark.timed, pytest.mark.slow]
 
 RUNS = int(os.environ.get("FREEZE_RUNS", "2"))
 
@@ -24,7 +23,7 @@ RUNS = int(os.environ.get("FREEZE_RUNS", "2"))
 @pytest.mark.timeout(120 + 20 * RUNS)
 @pytest.mark.parametrize(
     ("strategy", "plays"),
-    sampled(("joint_speed", "velocity"), ("joint_pose", "position"), ("joint_trajectory", "velocity")),
+    [("joint_speed", "velocity"), ("joint_pose", "position"), ("joint_trajectory", "velocity")],
 )
 def test_after_a_moment_in_which_the_executor_stood_still_the_goal_is_reached_and_nobody_is_blamed(
     tmp_path: Folder, strategy: str, plays: Kind

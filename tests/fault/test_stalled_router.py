@@ -14,12 +14,11 @@ import pytest
 from support.faults.arena import STEP, Arena
 from support.faults.ordeal import STILL, WINDOW, nothing_moves
 from support.harness import eventually
-from support.tiers import sampled
 from support.trajectories import ROBOT
 from zarm_leeloo_sim.player import CEILING, STIFFNESS, TICK, Kind
 from zarm_trajectory.trajectory import TimedTrajectory
 
-pytestmark = pytest.mark.timed
+pytestmark = [pytest.mark.timed, pytest.mark.slow]
 
 RUNS = int(os.environ.get("STALL_RUNS", "2"))
 """How often the router stalls under each strategy."""
@@ -59,7 +58,7 @@ def stall(place: Arena, moment: float, seconds: float) -> tuple[float, float]:
 @pytest.mark.timeout(120 + 30 * RUNS)
 @pytest.mark.parametrize(
     ("strategy", "plays"),
-    sampled(("joint_speed", "velocity"), ("joint_pose", "position"), ("joint_trajectory", "velocity")),
+    [("joint_speed", "velocity"), ("joint_pose", "position"), ("joint_trajectory", "velocity")],
 )
 def test_what_a_stalled_router_held_up_never_moves_the_arm(
     tmp_path: Folder, note: Callable[..., None], strategy: str, plays: Kind

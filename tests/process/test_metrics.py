@@ -112,6 +112,7 @@ def test_goals_faults_and_ticks_are_counted_and_the_age_of_joints_told(endpoint:
         assert rising == sorted(rising)
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_and_what_is_no_address_end_the_service_with_a_sentence(
     endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:

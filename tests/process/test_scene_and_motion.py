@@ -61,6 +61,7 @@ def test_a_plan_from_before_the_file_of_the_scene_was_lost_is_stale_however_ofte
         assert_stale(client, made)
 
 
+@pytest.mark.slow
 def test_a_plan_made_in_another_folder_for_state_is_stale(
     client: Client, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
@@ -76,6 +77,7 @@ def test_a_plan_made_in_another_folder_for_state_is_stale(
         assert_stale(client, made)
 
 
+@pytest.mark.slow
 def test_a_plan_from_before_an_older_scene_was_put_back_is_stale_and_one_of_the_scene_put_back_holds(
     client: Client, endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
@@ -111,7 +113,7 @@ def held(client: Client, bus: Bus, *, by_trajectory: bool = False) -> str:
     return goal
 
 
-@pytest.mark.parametrize("by_trajectory", [False, True])
+@pytest.mark.parametrize("by_trajectory", sampled(False, True))
 def test_a_goal_whose_scene_was_edited_while_it_was_held_does_not_go_on(
     client: Client, endpoint: str, bus: Bus, tmp_path: Path, by_trajectory: bool
 ) -> None:

@@ -93,6 +93,7 @@ def test_an_accepted_goal_goes_on_to_its_end_without_the_wire_and_is_told_when_i
         place.goes_on()
 
 
+@pytest.mark.slow
 def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab) -> None:
     planned = place.plan(*(HOME if np.max(np.abs(place.here.position() - HOME)) > 0.1 else AWAY))
     with place.workstation.runs(ZARM, "execute", "--plan-id", planned.plan_id) as command:
@@ -161,6 +162,7 @@ def test_without_the_wire_nothing_is_planned_from_old_joints_and_nothing_execute
     assert {goal.status for goal in place.there.goals if goal.goal_id == given_up and goal.done} <= {"cancelled"}
 
 
+@pytest.mark.slow
 def test_a_wire_that_is_late_and_lossy_is_good_enough_to_plan_and_execute(place: Lab) -> None:
     place.wire.become(Quality(delay=0.02, loss=0.05))
     for _ in range(2):

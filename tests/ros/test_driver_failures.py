@@ -18,6 +18,7 @@ from support.harness import ServiceProcess, eventually
 from support.resources import favour
 from support.ros.goals import ABORTED, HOME, SUCCEEDED, Actions, Robot, Sent
 from support.ros.stack import KEYS, Stack, stack
+from support.tiers import sampled
 from zarm_contract.messages import DriverFault, Nothing
 from zarm_contract.robot import load_robot
 
@@ -117,7 +118,7 @@ def lab(running: Stack, tmp_path: Path) -> Iterator[Lab]:
         one.switch("emulator")
 
 
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_robot_after_a_reset(
     lab: Lab, strategy: str
 ) -> None:

@@ -238,6 +238,7 @@ def test_the_log_says_when_a_driver_comes_that_commands_reach_and_when_it_goes(
         eventually(lambda gone=gone: said("gone") > gone, f"it goes {times}")
 
 
+@pytest.mark.slow
 def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
     bus: Bus, endpoint: str, tmp_path: Path, ros: RosClient
 ) -> None:

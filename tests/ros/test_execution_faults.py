@@ -141,6 +141,7 @@ def test_a_goal_whose_executor_is_killed_is_aborted(zarm: Zarm) -> None:
     assert f"for {SILENCE:g} s" in result.message
 
 
+@pytest.mark.slow
 def test_a_goal_whose_executor_is_started_again_is_aborted_with_its_word(zarm: Zarm) -> None:
     executor, _ = zarm.start("executor", "ros_bridge")
     goal = zarm.goal_under_way()
@@ -182,6 +183,7 @@ def test_a_bridge_that_is_told_to_end_aborts_its_goal_and_the_robot_goes_on(zarm
     assert zarm.outcome(executor_goal).status == "succeeded"
 
 
+@pytest.mark.slow
 def test_a_bridge_that_is_killed_leaves_the_robot_to_its_motion_and_the_next_one_serves(zarm: Zarm) -> None:
     _, bridge = zarm.start("executor", "ros_bridge")
     zarm.goal_under_way()
@@ -194,6 +196,7 @@ def test_a_bridge_that_is_killed_leaves_the_robot_to_its_motion_and_the_next_one
         assert Actions(node).send().ended()[0] == SUCCEEDED
 
 
+@pytest.mark.slow
 def test_a_goal_whose_client_is_killed_goes_on_and_anybody_can_cancel_it(zarm: Zarm) -> None:
     zarm.start("executor", "ros_bridge")
     zarm.robot.plan(speed=0.15)
@@ -211,6 +214,7 @@ def test_a_goal_whose_client_is_killed_goes_on_and_anybody_can_cancel_it(zarm: Z
     assert Actions(zarm.node).send().ended()[0] == SUCCEEDED
 
 
+@pytest.mark.slow
 def test_a_second_bridge_for_a_robot_refuses_to_start(zarm: Zarm) -> None:
     _, first = zarm.start("executor", "ros_bridge")
     with ServiceProcess("ros_bridge", zarm.endpoint, zarm.folder, name=KEYS.robot) as second:
@@ -234,6 +238,7 @@ def test_without_an_executor_version_1_fails_and_robot_type_is_as_before(zarm: Z
     assert value.string_value == "emulator"
 
 
+@pytest.mark.slow
 def test_the_parameters_follow_an_executor_that_starts_with_another_strategy(zarm: Zarm) -> None:
     _, executor = zarm.start("ros_bridge", "executor")
     parameters = AsyncParameterClient(zarm.node, "/unified_planner")
@@ -250,6 +255,7 @@ def test_the_parameters_follow_an_executor_that_starts_with_another_strategy(zar
     eventually(lambda: strategy() == "emulator", "the parameter follows")
 
 
+@pytest.mark.slow
 def test_a_router_that_is_started_again_in_motion_does_not_end_the_goal(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with ExitStack() as first, ExitStack() as stack:

@@ -108,7 +108,7 @@ def measured(arm: Stack) -> tuple[float, ...]:
     return state.position
 
 
-@pytest.mark.parametrize("place", [(0.5, 0.2, 0.3), (0.5, 0.0, 0.4)])
+@pytest.mark.parametrize("place", [(0.5, 0.2, 0.3), pytest.param((0.5, 0.0, 0.4), marks=pytest.mark.slow)])
 def test_the_tutorials_calls_are_planned_from_where_the_robot_is_to_the_pose(arm: Stack, place: Any) -> None:
     pose = Pose(position=Point(x=place[0], y=place[1], z=place[2]), orientation=Quaternion(w=1.0))
     response = generate(arm, target_pose=pose)

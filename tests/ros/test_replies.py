@@ -68,6 +68,7 @@ def test_a_client_that_cannot_be_found_is_given_up_and_the_log_says_what_it_lack
     assert running.ros.call(Trigger, "get_robot_strategy").success
 
 
+@pytest.mark.slow
 def test_the_goal_of_a_client_that_cannot_be_told_that_it_is_accepted_moves_nothing(
     running: Stack, bridge: ServiceProcess, node: Node
 ) -> None:

@@ -152,6 +152,7 @@ def test_a_goal_outlives_a_restart_of_the_router(place: Place) -> None:
     place.joined()
 
 
+@pytest.mark.slow
 def test_a_goal_of_which_nothing_is_heard_is_aborted_and_the_next_one_runs_when_the_router_is_back(
     place: Place,
 ) -> None:

@@ -124,6 +124,7 @@ def test_version_1_emulator(bus: Bus) -> None:
     assert np.allclose(measured(bus), end["position"], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_version_1_doosan(bus: Bus) -> None:
     assert rate(ros2(DRIVER_HZ)) > 20
     eventually(lambda: "/leeloo/execute_trajectory" in ros2(TOPICS).splitlines(), "the driver's topic is found")

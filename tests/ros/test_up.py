@@ -46,6 +46,7 @@ def test_a_bridge_that_dies_is_started_again(up: Up, node: Node) -> None:
         wait_replaced(bus, "ros_bridge", old)
 
 
+@pytest.mark.slow
 def test_the_bridge_ends_with_the_rest(tmp_path: Path) -> None:
     with Up(free_endpoint(), tmp_path, "--ros") as up:
         up.interrupt()
@@ -54,6 +55,7 @@ def test_the_bridge_ends_with_the_rest(tmp_path: Path) -> None:
         assert "Traceback" not in up.errors()
 
 
+@pytest.mark.slow
 def test_a_bridge_joins_a_bus_that_runs(tmp_path: Path, node: Node) -> None:
     with Up(free_endpoint(), tmp_path) as up, Bus(up.endpoint) as bus:
         assert health(bus, "ros_bridge") is None

@@ -16,6 +16,7 @@ from support.executor.driven import FAR, LIMIT, THERE, driven
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import EXAMPLES
 from support.resources import ahead_of_others, favour
+from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT, moved, patient, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
@@ -80,7 +81,7 @@ def test_the_ur5e_reaches_the_goal_by_whole_trajectories_without_being_told_prog
         assert len(set(progress)) > 5
 
 
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -99,7 +100,7 @@ def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
+@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_pose", "joint_trajectory"))
 def test_the_speed_of_a_robot_behind_a_driver_changes_in_motion(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -217,7 +218,7 @@ def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
         process.wait(PATIENCE)
 
 
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path: Path, strategy: str) -> None:
     with (
         example(bus, endpoint) as told,

@@ -16,6 +16,7 @@ from support.executor.driven import LIMIT, driven
 from support.executor.waves import as_message, chunk
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import EXAMPLES
+from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.messages import GoalState, SceneEdited, StreamChunk
@@ -174,7 +175,7 @@ def test_noise_and_chunks_of_unknown_streams_do_no_harm(
     assert not [goal for goal in client.goals if goal.goal_id == "stream-c"]
 
 
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose"])
+@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_pose"))
 def test_a_robot_behind_a_driver_follows_and_rests_when_the_client_dies(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
