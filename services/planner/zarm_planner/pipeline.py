@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
 from zarm_contract.messages import Goal, WaypointsGoal
 from zarm_planner.context import PlanningContext
-from zarm_planner.goals.problem import Problem
+from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.smoothing import least_duration
@@ -41,7 +41,7 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal) -
     that does not keep the path constraint, and what the deadline raises.
     """
     with context.timer.stage("ik"):
-        problem = Problem.of(context, start, goal)
+        problem = PlanningProblem.of(context, start, goal)
     verified, seed = _first(planner, context, problem)
     if context.optimize_s > 0.0:
         with context.timer.stage("optimize"):
@@ -51,7 +51,7 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal) -
     return verified
 
 
-def _first(planner: Planner, context: PlanningContext, problem: Problem) -> tuple[Verified, int]:
+def _first(planner: Planner, context: PlanningContext, problem: PlanningProblem) -> tuple[Verified, int]:
     """The first trajectory that passes verification, and its seed."""
     failure: VerificationFailed | None = None
     try:
@@ -76,7 +76,7 @@ def _first(planner: Planner, context: PlanningContext, problem: Problem) -> tupl
     )
 
 
-def _fastest(planner: Planner, context: PlanningContext, problem: Problem, best: Verified) -> Verified:
+def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProblem, best: Verified) -> Verified:
     """The fastest among `best` and the trajectories that are found until the deadline of `context`."""
     least = least_duration(problem.start.asked, problem.goals, context.limits, context.dt)
     faster_than = planner.faster(context, problem)
@@ -92,7 +92,7 @@ def _fastest(planner: Planner, context: PlanningContext, problem: Problem, best:
     return best
 
 
-def _verified(context: PlanningContext, problem: Problem, trajectory: TimedTrajectory) -> Verified:
+def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and what the deadline raises."""
     goals, limits, check = problem.goals, context.limits, context.deadline.check
     goal = goals[np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]

@@ -23,7 +23,7 @@ from zarm_contract.messages import (
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.context import PlanningContext
-from zarm_planner.goals.problem import Problem
+from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.handlers import Handlers
 from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import PLANNERS
@@ -41,7 +41,7 @@ class StraightLine(Planner):
 
     names: ClassVar = {"joints": "straight_line"}
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+    def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         line = np.array([problem.start.asked, problem.goals[0]])
         yield time_path(line, context.limits, context.dt, 0.0)
 
@@ -51,7 +51,7 @@ class TooFast(StraightLine):
 
     names: ClassVar = {"joints": "too_fast"}
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+    def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         for trajectory in super().trajectories(context, problem):
             yield trajectory.slower(0.5)
 

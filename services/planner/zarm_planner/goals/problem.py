@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Problem:
+class PlanningProblem:
     """A start and the targets in their order, the last of which is the goal; each can be reached in one way or several.
 
     `goal` is what was asked for. `constraint`, where there is one, is kept from the start on.
@@ -28,7 +28,7 @@ class Problem:
     constraint: ConstraintManifold | None
 
     @classmethod
-    def of(cls, context: PlanningContext, start: Array, goal: Goal) -> Problem:
+    def of(cls, context: PlanningContext, start: Array, goal: Goal) -> PlanningProblem:
         """The problem to get from `start` (dof,) to the goal; of each target, what is near to the one before stands first.
 
         Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`), InvalidRequest for a goal that does

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import ClassVar, Literal
 
 from zarm_planner.context import PlanningContext
-from zarm_planner.goals.problem import Problem
+from zarm_planner.goals.problem import PlanningProblem
 from zarm_trajectory.trajectory import TimedTrajectory
 
 GoalKind = Literal["pose", "joints", "waypoints"]
@@ -32,13 +32,13 @@ class Planner(ABC):
     """Whether its trajectories keep a path constraint."""
 
     @abstractmethod
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+    def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         """Trajectories from rest at the start to rest at the goal, to which the seed of `context` leads; the fastest first.
 
         There may be none. Further ones are asked for where those before them were refused, so they keep closer to what
         is known to be free. Raises what the deadline raises.
         """
 
-    def faster(self, context: PlanningContext, problem: Problem) -> Faster:
+    def faster(self, context: PlanningContext, problem: PlanningProblem) -> Faster:
         """What looks for faster trajectories until the deadline of `context`; a planner that knows none leaves this out."""
         return lambda _: None

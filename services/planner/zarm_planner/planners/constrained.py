@@ -14,7 +14,7 @@ from zarm_planner.constraints.constrained_search import search_constrained, shor
 from zarm_planner.constraints.constrained_timing import time_constrained
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
-from zarm_planner.goals.problem import Problem
+from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
 from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
 from zarm_planner.timing.improvement import GAIN
@@ -29,7 +29,7 @@ class ConstrainedPlanner(Planner):
     names = NAMES
     constrained = True
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+    def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         """The trajectory along the route; there is no other that keeps the constraint."""
         constraint = _constraint(problem)
         if (route := _route(context, problem, constraint)) is None:
@@ -40,7 +40,7 @@ class ConstrainedPlanner(Planner):
         if trajectory is not None:
             yield trajectory
 
-    def faster(self, context: PlanningContext, problem: Problem) -> Faster:
+    def faster(self, context: PlanningContext, problem: PlanningProblem) -> Faster:
         """Trajectories along other routes."""
         constraint, seeds = _constraint(problem), itertools.count(context.seed + 1)
 
@@ -60,13 +60,13 @@ class ConstrainedPlanner(Planner):
         return faster_than
 
 
-def _constraint(problem: Problem) -> ConstraintManifold:
+def _constraint(problem: PlanningProblem) -> ConstraintManifold:
     if problem.constraint is None:
         raise InvalidRequest("there is no path constraint to keep; say which axes to hold", field="path_constraint")
     return problem.constraint
 
 
-def _route(context: PlanningContext, problem: Problem, constraint: ConstraintManifold) -> Route | None:
+def _route(context: PlanningContext, problem: PlanningProblem, constraint: ConstraintManifold) -> Route | None:
     return find_route(_ConstrainedPaths(context, constraint), problem, context.model.velocity)
 
 

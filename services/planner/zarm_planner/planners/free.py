@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded
 from zarm_planner.context import PlanningContext
-from zarm_planner.goals.problem import Problem
+from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
 from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
 from zarm_planner.search.rrt_connect import search
@@ -34,7 +34,7 @@ class FreePlanner(Planner):
 
     names = NAMES
 
-    def trajectories(self, context: PlanningContext, problem: Problem) -> Iterator[TimedTrajectory]:
+    def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         """The smooth trajectory along the route, and then those that round its corners ever less."""
         if (route := _route(context, problem)) is None:
             return
@@ -45,7 +45,7 @@ class FreePlanner(Planner):
                 trajectory = timed()
             yield trajectory
 
-    def faster(self, context: PlanningContext, problem: Problem) -> Faster:
+    def faster(self, context: PlanningContext, problem: PlanningProblem) -> Faster:
         """Other routes, and more shortcuts in time on the best trajectories so far."""
 
         def routes(number: int) -> tuple[Array, Sequence[int]] | None:
@@ -59,7 +59,7 @@ class FreePlanner(Planner):
         return lambda duration: improvement.faster_than(duration, context.deadline)
 
 
-def _route(context: PlanningContext, problem: Problem) -> Route | None:
+def _route(context: PlanningContext, problem: PlanningProblem) -> Route | None:
     return find_route(_FreePaths(context), problem, context.model.velocity)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_planner.goals.ends import End
-from zarm_planner.goals.problem import Problem
+from zarm_planner.goals.problem import PlanningProblem
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Route:
         return self.rows[:-1]
 
 
-def find_route(paths: Paths, problem: Problem, fastest: Array) -> Route | None:
+def find_route(paths: Paths, problem: PlanningProblem, fastest: Array) -> Route | None:
     """A quick route through one end of each target, in their order, for joints that move `fastest` (dof,) at most.
 
     None where none was found.
