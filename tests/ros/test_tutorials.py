@@ -143,7 +143,7 @@ def test_version_1_doosan(bus: Bus) -> None:
 def test_version_1_refuses_a_robot_type_that_is_none(bus: Bus) -> None:
     told = ros2(CHOOSE[""])
     assert "Setting parameter failed" in told
-    assert "choose one of ghost, emulator, doosan_m1013" in told
+    assert "choose one of emulator, ghost, joint_speed, joint_pose, doosan_m1013" in told
 
 
 def test_version_2(bus: Bus) -> None:

@@ -27,7 +27,7 @@ def test_the_type_of_a_ur5e_is_its_own_name_in_both_versions(tmp_path: Path) -> 
             "it is refused",
         ).results[0]
         assert not refused.successful
-        assert "ghost, emulator, ur5e, joint_speed, joint_pose" in refused.reason
+        assert "emulator, ghost, ur5e, joint_speed, joint_pose" in refused.reason
 
         assert robot_type(node, "ur5e") == "ur5e"
         without_controller = first.call(Trigger, "set_robot_strategy")

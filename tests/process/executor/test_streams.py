@@ -200,5 +200,5 @@ def test_a_strategy_that_hands_motions_over_as_a_whole_takes_no_stream(bus: Bus,
         assert process.wait(PATIENCE) == 1
         refused = robot.client.goals[-1]
         assert (refused.status, refused.problem.code) == ("aborted", "unavailable")
-        assert "joint_speed" in refused.problem.message
+        assert "switch to another strategy" in refused.problem.message
         assert not any(command.time for command in robot.commands)
