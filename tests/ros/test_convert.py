@@ -35,7 +35,7 @@ from zarm_contract.messages import (
 from zarm_ros_bridge.convert.colours import colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import is_empty, positions_of, ros_joint_state, ros_positions
-from zarm_ros_bridge.convert.plans import goal_of, held_of, target_of
+from zarm_ros_bridge.convert.plans import goal_of, path_constraint_of, target_of
 from zarm_ros_bridge.convert.poses import is_given, pose_of, ros_pose
 from zarm_ros_bridge.convert.scene import object_of, ros_cloud
 from zarm_ros_bridge.convert.times import ros_time
@@ -236,9 +236,9 @@ def test_a_goal_that_cannot_be_is_named(fields: dict[str, Any], target: str, fie
 
 @promised(st.lists(st.integers(0, 1), min_size=6, max_size=6))
 def test_the_axes_of_a_constraint_are_held_in_their_order(axes: list[int]) -> None:
-    held = held_of(request(trajectory_constraints=axes), "target_pose")
+    held = path_constraint_of(request(trajectory_constraints=axes), "target_pose")
     assert (held.axes if held else (False,) * 6) == tuple(map(bool, axes))
-    same = held_of(request(target_poses=[THERE] * 3, trajectories_contraints=axes * 3), "target_poses")
+    same = path_constraint_of(request(target_poses=[THERE] * 3, trajectories_contraints=axes * 3), "target_poses")
     assert same == held
 
 
@@ -263,13 +263,13 @@ def test_constraints_that_no_motion_can_keep_are_refused(
     whole: list[int], each: list[int], target: str, field: str
 ) -> None:
     asked = request(target_poses=[THERE] * 2, trajectory_constraints=whole, trajectories_contraints=each)
-    assert fault(held_of, asked, target) == field
+    assert fault(path_constraint_of, asked, target) == field
 
 
 def test_constraints_of_zeros_hold_nothing() -> None:
     asked = request(target_poses=[THERE] * 2, trajectory_constraints=FREE, trajectories_contraints=FREE * 2)
-    assert held_of(asked, "target_poses") is None
-    assert held_of(asked, "target_pose") is None
+    assert path_constraint_of(asked, "target_poses") is None
+    assert path_constraint_of(asked, "target_pose") is None
 
 
 def test_an_error_names_the_field_of_the_request() -> None:

@@ -241,9 +241,9 @@ def test_a_world_file_of_curobo_becomes_the_scene(running: Stack, parameters: No
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("- 1", "no mapping"),
+        ("- 1", "not a mapping"),
         ("a: [", "not valid YAML"),
-        ("blox: {}", "no kind of obstacle"),
+        ("blox: {}", "not a kind of obstacle"),
         ("cuboid: {table: {dims: [1, 1, 1]}}", "the cuboid table"),
         ("cuboid: {table: {dims: [1, 1, -1], pose: [0, 0, 0, 1, 0, 0, 0]}}", "objects.0.size.2"),
         ("objects: [{kind: sphere, name: ball, position: [0, 0, 9], radius: .nan}]", "world.yml"),

@@ -23,7 +23,7 @@ def test_two_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moment", sampled("zarm_planner.service", "leash"))
+@pytest.mark.parametrize("moment", sampled("zarm_planner.service", "end_with_parent"))
 def test_ctrl_c_while_the_demo_starts_leaves_no_process(tmp_path: Path, moment: str) -> None:
     with Command("demo", folder=tmp_path) as demo:
         eventually(lambda: any(moment in " ".join(line) for line in demo.command_lines()), f"{moment} runs")
