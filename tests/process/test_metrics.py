@@ -190,4 +190,4 @@ def test_up_gives_each_service_a_port_of_its_own(tmp_path: Path) -> None:
     with Up(free_endpoint(), tmp_path, ZARM_METRICS=first) as up:
         for where, service in ((first, "planner"), (second, "executor")):
             assert any(f'service="{service}"' in name for name in Scraped(where))
-        assert "no address" in refused(up, "up", "--metrics", "here", "--name", "other")
+        assert "not an address" in refused(up, "up", "--metrics", "here", "--name", "other")

@@ -1,32 +1,5 @@
-"""A `zarm up` for all tests of commands that only use one."""
+"""The commands share a `zarm up`."""
 
-from __future__ import annotations
+from support.shared_up import empty_scene, observer, up
 
-from collections.abc import Iterator
-
-import pytest
-
-from support.command_line import KEYS, Up
-from support.harness import free_endpoint
-from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
-from zarm_runtime.bus import Bus
-
-
-@pytest.fixture(scope="package")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """`zarm up`, which all of these tests share: none of them stops it or changes its files."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
-        yield stack
-
-
-@pytest.fixture(scope="package")
-def observer(up: Up) -> Iterator[Bus]:
-    """A client on its bus."""
-    with Bus(up.endpoint) as session:
-        yield session
-
-
-@pytest.fixture
-def empty_scene(observer: Bus) -> None:
-    """Its scene is empty."""
-    observer.call(KEYS.scene_edit, SceneEdit(edit=ClearScene(op="clear")), SceneEdited, timeout=5)
+__all__ = ["empty_scene", "observer", "up"]

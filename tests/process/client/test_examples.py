@@ -14,8 +14,9 @@ import pytest
 import zarm
 from support.command_line import ROBOT, Up
 from support.harness import PATIENCE, free_endpoint
+from support.paths import ROOT
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = ROOT / "examples"
 SAYS = {
     "01_plan": "succeeded: the tool is at 0.500 0.300 0.400 m",
     "02_waypoints": "succeeded",

@@ -16,8 +16,8 @@ from packaging.requirements import Requirement
 
 from support.command_line import Up
 from support.harness import PATIENCE
+from support.paths import ROOT
 
-ROOT = Path(__file__).parents[2]
 OF_THE_PLANNER = ("fcl", "numba", "toppra", "torch", "trimesh")
 
 
