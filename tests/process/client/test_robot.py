@@ -27,7 +27,9 @@ from zarm_runtime.bus import Bus
 ELSEWHERE = (1.2, *HOME[1:])
 SLOWLY = 0.12
 PROGRAM = f"""
+import signal
 import zarm
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, and so would this
 with zarm.connect() as robot:
     plan = robot.plan({ELSEWHERE}, velocity_scale={SLOWLY})
     robot.execute(plan, on_progress=lambda goal: print(goal.status, flush=True))
