@@ -1,4 +1,4 @@
-"""Motions that hold axes, in MotionBenchMaker's scenes: `python tests/benchmarks/held.py [--problems 20] [--timeout 1.0]`.
+"""Motions that hold axes, in MotionBenchMaker's scenes: `python tests/benchmarks/path_constraint.py [--problems 20] [--timeout 1.0]`.
 
 Start configurations are drawn at random, free in spheres. From there a random walk that keeps what is held, free as well,
 leads to the goal, so that each problem has a solution; given is the pose of the tip there, with all free branches of its
