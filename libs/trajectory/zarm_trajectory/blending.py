@@ -1,8 +1,8 @@
 """Leading a robot from the motion that it makes over to another one, without a jump.
 
-From one moment on the old path is left on a quintic that meets the new one in position, velocity and acceleration a
+From one moment on the old trajectory is left on a quintic that meets the new one in position, velocity and acceleration a
 blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit, that of jerk
-too. The path speed goes on as it was, so what the follower promises of a path inside the limits holds on the way over too.
+too. The path speed goes on as it was, so what the follower promises of a trajectory inside the limits holds on the way over too.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from zarm_trajectory.quintic import Array, coefficients
 from zarm_trajectory.trajectory import TimedTrajectory
 
 BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
-"""Blending times that are tried, s of the path."""
+"""Blending times that are tried, s of path time."""
 PAST = 2.0
-"""How much of the past of a path is kept, s: more than any strategy looks back for a robot that is behind."""
+"""How much of the past of a trajectory is kept, s: more than any strategy looks back for a robot that is behind."""
 LONGEST_REST = 10.0
-"""How long (s) a robot that is at the end of its path may wait there for the start of a chunk."""
+"""How long (s) a robot that is at the end of its trajectory may wait there for the start of a chunk."""
 _APART = 1e-4
-"""Samples of a blended path are at least this far apart, s."""
+"""Samples of a blended trajectory are at least this far apart, s."""
 
 
 def blended(
@@ -69,7 +69,7 @@ def blended(
 
 
 def _states(trajectory: TimedTrajectory, times: Array) -> Array:
-    """Position, velocity and acceleration (3, N, J) at N times (N,); at and beyond its end a path is at rest."""
+    """Position, velocity and acceleration (3, N, J) at N times (N,); at and beyond its end a trajectory is at rest."""
     states = trajectory.sample(times.clip(trajectory.time[0], trajectory.duration))
     states[1:, times >= trajectory.duration] = 0.0
     return states

@@ -69,7 +69,7 @@ class Goal:
 
     @property
     def complete(self) -> bool:
-        """Whether the end of its path is its goal, rather than where to wait for the next chunk."""
+        """Whether the end of its trajectory is its goal, rather than where to wait for the next chunk."""
         return self.chunk is None or self.chunk.last
 
     def steer(self, trajectory: TimedTrajectory, chunk: Chunk) -> None:

@@ -39,7 +39,7 @@ class Progress:
 
 
 class Strategy(ABC):
-    """One way to move one robot along a path.
+    """One way to move one robot along a trajectory.
 
     The state machine owns it: it calls one method at a time, so a strategy needs no lock against itself, and each must
     return within a fraction of a tick. Motions never overlap: after `start` comes no other until the first is at rest.
@@ -96,7 +96,7 @@ class Strategy(ABC):
 
 
 class Steerable(Strategy):
-    """A strategy whose path may change while it is followed."""
+    """A strategy whose trajectory may change while it is followed."""
 
     @abstractmethod
     def commanded(self) -> float:
