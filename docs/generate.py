@@ -28,7 +28,7 @@ from zarm_contract.robot import (
     CollisionCylinder,
     CollisionSphere,
     CSpace,
-    Execution,
+    ExecutionSettings,
     RobotDescriptor,
     StrategyParams,
 )
@@ -185,7 +185,7 @@ def _attribute_docs(model: type[BaseModel]) -> dict[str, str]:
 
 _SECTIONS = {
     "CSpace": "cspace",
-    "Execution": "execution",
+    "ExecutionSettings": "execution",
     "StrategyParams": "strategy_params",
     "CollisionSphere": "collision sphere",
     "CollisionCapsule": "collision capsule",
@@ -364,7 +364,15 @@ def robot() -> Iterator[str]:
         "joint gets ±2π.",
         "",
     )
-    parts = (CSpace, Execution, StrategyParams, CollisionSphere, CollisionCapsule, CollisionCylinder, CollisionCuboid)
+    parts = (
+        CSpace,
+        ExecutionSettings,
+        StrategyParams,
+        CollisionSphere,
+        CollisionCapsule,
+        CollisionCylinder,
+        CollisionCuboid,
+    )
     for model in (RobotDescriptor, *parts):
         if model is not RobotDescriptor:
             yield from (f"## {_SECTIONS[model.__name__]}", "", inspect.getdoc(model) or "", "")

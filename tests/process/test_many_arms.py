@@ -14,7 +14,7 @@ from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.trajectories import moved
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointGoal, Plan, PlanRequest
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import RobotDescription, load_robot
 from zarm_runtime.bus import Bus
 
 
@@ -22,7 +22,7 @@ from zarm_runtime.bus import Bus
 class Arm:
     """One robot, and a client of it."""
 
-    robot: Robot
+    robot: RobotDescription
     keys: Keys
     client: Client
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Plan, PlanTimings, Pose, Trajectory
-from zarm_contract.robot import Robot, find_robot, load_robot
+from zarm_contract.robot import RobotDescription, find_robot, load_robot
 
 ROBOT = load_robot("doosan_m1013")
 """The robot that tests move."""
@@ -21,7 +21,12 @@ SCENE = "1-5be0c1d2f3a4"
 
 
 def rest_to_rest(
-    goal: np.ndarray, start: np.ndarray = HOME, *, robot: Robot = ROBOT, slower: float = 1.0, dt: float = 0.01
+    goal: np.ndarray,
+    start: np.ndarray = HOME,
+    *,
+    robot: RobotDescription = ROBOT,
+    slower: float = 1.0,
+    dt: float = 0.01,
 ) -> Trajectory:
     """From rest to rest on a straight line in joint space, as fast as the limits allow, or `slower` times as long.
 
@@ -46,7 +51,7 @@ def rest_to_rest(
 
 
 def trapezoid(
-    goal: np.ndarray, start: np.ndarray = HOME, *, robot: Robot = ROBOT, share: float = 1.0, dt: float = 0.02
+    goal: np.ndarray, start: np.ndarray = HOME, *, robot: RobotDescription = ROBOT, share: float = 1.0, dt: float = 0.02
 ) -> Trajectory:
     """From rest to rest on a straight line in joint space as a planner times it: at `share` of the acceleration limit after
     milliseconds, then at the velocity limit, or half way and back where the line is too short for that."""
@@ -90,13 +95,13 @@ def descriptor_at(control_rate: float, folder: Path) -> Path:
     return _descriptor(folder, ROBOT, f"control_rate: {control_rate}")
 
 
-def patient(folder: Path, robot: Robot = ROBOT) -> Path:
+def patient(folder: Path, robot: RobotDescription = ROBOT) -> Path:
     """The descriptor of a robot that is given 1 s to tell its joints, in a folder of its own: for tests that move it through a
     driver on a machine that is busy, and say nothing of how soon its silence is noticed."""
     return _descriptor(folder, robot, "joint_state_timeout: 1.0")
 
 
-def _descriptor(folder: Path, robot: Robot, execution: str) -> Path:
+def _descriptor(folder: Path, robot: RobotDescription, execution: str) -> Path:
     folder.mkdir(parents=True)
     name = robot.descriptor.name
     descriptor = folder / f"{name}.yaml"
@@ -118,7 +123,12 @@ def moved(*distances: float, start: np.ndarray = HOME) -> np.ndarray:
 
 
 def plan(
-    plan_id: str, trajectory: Trajectory, *, revision: str = SCENE, robot: Robot = ROBOT, robot_hash: str = ""
+    plan_id: str,
+    trajectory: Trajectory,
+    *,
+    revision: str = SCENE,
+    robot: RobotDescription = ROBOT,
+    robot_hash: str = "",
 ) -> Plan:
     """A Plan as the planner publishes it."""
     return Plan(

@@ -119,7 +119,7 @@ async def _block(block: AbstractContextManager[T], interruption: Interruption) -
         await _in_thread(lambda: block.__exit__(None, None, None), interruption)
 
 
-def _told_in_loop(on_progress: zarm.robot.Progress | None) -> zarm.robot.Progress | None:
+def _told_in_loop(on_progress: zarm.robot.OnProgress | None) -> zarm.robot.OnProgress | None:
     if on_progress is None:
         return None
     loop, tell = asyncio.get_running_loop(), on_progress
@@ -206,13 +206,13 @@ class Robot(_Twin[zarm.robot.Robot]):
         what: Plan | Trajectory | ExecuteRequest | str | None = None,
         *,
         preempt: bool = False,
-        on_progress: zarm.robot.Progress | None = None,
+        on_progress: zarm.robot.OnProgress | None = None,
     ) -> GoalState:
         """See `zarm.Robot.execute`."""
         return await self._execute(what, preempt=preempt, on_progress=_told_in_loop(on_progress))
 
     async def follow(
-        self, goal_id: str, on_progress: zarm.robot.Progress | None = None, *, timeout: float | None = None
+        self, goal_id: str, on_progress: zarm.robot.OnProgress | None = None, *, timeout: float | None = None
     ) -> GoalState:
         """See `zarm.Robot.follow`."""
         return await self._follow(goal_id, _told_in_loop(on_progress), timeout=timeout)

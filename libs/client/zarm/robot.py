@@ -59,7 +59,7 @@ REST_SECONDS = 30.0
 _MEASURED_SECONDS = 2.0
 
 M = TypeVar("M", bound=Message)
-Progress = Callable[[GoalState], object]
+OnProgress = Callable[[GoalState], object]
 """Is told each state of a goal that differs from the one before."""
 
 
@@ -211,7 +211,7 @@ class Robot:
         what: Plan | Trajectory | ExecuteRequest | str | None = None,
         *,
         preempt: bool = False,
-        on_progress: Progress | None = None,
+        on_progress: OnProgress | None = None,
     ) -> GoalState:
         """Move the robot along a plan, and wait until it rests at the end; the goal's last state.
 
@@ -248,7 +248,7 @@ class Robot:
     def follow(
         self,
         goal_id: str,
-        on_progress: Progress | None = None,
+        on_progress: OnProgress | None = None,
         *,
         timeout: float | None = None,
     ) -> GoalState:
@@ -415,7 +415,7 @@ class Robot:
                 self.cancel(goal_id)
             raise
 
-    def _followed(self, goal_id: str, on_progress: Progress | None) -> GoalState:
+    def _followed(self, goal_id: str, on_progress: OnProgress | None) -> GoalState:
         for state in self.goal_states(goal_id):
             if on_progress is not None:
                 try:

@@ -91,7 +91,7 @@ class CSpace(_Section):
     """Maximum joint jerks (rad/s³)."""
 
 
-class Execution(_Section):
+class ExecutionSettings(_Section):
     """What the executor checks before and during motion.
 
     Sources of the defaults: MoveIt for the allowed duration, ros2_control for the path and goal tolerances, the settle time
@@ -210,7 +210,7 @@ class RobotDescriptor(_Section):
     """Pairs of links that are never checked against each other."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.01
     """Maximum time between two samples of a planned trajectory (s)."""
-    execution: Execution = Execution()
+    execution: ExecutionSettings = ExecutionSettings()
     """What the executor checks before and during motion."""
     strategy: str = "emulator"
     """The control strategy at the start. `emulator` moves no hardware."""
@@ -262,11 +262,12 @@ class RobotDescriptor(_Section):
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotDescription:
     """A descriptor together with its URDF's kinematics.
 
-    `path` is the descriptor's file. `lower` and `upper` are the position limits of `descriptor.joints` (rad), from the URDF; a continuous joint gets
-    +-2 pi. `hash` names this exact content: two services that show different hashes know different robots.
+    `path` is the descriptor's file. `lower` and `upper` are the position limits of `descriptor.joints` (rad), from
+    the URDF; a continuous joint gets +-2 pi. `hash` names this exact content: two services that show different hashes
+    know different robots.
     """
 
     descriptor: RobotDescriptor
@@ -292,7 +293,7 @@ def find_robot(name_or_path: str) -> Path:
     return path.resolve()
 
 
-def load_robot(name_or_path: str) -> Robot:
+def load_robot(name_or_path: str) -> RobotDescription:
     """Read and check a descriptor and its URDF. Raises InvalidRequest with file, line and remedy; one line per fault."""
     document = read_document(find_robot(name_or_path))
     try:
@@ -310,7 +311,7 @@ def load_robot(name_or_path: str) -> Robot:
     if faults:
         raise InvalidRequest("\n".join(document.fault(key, message) for key, message in faults))
     limits = {joint.name: (joint.lower, joint.upper) for joint in urdf.joint_of_child.values()}
-    return Robot(
+    return RobotDescription(
         descriptor=descriptor,
         path=document.path,
         urdf=urdf,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.messages import Attached, Vector3
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
 from zarm_geometry.frames import rotation_to
 from zarm_geometry.rows import primitives
@@ -40,7 +40,7 @@ class Body:
         return np.column_stack((self.balls[:, :3] @ self.pose[:3, :3].T + self.pose[:3, 3], self.balls[:, 3]))
 
 
-def link_body(robot: Robot, link: str) -> Body:
+def link_body(robot: RobotDescription, link: str) -> Body:
     """A link of the descriptor as a body; it may touch the links that it stands beside in `self_collision_ignore`."""
     descriptor = robot.descriptor
     passed, pose = along(robot.urdf.chain(descriptor.base_link, link))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_geometry.body import Body, along, attached_body, link_body
 from zarm_geometry.kernels.arrays import RobotArrays
 from zarm_geometry.kernels.kinematics import frames
@@ -34,7 +34,7 @@ class RobotModel:
     whose frame it is.
     """
 
-    robot: Robot
+    robot: RobotDescription
     dof: int
     lower: Array
     upper: Array
@@ -53,7 +53,7 @@ class RobotModel:
     arrays: RobotArrays
 
     @classmethod
-    def of(cls, robot: Robot) -> Self:
+    def of(cls, robot: RobotDescription) -> Self:
         """Pack a robot without attached objects."""
         descriptor = robot.descriptor
         origins, tip = along(robot.urdf.chain(descriptor.base_link, descriptor.tip_link))
@@ -73,7 +73,7 @@ class RobotModel:
         return self._packed(self.robot, self.origin, tip, bodies)
 
     @classmethod
-    def _packed(cls, robot: Robot, origin: Array, tip: Array, bodies: Sequence[Body]) -> Self:
+    def _packed(cls, robot: RobotDescription, origin: Array, tip: Array, bodies: Sequence[Body]) -> Self:
         """The model of a robot with these bodies; `origin` (dof, 3, 4) and `tip` (4, 4) as in `body.along`."""
         descriptor = robot.descriptor
         # In kinematic order, so that kernels finish the links of one joint before they move on to the next.

@@ -19,7 +19,7 @@ from zarm_contract.codec import CONTRACT as CONTRACT
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import RobotDescription, load_robot
 from zarm_runtime import signals
 from zarm_runtime.bus import Bus
 from zarm_runtime.logs import name_robot, setup_logging
@@ -47,7 +47,7 @@ class Service:
     """
 
     name: str
-    robot: Robot
+    robot: RobotDescription
     keys: Keys
     bus: Bus
     options: argparse.Namespace
@@ -256,7 +256,7 @@ def _warn_of_end(role: Role) -> None:
         )
 
 
-def _robots(options: argparse.Namespace) -> list[tuple[Robot, Keys]]:
+def _robots(options: argparse.Namespace) -> list[tuple[RobotDescription, Keys]]:
     robots = [load_robot(robot) for robot in _each(options.robot)]
     names = _each(options.name) or [robot.descriptor.name for robot in robots]
     if len(names) != len(robots):

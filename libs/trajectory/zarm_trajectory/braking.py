@@ -1,7 +1,7 @@
-"""The way to rest from any point of a path, computed all at once: what every streamed chunk ends with.
+"""The way to rest from any point of a trajectory, computed all at once: what every streamed chunk ends with.
 
 As in `follower.py`, the acceleration of q(s(t)) is q''(s) sigma^2 + q'(s) dsigma/dt. Here each step of sigma is as long as a point of
-the driver, and the path is looked up on a fine grid.
+the driver, and the trajectory is looked up on a fine grid.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _FINENESS = 8
-"""Samples of the path for each point at full path speed."""
+"""Samples of the trajectory for each point at full path speed."""
 _SPAN = 0.5
 """So much (s) of the path is sampled at once."""
 _SHARE = 0.99
-"""Share of the acceleration limits that is used, as the path bends between two samples of it."""
+"""Share of the acceleration limits that is used, as the trajectory bends between two samples of it."""
 _LONGEST = 1000
-"""Points after which a robot that is not at rest by then stops nevertheless; braking along a path takes a tenth of that."""
+"""Points after which a robot that is not at rest by then stops nevertheless; braking along a trajectory takes a tenth of that."""
 _STANDING = 1e-9
-"""Slope of a path, rad/s, below which a joint says nothing about the path speed."""
+"""Slope of a trajectory, rad/s, below which a joint says nothing about the path speed."""
 
 
 def braking(trajectory: TimedTrajectory, time: float, speed: float, limit: Array, dt: float) -> RetimedTrajectory:
     """Points every `dt` s from path time `time` (s) with path speed `speed` to rest, as hard as the limits (J,) rad/s^2 allow.
 
-    The last point is at rest. A path that decelerates to its end at its limits is followed to its end.
+    The last point is at rest. A trajectory that decelerates to its end at its limits is followed to its end.
     """
     table = _Table(trajectory, time, _SHARE * limit, dt / _FINENESS)
     times, speeds, rates = [time], [speed], []
@@ -55,7 +55,7 @@ def braking(trajectory: TimedTrajectory, time: float, speed: float, limit: Array
 
 
 class _Table:
-    """The strongest braking on `_SPAN` s of a path from `begin` on, sampled every `step` s."""
+    """The strongest braking on `_SPAN` s of a trajectory from `begin` on, sampled every `step` s."""
 
     def __init__(self, trajectory: TimedTrajectory, begin: float, limit: Array, step: float) -> None:
         self._begin, self._step = begin, step
@@ -71,7 +71,7 @@ class _Table:
         return time <= self._begin + _SPAN
 
     def least(self, time: float, speed: float) -> float:
-        """The least dsigma/dt, 1/s, at which no joint brakes harder than its limit; 0 where the path alone needs all of it."""
+        """The least dsigma/dt, 1/s, at which no joint brakes harder than its limit; 0 where the trajectory alone needs all of it."""
         row = int((time - self._begin) / self._step)
-        cell = slice(row, row + 2)  # the path may bend otherwise between two samples of it
+        cell = slice(row, row + 2)  # the trajectory may bend otherwise between two samples of it
         return min(float((self._flat[cell] + self._curved[cell] * speed**2).max()), 0.0)

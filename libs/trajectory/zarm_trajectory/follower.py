@@ -1,8 +1,8 @@
-"""Moving along a path at a path speed that falls and rises as fast as the joints' acceleration limits allow.
+"""Moving along a trajectory at a path speed that falls and rises as fast as the joints' acceleration limits allow.
 
 The commanded motion is q(s(t)) with path time s and path speed sigma = ds/dt in [0, 1], so the robot stays on the
 verified path while it brakes or its speed is scaled. Its acceleration is q''(s) sigma^2 + q'(s) dsigma/dt (chain rule; Bobrow, Dubowsky and
-Gibson 1985). A path inside the limits at sigma = 1 is inside them at every constant sigma below, so holding the speed is
+Gibson 1985). A trajectory inside the limits at sigma = 1 is inside them at every constant sigma below, so holding the speed is
 always allowed, and braking as hard as possible now never leads into a state without a way on.
 """
 
@@ -21,16 +21,16 @@ from zarm_trajectory.trajectory import TimedTrajectory
 TICK = 0.01
 """Longest step, s, in which time passes for a follower: the longest period of the control loop (100 Hz)."""
 CATCH_UP = 0.1
-"""A pause between ticks up to this long (s) is caught up with; after a longer one the path goes on from rest where it
+"""A pause between ticks up to this long (s) is caught up with; after a longer one the motion goes on from rest where it
 stood, because nobody commanded the robot meanwhile."""
 _HALVINGS = 20
 """So often at most a change of path speed is halved until it is inside the limits: to a millionth."""
 _SLOWEST = 0.01
-"""What takes longer (x the duration of the path) than at this path speed is no motion, but a fault of the follower."""
+"""What takes longer (x the duration of the trajectory) than at this path speed is no motion, but a fault of the follower."""
 
 
 class Follower:
-    """Where a robot with these acceleration limits (J,) rad/s^2 is on a path, and how fast it goes along it.
+    """Where a robot with these acceleration limits (J,) rad/s^2 is on a trajectory, and how fast it goes along it.
 
     It begins at the path time `time` (s) with the path speed `speed` (sigma), and `target` is the path speed wanted: 1 to
     move as planned, less to move slower, 0 to rest. `position` (rad) and `velocity` (rad/s) are the commanded joints (J,).
@@ -54,12 +54,12 @@ class Follower:
 
     @property
     def finished(self) -> bool:
-        """Whether the end of the path is reached."""
+        """Whether the end of the trajectory is reached."""
         return self.time >= self.trajectory.duration
 
     @property
     def at_rest(self) -> bool:
-        """Whether the commanded robot stands still: held, or at the end of the path."""
+        """Whether the commanded robot stands still: held, or at the end of the trajectory."""
         return self.speed == 0.0 or self.finished
 
     @property
@@ -137,7 +137,7 @@ class Follower:
             rate = min(max(rate, low), high)
         if rate == wanted or wanted <= 0.0:
             return rate
-        # Where the whole of it is too much a part may do: from rest, at full path speed, the path alone may need every limit.
+        # Where the whole of it is too much a part may do: from rest, at full path speed, the trajectory alone may need every limit.
         part = wanted / 2
         for _ in range(_HALVINGS):
             if part <= rate or all(part <= high for _, high in self._bounds_after(part, dt)):

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from zarm_contract.errors import ExecutionRefused
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_trajectory import quintic
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -58,7 +58,7 @@ class Limits:
     jerk: Array
 
     @classmethod
-    def of(cls, robot: Robot, velocity_scale: float = 1.0, acceleration_scale: float = 1.0) -> Self:
+    def of(cls, robot: RobotDescription, velocity_scale: float = 1.0, acceleration_scale: float = 1.0) -> Self:
         """Those of the descriptor, scaled."""
         cspace = robot.descriptor.cspace
         return cls(

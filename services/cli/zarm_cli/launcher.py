@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from zarm.connection import Connection
-from zarm.robot import Robot as Client
+from zarm.robot import Robot
 from zarm_cli.client import SIGNALS, keys_of
 from zarm_cli.interrupts import pause
 from zarm_cli.output import facts, numbers, out
@@ -22,7 +22,7 @@ from zarm_cli.supervision import Supervisor
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health
-from zarm_contract.robot import Robot, find_robot, load_robot
+from zarm_contract.robot import RobotDescription, find_robot, load_robot
 from zarm_runtime.bus import Bus
 from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
@@ -35,7 +35,7 @@ METERED = (*SERVICES, "ros_bridge", "leeloo_sim")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 
-class Driver(StrEnum):
+class SimulatedDriver(StrEnum):
     """What is behind the strategies that need a driver, where `zarm up` starts it."""
 
     sim = "sim"
@@ -45,8 +45,8 @@ class Driver(StrEnum):
 class Stack:
     """What `launch` started."""
 
-    robot: Robot
-    client: Client
+    robot: RobotDescription
+    client: Robot
     supervisor: Supervisor
     services: Sequence[str]
 
@@ -82,7 +82,7 @@ def launch(
     *,
     name: str | None = None,
     strategy: str | None = None,
-    driver: Driver | None = None,
+    driver: SimulatedDriver | None = None,
     ros: bool = False,
     connect: str | None = None,
     listen: str = DEFAULT_ENDPOINT,
@@ -104,7 +104,7 @@ def launch(
     arguments = ["--robot", str(find_robot(robot)), "--name", keys.robot, "--connect", endpoint, "--state", str(state)]
     choice = [] if strategy is None else ["--strategy", strategy]
     folders = [word for folder in meshes for word in ("--meshes", str(folder))]
-    simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", [*arguments])} if driver is Driver.sim else {}
+    simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", [*arguments])} if driver is SimulatedDriver.sim else {}
     bridge = {"ros_bridge": ("zarm_ros_bridge.service", [*arguments])} if ros else {}
     programs = {
         **simulated,  # this and the bridge before the executor, which may wait for a driver and brakes through it at the end
@@ -126,7 +126,7 @@ def launch(
         bus = stack.enter_context(Bus(endpoint, timeout=2.0))
         _refuse_second(bus, keys, endpoint)
         supervisor = stack.enter_context(Supervisor(programs, environment))
-        yield Stack(loaded, Client(Connection.of(bus, keys, SIGNALS)), supervisor, (*bridge, *SERVICES))
+        yield Stack(loaded, Robot(Connection.of(bus, keys, SIGNALS)), supervisor, (*bridge, *SERVICES))
 
 
 def _next_port(address: str, step: int) -> str:
@@ -174,7 +174,7 @@ def up(
     strategy: Annotated[
         str | None, typer.Option(help="Control strategy at the start (default: as in the descriptor).")
     ] = None,
-    driver: Annotated[Driver | None, typer.Option(help="Also start a simulated driver.")] = None,
+    driver: Annotated[SimulatedDriver | None, typer.Option(help="Also start a simulated driver.")] = None,
     ros: Annotated[bool, typer.Option("--ros", help="Also start the ROS 2 bridge.")] = False,
     connect: Annotated[
         str | None, typer.Option(envvar="ZARM_CONNECT", help="Join the router at this endpoint instead of running one.")

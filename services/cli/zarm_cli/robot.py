@@ -12,7 +12,7 @@ from rich.table import Table
 from zarm_cli.client import AsJson
 from zarm_cli.output import degrees, err, facts, numbers, out, print_json
 from zarm_contract.errors import InvalidRequest
-from zarm_contract.robot import ROBOTS, Robot, load_robot
+from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 
 app = typer.Typer(no_args_is_help=True, help="Robot descriptors.")
 
@@ -46,7 +46,7 @@ def check(
         _describe(loaded)
 
 
-def _describe(robot: Robot) -> None:
+def _describe(robot: RobotDescription) -> None:
     descriptor = robot.descriptor
     out.print(
         facts(

@@ -6,7 +6,7 @@ import numpy as np
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_contract.messages import Trajectory
-from zarm_contract.robot import Execution, Robot
+from zarm_contract.robot import ExecutionSettings, RobotDescription
 from zarm_executor.strategies.base import Measured
 from zarm_trajectory.limits import POSITION_TOLERANCE, Limits
 from zarm_trajectory.quintic import Array
@@ -16,7 +16,7 @@ REST_VELOCITY = 1e-3
 """A motion that starts and ends slower than this (rad/s) starts and ends at rest."""
 
 
-def executable(message: Trajectory, robot: Robot) -> TimedTrajectory:
+def executable(message: Trajectory, robot: RobotDescription) -> TimedTrajectory:
     """The trajectory of a message that this robot can follow.
 
     Raises InvalidRequest (joints, times, rest at both ends) or ExecutionRefused (`limit_violated`, by position,
@@ -29,7 +29,7 @@ def executable(message: Trajectory, robot: Robot) -> TimedTrajectory:
     return trajectory
 
 
-def continuation(message: Trajectory, robot: Robot, turns: Array) -> TimedTrajectory:
+def continuation(message: Trajectory, robot: RobotDescription, turns: Array) -> TimedTrajectory:
     """The trajectory of a message, shifted by `turns` (J,) rad, that this robot can follow from a motion; it ends at rest.
 
     Raises what `executable` raises.
@@ -41,7 +41,9 @@ def continuation(message: Trajectory, robot: Robot, turns: Array) -> TimedTrajec
     return trajectory
 
 
-def startable(trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: Robot) -> TimedTrajectory:
+def startable(
+    trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: RobotDescription
+) -> TimedTrajectory:
     """The trajectory as it runs from where the robot stands, `measured` on the clock that reads `now`.
 
     A revolute joint may stand whole turns from where the path starts: then the path is shifted by them, where the joint's
@@ -55,7 +57,7 @@ def startable(trajectory: TimedTrajectory, measured: Measured | None, now: float
 
 
 def placed(
-    trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: Robot
+    trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: RobotDescription
 ) -> tuple[TimedTrajectory, Measured]:
     """The trajectory, shifted by whole turns so that the robot stands within `start_tolerance` of its start; and where it stands.
 
@@ -83,7 +85,7 @@ def placed(
     return trajectory, measured
 
 
-def _fresh(measured: Measured | None, now: float, execution: Execution) -> Measured:
+def _fresh(measured: Measured | None, now: float, execution: ExecutionSettings) -> Measured:
     remedy = "check that the robot's driver runs and publishes its joints"
     if measured is None:
         raise ExecutionRefused(f"the robot has not reported its joints yet; {remedy}", code="no_joint_state")
@@ -96,7 +98,7 @@ def _fresh(measured: Measured | None, now: float, execution: Execution) -> Measu
     return measured
 
 
-def _turns(trajectory: TimedTrajectory, position: Array, robot: Robot) -> Array:
+def _turns(trajectory: TimedTrajectory, position: Array, robot: RobotDescription) -> Array:
     """Whole turns (J,) in rad, by which the path must be shifted to start nearest to `position` inside the limits."""
     turning = {joint.name for joint in robot.urdf.joint_of_child.values() if joint.type in ("revolute", "continuous")}
     turns = 2 * np.pi * np.round((position - trajectory.start) / (2 * np.pi))

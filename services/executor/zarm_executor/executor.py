@@ -19,7 +19,7 @@ from zarm_contract.messages import (
     Strategies,
     StrategyRequest,
 )
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.checks import executable, startable
 from zarm_executor.goal import Goal
@@ -43,7 +43,7 @@ class Executor:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: RobotDescription,
         machine: Machine,
         reporter: Reporter,
         admission: Admission,

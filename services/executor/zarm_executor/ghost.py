@@ -9,7 +9,7 @@ import time
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState, Plan, Trajectory
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_executor.checks import executable
 from zarm_runtime.bus import Bus
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -25,7 +25,7 @@ LEAST = 0.2
 class Ghost:
     """Shows the newest plan on `preview/trajectory` and plays it on `preview/joint_states`, where it rests at its end."""
 
-    def __init__(self, bus: Bus, keys: Keys, robot: Robot) -> None:
+    def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription) -> None:
         self._robot = robot
         self._joints = robot.descriptor.joints
         self._trajectories = bus.publisher(keys.preview_trajectory, Trajectory)

@@ -25,7 +25,7 @@ from zarm_contract.messages import (
     StrategyRequest,
     StreamChunk,
 )
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
 from zarm_executor.clocks import time_of_day
 from zarm_executor.executor import Executor
@@ -166,7 +166,7 @@ def start(service: Service) -> Iterator[None]:
             machine.release()
 
 
-def _first_speed(robot: Robot, kept: StateFile[Speed]) -> float:
+def _first_speed(robot: RobotDescription, kept: StateFile[Speed]) -> float:
     """The share of the planned speed to begin with: the descriptor's, or what a client of an earlier process set, if less."""
     speed = kept.load()
     planned = robot.descriptor.execution.speed_scale

@@ -10,7 +10,7 @@ import numpy as np
 
 from zarm_contract.errors import InvalidRequest, ZarmError
 from zarm_contract.messages import GoalState, StreamChunk
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import Admission
 from zarm_executor.checks import continuation, executable, placed
 from zarm_executor.goal import Chunk, Goal
@@ -31,7 +31,7 @@ REMEMBERED = 256
 class Streams:
     """Reads `executor/stream`. A chunk has no answer: what becomes of it is in the state of its goal."""
 
-    def __init__(self, robot: Robot, machine: Machine, reporter: Reporter, admission: Admission) -> None:
+    def __init__(self, robot: RobotDescription, machine: Machine, reporter: Reporter, admission: Admission) -> None:
         self._robot = robot
         self._limits = Limits.of(robot)
         self._machine = machine

@@ -11,7 +11,7 @@ import numpy as np
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_leeloo_sim.axes import Axes
-from zarm_leeloo_sim.driver import Command, Progress
+from zarm_leeloo_sim.driver import Command, PlaybackProgress
 from zarm_leeloo_sim.player import Array
 from zarm_runtime.bus import Bus
 from zarm_runtime.expiry import Expiry
@@ -62,6 +62,6 @@ class BusSide:
             )
         )
 
-    def tell_progress(self, progress: Progress) -> None:
+    def tell_progress(self, progress: PlaybackProgress) -> None:
         """Tell how far the driver is."""
         self._progress.put(DriverProgress(sequence=progress.sequence, fraction=progress.fraction))

@@ -34,7 +34,7 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Progress:
+class PlaybackProgress:
     """How many of the points of command `sequence` are played."""
 
     sequence: int
@@ -47,7 +47,7 @@ class Progress:
         return self.played / self.total if self.total else 1.0
 
 
-class Driver:
+class LeelooDriver:
     """Plays commands on `player`; tells its positions (J,) rad and velocities (J,) rad/s, and progress.
 
     `trace` gets a line for every step: positions, then velocities, whatever faults keep from the others.
@@ -57,7 +57,7 @@ class Driver:
         self,
         player: Player,
         tell_joints: Callable[[Array, Array], None],
-        tell_progress: Callable[[Progress], None],
+        tell_progress: Callable[[PlaybackProgress], None],
         trace: TextIO | None = None,
     ) -> None:
         self._player = player
@@ -113,7 +113,7 @@ class Driver:
             if self._fault.silent:
                 return
             self._tell_joints(self._player.position, self._player.velocity)
-            progress = Progress(self._sequence, self._player.played, self._player.total)
+            progress = PlaybackProgress(self._sequence, self._player.played, self._player.total)
             if self._sequence and progress.fraction != self._fraction_told and not self._fault.stall:
                 self._fraction_told = progress.fraction
                 self._tell_progress(progress)

@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from zarm_contract.robot import StrategyParams
 from zarm_leeloo_sim.axes import Axes
-from zarm_leeloo_sim.driver import Command, Progress
+from zarm_leeloo_sim.driver import Command, PlaybackProgress
 from zarm_leeloo_sim.player import Array
 
 DEPTH = 10
@@ -72,7 +72,7 @@ class RosSide:
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._joints.publish(message)
 
-    def tell_progress(self, progress: Progress) -> None:
+    def tell_progress(self, progress: PlaybackProgress) -> None:
         """Tell points played / points received; nothing of a stop, which has none."""
         if self._progress is not None and progress.total:
             self._progress.publish(Float32(data=progress.fraction))

@@ -17,7 +17,7 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import DriverFault
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.bus_side import BusSide
-from zarm_leeloo_sim.driver import Driver
+from zarm_leeloo_sim.driver import LeelooDriver
 from zarm_leeloo_sim.player import Player
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_runtime.service import Service, run_service, service_parser
@@ -43,7 +43,7 @@ def start(service: Service) -> Iterator[None]:
         bus = stack.enter_context(service.open_bus())
         trace = None if options.trace is None else stack.enter_context(options.trace.open("a", buffering=1))
         side = stack.enter_context(_on_ros(service, axes)) if options.ros else BusSide(bus, keys, axes)
-        driver = Driver(
+        driver = LeelooDriver(
             Player(position, plays=options.plays, ceiling=math.radians(options.ceiling)),
             side.tell_joints,
             (lambda _: None) if options.no_progress else side.tell_progress,

@@ -13,11 +13,11 @@ from zarm_contract.robot import (
     CollisionCylinder,
     CollisionPrimitive,
     CollisionSphere,
-    Robot,
+    RobotDescription,
 )
 
 
-def shown_description(robot: Robot) -> str:
+def shown_description(robot: RobotDescription) -> str:
     """The robot's URDF; a link without a `<visual>` is shown as its exact collision geometry in the descriptor."""
     tree = ET.fromstring(robot.urdf_path.read_text())  # noqa: S314  the file that the robot was loaded from
     for link in tree.iter("link"):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 
 from zarm.connection import Connection
-from zarm.robot import Robot as Client
+from zarm.robot import Robot
 from zarm_contract.errors import ExecutionRefused
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Bus
 
 
@@ -19,12 +19,12 @@ class Engine:
     Where one is absent that is Unavailable, after the timeout at most.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, robot: Robot) -> None:
+    def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription) -> None:
         self.bus = bus
         self.keys = keys
         self.robot = robot
         self.joints = robot.descriptor.joints
-        self.client = Client(Connection.of(bus, keys))
+        self.client = Robot(Connection.of(bus, keys))
         self.ending = threading.Event()
         """Set when the bridge ends: whoever waits for what the executor tells gives up."""
         self._measured = bus.latest(keys.joint_states, JointState)

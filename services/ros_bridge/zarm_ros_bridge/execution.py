@@ -40,7 +40,7 @@ _END_SECONDS = 3.0
 _JITTER = 0.05  # s by which a state of the executor may be early
 
 
-class Execution:
+class ExecutionActions:
     """The actions of one robot. Use it in `with`: the end aborts what runs, and the executor goes on with it alone."""
 
     def __init__(self, ros: Ros, engine: Engine, parameters: Parameters) -> None:

@@ -10,7 +10,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.execution import Execution
+from zarm_ros_bridge.execution import ExecutionActions
 from zarm_ros_bridge.faults import Faults
 from zarm_ros_bridge.kinematics import Kinematics
 from zarm_ros_bridge.parameters import Parameters
@@ -54,7 +54,7 @@ def start(service: Service) -> Iterator[None]:
         with (
             Topics(ros, engine, colours),
             StrategyServices(ros, first, engine, parameters),
-            Execution(ros, engine, parameters),
+            ExecutionActions(ros, engine, parameters),
         ):
             ros.spin()
             first.spin()

@@ -14,7 +14,7 @@ from support.resources import favour
 from support.trajectories import HOME, ROBOT, moved, patient, rest_to_rest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverFault, ExecutorState, JointState, Nothing
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Bus
 
 FAR = moved(1.0, -0.5, 0.3)
@@ -31,7 +31,14 @@ class Driven:
     """
 
     def __init__(
-        self, bus: Bus, endpoint: str, folder: Path, strategy: str, robot: Robot = ROBOT, *, waited_for: bool = False
+        self,
+        bus: Bus,
+        endpoint: str,
+        folder: Path,
+        strategy: str,
+        robot: RobotDescription = ROBOT,
+        *,
+        waited_for: bool = False,
     ) -> None:
         self.bus, self.endpoint, self.folder = bus, endpoint, folder
         self._descriptor = str(patient(folder / "patient", robot)) if waited_for else robot.descriptor.name
@@ -94,7 +101,13 @@ class Driven:
 
 @contextmanager
 def driven(
-    bus: Bus, endpoint: str, folder: Path, strategy: str, *driver: str, robot: Robot = ROBOT, waited_for: bool = True
+    bus: Bus,
+    endpoint: str,
+    folder: Path,
+    strategy: str,
+    *driver: str,
+    robot: RobotDescription = ROBOT,
+    waited_for: bool = True,
 ) -> Iterator[Driven]:
     """The two processes, ready."""
     with ExitStack() as stack:

@@ -17,7 +17,7 @@ from support.executor.waves import chunk
 from support.harness import eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
-from zarm_contract.robot import Robot, StrategyParams
+from zarm_contract.robot import RobotDescription, StrategyParams
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
@@ -37,7 +37,7 @@ START = 1e6
 """When a bench's clock begins, s. It is far ahead of the machine's, by which nothing on it can be old."""
 
 
-def robot_with(*, control_rate: float = 100.0, **params: Any) -> Robot:
+def robot_with(*, control_rate: float = 100.0, **params: Any) -> RobotDescription:
     """The robot of the tests with other strategy_params, or another rate (Hz) of the control loop."""
     assert ROBOT.descriptor.strategy_params is not None
     merged = ROBOT.descriptor.strategy_params.model_dump(exclude_none=True) | params

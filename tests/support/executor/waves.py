@@ -8,7 +8,7 @@ import numpy as np
 
 from support.trajectories import HOME
 from zarm_contract.messages import Trajectory
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -44,7 +44,7 @@ def chunk(start: float, horizon: float = 0.2, braking: float = 0.8, *, off: floa
     return TimedTrajectory(np.array(times), position, velocity, acceleration)
 
 
-def as_message(path: TimedTrajectory, robot: Robot) -> Trajectory:
+def as_message(path: TimedTrajectory, robot: RobotDescription) -> Trajectory:
     """A path as a message holds it."""
 
     def rows(array: Array) -> tuple[tuple[float, ...], ...]:

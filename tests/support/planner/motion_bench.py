@@ -12,7 +12,7 @@ import yaml
 
 from support.paths import SHARED
 from zarm_contract.messages import Cuboid, Cylinder, Pose, SceneObject
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import RobotDescription, load_robot
 
 PROBLEMS = SHARED / "mbm"
 AVAILABLE = PROBLEMS.is_dir()
@@ -31,7 +31,7 @@ class Problem:
     objects: tuple[SceneObject, ...]
 
 
-def robot(name: str, folder: Path) -> Robot:
+def robot(name: str, folder: Path) -> RobotDescription:
     """`panda` or `ur5` as MotionBenchMaker has them, from a URDF and a descriptor written into `folder`.
 
     Its spheres are its exact geometry as well.

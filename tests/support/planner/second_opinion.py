@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zarm_contract.messages import Attached, Cuboid, Cylinder, Quaternion, SceneObject, Sphere
-from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere, Robot
+from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionPrimitive, CollisionSphere, RobotDescription
 from zarm_contract.urdf import Joint
 
 Array = NDArray[np.float64]
 
 
-def link_pose(robot: Robot, link: str, q: ArrayLike) -> Array:
+def link_pose(robot: RobotDescription, link: str, q: ArrayLike) -> Array:
     """The pose (4, 4) of any link in the base frame."""
     pose = np.eye(4)
     position = dict(zip(robot.descriptor.joints, np.asarray(q), strict=True))
@@ -26,7 +26,9 @@ def link_pose(robot: Robot, link: str, q: ArrayLike) -> Array:
     return pose
 
 
-def tip_error(robot: Robot, q: ArrayLike, position: Sequence[float], orientation: Quaternion) -> tuple[float, float]:
+def tip_error(
+    robot: RobotDescription, q: ArrayLike, position: Sequence[float], orientation: Quaternion
+) -> tuple[float, float]:
     """How far the tip is from a pose: m and rad."""
     tip = link_pose(robot, robot.descriptor.tip_link, q)
     turn = tip[:3, :3].T @ _rotation(orientation)
@@ -42,7 +44,7 @@ class Collisions:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: RobotDescription,
         objects: Sequence[SceneObject],
         attached: Sequence[Attached] = (),
         ignored_links: Sequence[str] = (),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import RobotDescription, load_robot
 
 URDF = """<robot name="small_arm">
   <link name="stand"/> <link name="turret"/> <link name="upper"/> <link name="fore"/> <link name="cover"/> <link name="rod"/>
@@ -61,7 +61,7 @@ interpolation_dt: 0.02
 """
 
 
-def small_arm(folder: Path) -> Robot:
+def small_arm(folder: Path) -> RobotDescription:
     """The arm's descriptor, written to `folder` and read from there."""
     (folder / "small_arm.urdf").write_text(URDF)
     (folder / "small_arm.yaml").write_text(DESCRIPTOR)

@@ -6,18 +6,18 @@ import sys
 import time
 
 from zarm_ros_bridge import service
-from zarm_ros_bridge.execution import Execution
+from zarm_ros_bridge.execution import ExecutionActions
 from zarm_ros_bridge.goals import Run
 
-take_turn = Execution._take_turn
+take_turn = ExecutionActions._take_turn
 
 
-def slowly(self: Execution, run: Run) -> None:
+def slowly(self: ExecutionActions, run: Run) -> None:
     while run.handle.arrival == 0 and self._running is None:
         time.sleep(0.01)
     take_turn(self, run)
 
 
 if __name__ == "__main__":
-    Execution._take_turn = slowly  # type: ignore[method-assign]
+    ExecutionActions._take_turn = slowly  # type: ignore[method-assign]
     sys.exit(service.main())

@@ -14,7 +14,7 @@ from support.paths import PROGRAMS
 from support.ros.client import RosClient
 from support.ros.node import running_node
 from zarm_contract.keys import Keys
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Bus
 
 KEYS = Keys("arm")
@@ -66,7 +66,7 @@ def stack(
 
 
 @contextmanager
-def controller(robot: Robot) -> Iterator[subprocess.Popen[str]]:
+def controller(robot: RobotDescription) -> Iterator[subprocess.Popen[str]]:
     """The stand-in for a robot under ros2_control, at home."""
     descriptor, params = robot.descriptor, robot.descriptor.strategy_params
     joints = [f"{name}={at}" for name, at in zip(descriptor.joints, descriptor.home, strict=True)]

@@ -14,7 +14,7 @@ import torch
 
 from support.paths import SHARED
 from support.planner.containment import contains
-from zarm_contract.robot import ROBOTS, CollisionCapsule, CollisionSphere, Robot, load_robot
+from zarm_contract.robot import ROBOTS, CollisionCapsule, CollisionSphere, RobotDescription, load_robot
 from zarm_contract.urdf import Urdf
 
 NAMES = ("doosan_m1013", "panda", "ur10e", "ur5e")
@@ -87,11 +87,11 @@ def same_pose(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(np.linalg.norm(one[:3, 3] - other[:3, 3]) < 1e-6 and angle < 1e-6 and np.trace(turned) > 2.9)
 
 
-def random_joints(robot: Robot, count: int) -> np.ndarray:
+def random_joints(robot: RobotDescription, count: int) -> np.ndarray:
     return np.random.default_rng(7).uniform(robot.lower, robot.upper, (count, len(robot.lower)))
 
 
-def touching(robot: Robot, q: np.ndarray) -> set[frozenset[str]]:
+def touching(robot: RobotDescription, q: np.ndarray) -> set[frozenset[str]]:
     """The pairs of links whose spheres overlap, of those that are to be checked."""
     at = poses(robot.urdf, robot.descriptor.joints, q)
     ignored = {frozenset(pair) for pair in robot.descriptor.self_collision_ignore}

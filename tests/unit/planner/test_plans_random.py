@@ -17,7 +17,7 @@ from support.planner.sphere_model import random_object, random_objects
 from support.tiers import sampled
 from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import Attached, JointGoal, Trajectory
-from zarm_contract.robot import Robot, load_robot
+from zarm_contract.robot import RobotDescription, load_robot
 from zarm_executor.checks import executable
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
@@ -40,14 +40,14 @@ def load(rng: np.random.Generator) -> Attached:
     return Attached(object=random_object(kind, "load", np.array([0.0, 0.0, 0.15]), 0.25, rng))
 
 
-def free_near_home(robot: Robot, collisions: Collisions, rng: np.random.Generator) -> list[np.ndarray]:
+def free_near_home(robot: RobotDescription, collisions: Collisions, rng: np.random.Generator) -> list[np.ndarray]:
     """A start and a goal (dof,), at most 1.5 rad from home in each joint."""
     home = np.array(robot.descriptor.home)
     lower, upper = np.maximum(robot.lower, home - 1.5), np.minimum(robot.upper, home + 1.5)
     return list(islice((q for q in rng.uniform(lower, upper, (100, len(home))) if not collisions.at(q)), 2))
 
 
-def assert_limits_held(trajectory: Trajectory, robot: Robot) -> None:
+def assert_limits_held(trajectory: Trajectory, robot: RobotDescription) -> None:
     """By finite differences of positions, but for jerk: that is held as its mean from sample to sample."""
     path, limits = executable(trajectory, robot), robot.descriptor.cspace
     h = np.diff(trajectory.time).min() / DENSER

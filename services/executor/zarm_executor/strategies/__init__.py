@@ -9,7 +9,7 @@ import numpy as np
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
-from zarm_contract.robot import Robot
+from zarm_contract.robot import RobotDescription
 from zarm_contract.strategies import DRIVER_STRATEGIES
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
@@ -20,7 +20,7 @@ from zarm_runtime.bus import Bus
 from zarm_runtime.state_file import StateFile
 
 
-def build_strategies(robot: Robot, folder: Path, bus: Bus, keys: Keys) -> StrategyRegistry:
+def build_strategies(robot: RobotDescription, folder: Path, bus: Bus, keys: Keys) -> StrategyRegistry:
     """Every strategy there is for this robot; none is open. What they keep on disk is in `folder`, drivers are on `bus`."""
     descriptor = robot.descriptor
     emulated = EmulatedRobot(descriptor, StateFile(folder / "emulated_robot.json", JointState))
