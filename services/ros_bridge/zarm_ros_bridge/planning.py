@@ -89,7 +89,7 @@ class Planning:
     ) -> tuple[Plan, str]:
         """The plan to one of the poses, and its place: to the one that the arm is nearest to among those that can be planned to."""
         deadline, failure = self._deadline(), None
-        for index in self._nearest_first(poses, self._engine.measured().position if start is None else start):
+        for index in self._nearest_first(poses, self._engine.client.joint_state().position if start is None else start):
             if failure is not None and time.monotonic() > deadline:
                 break
             try:

@@ -69,9 +69,17 @@ class Ros:
         """The service `name`: `answer(request, response)` returns the response, and may wait. Before `spin`."""
         self.node.create_service(kind, name, answer, qos_profile=REQUESTS, callback_group=self.group)
 
-    def listen(self, kind: type[Any], topic: str, callback: Callable[[Any], None], qos: QoSProfile | int) -> None:
-        """Call `callback(message)` for each message on `topic`, one at a time. Before `spin`."""
-        self._listener.create_subscription(kind, topic, callback, qos)
+    def listen(
+        self,
+        kind: type[Any],
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile | int,
+        *,
+        raw: bool = False,
+    ) -> None:
+        """Call `callback(message)` for each message on `topic`, as bytes if `raw`, one at a time. Before `spin`."""
+        self._listener.create_subscription(kind, topic, callback, qos, raw=raw)
 
     def spin(self) -> None:
         """Serve from now on."""
