@@ -45,8 +45,10 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
-def test_joint_pose_reaches_the_goal_on_a_driver_that_plays_positions(bus: Bus, endpoint: str, tmp_path: Path) -> None:
-    with driven(bus, endpoint, tmp_path, "joint_pose", "--plays", "position") as robot:
+def test_joint_pose_reaches_the_goal_on_the_simulated_driver_as_it_comes(
+    bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    with driven(bus, endpoint, tmp_path, "joint_pose") as robot:
         assert robot.client.ended(robot.client.execute(THERE)).status == "succeeded"
         np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
         chunks = [command for command in robot.commands if command.time]
@@ -57,7 +59,7 @@ def test_joint_pose_reaches_the_goal_on_a_driver_that_plays_positions(bus: Bus, 
 def test_joint_pose_under_a_driver_that_plays_velocities_moves_nothing_and_says_so(
     bus: Bus, endpoint: str, tmp_path: Path
 ) -> None:
-    with driven(bus, endpoint, tmp_path, "joint_pose") as robot:
+    with driven(bus, endpoint, tmp_path, "joint_pose", "--plays", "velocity") as robot:
         robot.client.execute(THERE)
         assert "path_tolerance" in robot.fault("tolerance_violated").problem.message
         np.testing.assert_allclose(robot.at_rest(), HOME, atol=1e-9)
