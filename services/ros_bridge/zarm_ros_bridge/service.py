@@ -42,7 +42,9 @@ def start(service: Service) -> Iterator[None]:
     ):
         listening.callback(ros.stop_listening)
         params = service.robot.descriptor.strategy_params
-        engine = Engine(bus, service.keys, service.robot, Terms(ros.node, service.keys, params))
+        engine = Engine(
+            bus, service.keys, service.robot, Terms(ros.node.get_fully_qualified_name(), service.keys, params)
+        )
         parameters = Parameters(ros.node, engine)
         colours: dict[str, Colour] = {}
         Planning(ros, engine, parameters)

@@ -6,8 +6,6 @@ import re
 from collections.abc import Callable
 from typing import TypeVar
 
-from rclpy.node import Node
-
 from zarm.interrupts import CtrlC
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.keys import Keys
@@ -19,11 +17,11 @@ _SILENT = re.compile(r"nobody answered on zarm/\w+/(\w+)[\w/.*-]*")
 
 
 class Terms:
-    """Names of `node` and topics of the driver that `params` describes, instead of the keys of the robot."""
+    """Names under `node` (`/unified_planner`) and topics of the driver that `params` describes, instead of the keys of the robot."""
 
-    def __init__(self, node: Node, keys: Keys, params: StrategyParams | None) -> None:
+    def __init__(self, node: str, keys: Keys, params: StrategyParams | None) -> None:
         self._keys = keys
-        own = f"{node.get_fully_qualified_name()}/"
+        own = f"{node}/"
         names = {
             keys.plan: f"{own}generate_trajectory",
             keys.ik: f"{own}ik",
@@ -45,13 +43,13 @@ class Terms:
             }
         robot = f"zarm/{keys.robot}/"
         self._names = names | {key.removeprefix(robot): name for key, name in names.items()}
-        self._names["set replace, "] = ""  # add_object has no such field
         words = "|".join(map(re.escape, sorted(self._names, key=len, reverse=True)))
         self._words = re.compile(rf"(?<![\w/])(?:{words})(?![\w/])")
 
     def of(self, text: str) -> str:
         """The text with a name on ROS for each key that has one."""
-        return self._words.sub(lambda found: self._names[found[0]], _SILENT.sub(self._silent, text))
+        text = _SILENT.sub(self._silent, text).replace(", set replace,", ",")  # add_object has no such field
+        return self._words.sub(lambda found: self._names[found[0]], text)
 
     def of_error(self, error: ZarmError) -> ZarmError:
         """The same error in these terms."""
