@@ -103,7 +103,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Zarm]:
 
 @pytest.fixture
 def zarm(planned: Zarm, node: Node) -> Iterator[Zarm]:
-    """With a node of the test's own: one that knew a bridge that was killed goes on asking it for 20 s."""
+    """With a node of the test's own: one that knew a bridge that was killed goes on asking it for 5 s."""
     with closing(Zarm(planned.bus, node, planned.folder, planned.endpoint)) as one:
         yield one
 
@@ -192,7 +192,7 @@ def test_a_bridge_that_is_killed_leaves_the_robot_to_its_motion_and_the_next_one
     zarm.start("ros_bridge")
     assert zarm.outcome(executor_goal).status == "succeeded"
     zarm.robot.plan()
-    with running_node("later") as node:  # DDS tells those that knew the dead one of its end 20 s later
+    with running_node("later") as node:  # DDS tells those that knew the dead one of its end 5 s later
         assert Actions(node).send().ended()[0] == SUCCEEDED
 
 
