@@ -33,7 +33,7 @@ def busy_machine() -> Iterator[None]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
 def test_every_pose_of_a_calibration_is_reached_on_a_busy_machine(tmp_path: Path, strategy: str) -> None:
     chance = random.Random(17)
     with stack(tmp_path, executor=("--strategy", strategy), leeloo_sim=("--ros",)) as running:

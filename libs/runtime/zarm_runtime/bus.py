@@ -239,7 +239,8 @@ class Bus:
 
         def unavailable() -> Unavailable:
             late = f" within {timeout:g} s" if time.monotonic() - began > 0.9 * timeout else ""  # else nobody serves it
-            return Unavailable(f"nobody answered on {key}{late}{refused}; `zarm status` shows which services run")
+            asked = key.removesuffix("$*")  # of what is only read
+            return Unavailable(f"nobody answered on {asked}{late}{refused}; `zarm status` shows which services run")
 
         try:
             replies = self._session.get(

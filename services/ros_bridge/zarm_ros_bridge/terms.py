@@ -13,7 +13,7 @@ from zarm_contract.robot import StrategyParams
 
 T = TypeVar("T")
 
-_SILENT = re.compile(r"nobody answered on zarm/\w+/(\w+)[\w/.$*-]*")
+_SILENT = re.compile(r"nobody answered on zarm/\w+/(\w+)[\w/.*-]*")
 
 
 class Terms:

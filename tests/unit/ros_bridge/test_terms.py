@@ -25,7 +25,7 @@ TERMS = Terms("/left/unified_planner", Keys("left"), load_robot("doosan_m1013").
             "no driver publishes the robot's joints on /dsr01/joint_states; start the robot's driver",
         ),
         (
-            "nobody answered on zarm/left/executor/strategy$*; `zarm status` shows which services run",
+            "nobody answered on zarm/left/executor/strategy; `zarm status` shows which services run",
             "the executor of left has not answered; `zarm status` shows which services run",
         ),
         (
