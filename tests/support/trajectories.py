@@ -122,6 +122,11 @@ def patient(folder: Path, robot: RobotDescription = ROBOT) -> Path:
     return _descriptor(folder, robot, "joint_state_timeout: 1.0")
 
 
+def forgiving(folder: Path) -> RobotDescription:
+    """The same robot, and the next goal leaves its faults."""
+    return load_robot(str(_descriptor(folder, ROBOT, "faults: clear_at_rest")))
+
+
 def _descriptor(folder: Path, robot: RobotDescription, execution: str) -> Path:
     folder.mkdir(parents=True)
     name = robot.descriptor.name
