@@ -56,6 +56,7 @@ from zarm_contract.messages.planner import (
     PlanTimings,
     PoseGoal,
     SettingsChange,
+    StartState,
     WaypointsGoal,
 )
 from zarm_contract.messages.scene import (
@@ -164,6 +165,7 @@ __all__ = [
     "SpeedRequest",
     "SpeedScale",
     "Sphere",
+    "StartState",
     "Strategies",
     "StrategyInfo",
     "StrategyRequest",
