@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -13,8 +13,8 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, SceneObject, Vector3
 from zarm_geometry import rows
 from zarm_geometry.exact import obstacles, robot_parts, subjects
-from zarm_geometry.kernels.clearance import Obstacles, RobotParts
-from zarm_geometry.kernels.motion import Movers, first_contact, motion
+from zarm_geometry.kernels.clearance import Obstacles
+from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, first_contact, motion, motion_body, solids
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World, convex_shapes
@@ -63,13 +63,12 @@ class _Body:
     """A robot with what is attached to it, for the kernel."""
 
     model: RobotModel
-    parts: RobotParts
-    asked: NDArray[np.bool_]
+    packed: MotionBody
 
     @classmethod
     def of(cls, model: RobotModel) -> Self:
         parts, _ = robot_parts(model)
-        return cls(model, parts, subjects(model, parts))
+        return cls(model, motion_body(parts, subjects(model, parts)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,8 @@ class _Scene:
 
     world: World
     obstacles: Obstacles
-    alive: NDArray[np.bool_]
+    standing: Solids
+    alive: Flags
     changed: dict[str, Array] = field(default_factory=dict)
 
 
@@ -95,7 +95,7 @@ class MotionCheck:
 
     def set_world(self, world: World) -> None:
         """Check in this world from now on; its margin is not added to that of the checks."""
-        self._scene = _Scene(world, obstacles(world), np.ones(len(world.rows), np.bool_))
+        self._scene = _Scene(world, obstacles(world), solids(world.rows), np.ones(len(world.rows), np.uint8))
 
     def update(self, changed: Sequence[SceneObject], removed: Sequence[str] = ()) -> None:
         """Put objects into the world, in place of those of the same names, and take others out; unknown names do not matter.
@@ -105,10 +105,10 @@ class MotionCheck:
         scene = self._scene
         names = {item.name for item in changed} | set(removed)
         gone = [index for index, name in enumerate(scene.world.names) if name in names]
-        alive = scene.alive & ~np.isin(scene.world.owner, gone)
+        alive = np.where(np.isin(scene.world.owner, gone), np.uint8(0), scene.alive)
         others = {name: shapes for name, shapes in scene.changed.items() if name not in names}
         fresh = {item.name: convex_shapes([item], self._meshes)[0] for item in changed}
-        self._scene = _Scene(scene.world, scene.obstacles, alive, others | fresh)
+        self._scene = replace(scene, alive=alive, changed=others | fresh)
 
     def check(
         self,
@@ -139,12 +139,12 @@ class MotionCheck:
         limit = _OVERSHOOT * self.model.acceleration if acceleration is None else np.asarray(acceleration, np.float64)
         names, movers = self._movers(scene, moving)
         until, part, other, clearance = first_contact(
-            body.parts,
+            body.packed,
             scene.obstacles,
+            scene.standing,
             scene.alive,
             movers,
-            body.asked,
-            motion(body.parts, time, q, limit),
+            motion(body.packed, time, q, limit),
             margin,
             margin + FARTHEST,
         )
@@ -176,8 +176,8 @@ class MotionCheck:
         state = np.repeat(np.array(states), counts, axis=0)
         shapes = np.concatenate(tables)
         return [name for name, count in zip(names, counts, strict=True) for _ in range(count)], Movers(
-            shapes, state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), *rows.bounds(shapes)
+            solids(shapes), state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), *rows.bounds(shapes)
         )
 
 
-_NONE = Movers(*(np.zeros(shape) for shape in ((0, rows.WIDTH), (0, 3), 0, 0, (0, 3), (0, 3))))
+_NONE = Movers(solids(np.zeros((0, rows.WIDTH))), *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))))
