@@ -15,6 +15,7 @@ from zarm_geometry import rows
 from zarm_geometry.exact import obstacles, robot_parts, subjects
 from zarm_geometry.kernels.clearance import Obstacles
 from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, first_contact, motion, motion_body, solids
+from zarm_geometry.kernels.nearby import GRADIENT, near
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World, convex_shapes
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 
 FARTHEST = 0.1
 """Clearance (m) beyond the margin that a verdict does not tell apart."""
+MOST_PAIRS = 64
+"""Rows of the world and pairs of links that are told apart near one configuration."""
 _OVERSHOOT = 1.01
 """Trajectories may accelerate by this factor more than the joints' limits say, as `zarm_trajectory.limits` has it."""
 
@@ -41,6 +44,19 @@ class MotionVerdict:
     object: str | None
     link: str | None
     clearance: float
+
+
+@dataclass(frozen=True)
+class NearPair:
+    """A link that is `distance` (m, below 0 where they overlap) from `object`, a scene object or another link.
+
+    `gradient` (dof,) in m/rad (m/m where prismatic): by how much each joint changes that.
+    """
+
+    distance: float
+    link: str
+    object: str
+    gradient: Array
 
 
 @dataclass(frozen=True)
@@ -129,7 +145,11 @@ class MotionCheck:
         free. `attached` objects and `ignored_links` are as in the scene. Raises InvalidRequest for arrays that do not fit.
         """
         time, q = np.array(times, np.float64, ndmin=1), np.array(positions, np.float64, order="C", ndmin=2)
-        if q.shape != (len(time), self.model.dof) or not (np.isfinite(time).all() and np.isfinite(q).all()):
+        if (
+            len(time) == 0
+            or q.shape != (len(time), self.model.dof)
+            or not (np.isfinite(time).all() and np.isfinite(q).all())
+        ):
             raise InvalidRequest(f"a motion needs a finite time and {self.model.dof} finite positions for each sample")
         if len(time) == 1:
             time, q = np.repeat(time, 2) + (0.0, 1e-6), np.repeat(q, 2, axis=0)
@@ -150,14 +170,36 @@ class MotionCheck:
         )
         if until == len(time) - 1:
             return MotionVerdict(True, None, None, None, clearance)
-        link = body.model.links[body.model.parts[part][0]]
-        if other < 0:
-            near = body.model.links[body.model.parts[-1 - other][0]]
-        elif other < len(scene.alive):
-            near = scene.world.names[scene.world.owner[other]]
-        else:
-            near = names[other - len(scene.alive)]
-        return MotionVerdict(False, float(time[until]), near, link, clearance)
+        link, near_it = _names(body, scene, names, part, other)
+        return MotionVerdict(False, float(time[until]), near_it, link, clearance)
+
+    def nearby(
+        self,
+        position: ArrayLike,
+        *,
+        within: float,
+        time: float = 0.0,
+        attached: Sequence[Attached] = (),
+        ignored_links: Sequence[str] = (),
+        moving: Sequence[MovingObject] = (),
+    ) -> list[NearPair]:
+        """What is nearer than `within` (m) at `position` (dof,), nearest first: for each link and object, and each two links, once.
+
+        Of more than MOST_PAIRS the nearest count. `moving` objects are taken at `time` (s). Raises InvalidRequest.
+        """
+        q = np.array(position, np.float64, order="C")
+        if q.shape != (self.model.dof,) or not np.isfinite(q).all():
+            raise InvalidRequest(f"a configuration needs {self.model.dof} finite positions")
+        body, scene = self._body(tuple(attached), tuple(ignored_links)), self._scene
+        names, movers = self._movers(scene, moving)
+        standing = motion(body.packed, time + np.array((0.0, 1.0)), np.array((q, q)), np.zeros(self.model.dof))
+        found = np.empty((MOST_PAIRS, GRADIENT + self.model.dof))
+        count = near(body.packed, scene.obstacles, scene.standing, scene.alive, movers, standing, within, found)
+        pairs: dict[tuple[str, str], NearPair] = {}
+        for row in found[np.argsort(found[:count, 0])]:
+            link, other = _names(body, scene, names, int(row[1]), int(row[2]))
+            pairs.setdefault((link, other), NearPair(float(row[0]), link, other, row[GRADIENT:]))
+        return list(pairs.values())
 
     def _body(self, attached: tuple[Attached, ...], ignored_links: tuple[str, ...]) -> _Body:
         key = (attached, ignored_links)
@@ -178,6 +220,16 @@ class MotionCheck:
         return [name for name, count in zip(names, counts, strict=True) for _ in range(count)], Movers(
             solids(shapes), state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), *rows.bounds(shapes)
         )
+
+
+def _names(body: _Body, scene: _Scene, movers: Sequence[str], part: int, other: int) -> tuple[str, str]:
+    """The link that a part is of, and what the kernels call `other`."""
+    link = body.model.links[body.model.parts[part][0]]
+    if other < 0:
+        return link, body.model.links[body.model.parts[-1 - other][0]]
+    if other < len(scene.alive):
+        return link, scene.world.names[scene.world.owner[other]]
+    return link, movers[other - len(scene.alive)]
 
 
 _NONE = Movers(solids(np.zeros((0, rows.WIDTH))), *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))))

@@ -26,8 +26,10 @@ Flags = NDArray[np.uint8]
 
 COARSE = 0.05
 """A stretch with a larger sag (m) is cut in two at once when something is near it."""
-_POSE = 12
-_EXTENTS = 6
+POSE = 12
+"""Numbers per frame (3, 4)."""
+EXTENTS = 6
+"""Numbers per solid, see Solids."""
 
 
 class Solids(NamedTuple):
@@ -107,7 +109,7 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_]) -> MotionBody:
     around = np.repeat(np.eye(4)[None], count, axis=0)
     around[:, :3, 3] = parts.around[:, :3]
     pose = np.concatenate([parts.offset[link] @ parts.pose, parts.offset @ around])
-    balls = np.zeros((count, _EXTENTS))
+    balls = np.zeros((count, EXTENTS))
     balls[:, 4:] = parts.around[:, 3:]
     return MotionBody(
         origin=parts.origin,
@@ -179,7 +181,7 @@ class View(NamedTuple):
 
 
 @inlined
-def _view(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, movers: Movers, motion: Motion) -> View:
+def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, movers: Movers, motion: Motion) -> View:
     """The view of all that a kernel was given; it lives no longer than the kernel's arguments."""
     links = body.first.shape[0] - 1
     return View(
@@ -221,7 +223,7 @@ def _view(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, mo
 
 
 @inlined
-def _turn(frames: Pointer, at: int) -> Turn:
+def turn_of(frames: Pointer, at: int) -> Turn:
     """The axes of a frame (3, 4) that starts at `frames[at]`."""
     return (
         frames[at], frames[at + 1], frames[at + 2],
@@ -231,22 +233,23 @@ def _turn(frames: Pointer, at: int) -> Turn:
 
 
 @inlined
-def _extents(extents: Pointer, i: int) -> Extents:
-    at = _EXTENTS * i
+def extents_of(extents: Pointer, i: int) -> Extents:
+    """The core of a solid."""
+    at = EXTENTS * i
     return extents[at], extents[at + 1], extents[at + 2], extents[at + 3]
 
 
 @inlined
-def _place(view: View, body: MotionBody, motion: Motion, k: int) -> None:
+def place(view: View, body: MotionBody, motion: Motion, k: int) -> None:
     """All solids at sample `k`."""
     if motion.placed[k] != 0:
         return
     motion.placed[k] = 1
     joint_frames(body.origin, body.revolute, motion.q[k], motion.joints[1:])
-    out = _POSE * view.solids * k
+    out = POSE * view.solids * k
     for i in range(view.solids):
-        joint, mount = _POSE * view.carrier[i], _POSE * i
-        turn = _turn(view.joints, joint)
+        joint, mount = POSE * view.carrier[i], POSE * i
+        turn = turn_of(view.joints, joint)
         for c in range(4):
             x, y, z = turned(turn, (view.pose[mount + c], view.pose[mount + 4 + c], view.pose[mount + 8 + c]))
             if c == 3:
@@ -297,13 +300,13 @@ def _sag(view: View, subject: int, node: int, first: int, last: int) -> float:
 @inlined
 def _along(n: Vector, frames: Pointer, at: int, core: Extents, other: Pointer, where: int, shift: Vector) -> float:
     """The smallest n * x of a core, with `n` given in the frame `other[where]` and x seen from its displaced origin."""
-    n0, n1, n2 = turned(_turn(other, where), n)
+    n0, n1, n2 = turned(turn_of(other, where), n)
     x = frames[at + 3] - other[where + 3] - shift[0]
     y = frames[at + 7] - other[where + 7] - shift[1]
     z = frames[at + 11] - other[where + 11] - shift[2]
     along = n0 * x + n1 * y + n2 * z
     if core[0] + core[1] + core[2] + core[3] > 0.0:
-        along -= core_reach(turned_back(_turn(frames, at), (-n0, -n1, -n2)), core)
+        along -= core_reach(turned_back(turn_of(frames, at), (-n0, -n1, -n2)), core)
     return along
 
 
@@ -317,7 +320,7 @@ def _apart(
 
     Their frames start at `frames[a]`, `others[oa]` and so on, and the other one is displaced besides.
     """
-    turn = _turn(others, om)
+    turn = turn_of(others, om)
     x = frames[m + 3] - others[om + 3] - middle[0]
     y = frames[m + 7] - others[om + 7] - middle[1]
     z = frames[m + 11] - others[om + 11] - middle[2]
@@ -335,7 +338,7 @@ def _apart(
         else:
             if core[0] + core[1] + core[2] + core[3] == 0.0:
                 return least
-            mine = _turn(frames, m)
+            mine = turn_of(frames, m)
             u0, u1, u2 = turned_back(turn, (mine[0], mine[3], mine[6]))
             v0, v1, v2 = turned_back(turn, (mine[1], mine[4], mine[7]))
             w0, w1, w2 = turned_back(turn, (mine[2], mine[5], mine[8]))
@@ -366,11 +369,11 @@ def _against_world(
 
     Obstacles are numbered as rows of the world, and then the movers.
     """
-    size = _POSE * view.solids
+    size = POSE * view.solids
     ball = view.parts + link
-    fa, fm, fb = size * a + _POSE * ball, size * m + _POSE * ball, size * b + _POSE * ball
+    fa, fm, fb = size * a + POSE * ball, size * m + POSE * ball, size * b + POSE * ball
     f = view.frames
-    radius = view.extents[_EXTENTS * ball + 4]
+    radius = view.extents[EXTENTS * ball + 4]
     wide = radius + sag + clearance
     x0, x1 = min(f[fa + 3], f[fm + 3], f[fb + 3]) - wide, max(f[fa + 3], f[fm + 3], f[fb + 3]) + wide
     y0, y1 = min(f[fa + 7], f[fm + 7], f[fb + 7]) - wide, max(f[fa + 7], f[fm + 7], f[fb + 7]) + wide
@@ -415,17 +418,17 @@ def _against_world(
                 continue
         if sag > COARSE and b > a + 1:
             return -math.inf, 0, 0
-        other = _extents(extents, which)
-        less = extents[_EXTENTS * which + 4] + sag + growth
-        at = _POSE * which
+        other = extents_of(extents, which)
+        less = extents[EXTENTS * which + 4] + sag + growth
+        at = POSE * which
         far = lowest + less + radius
         if _apart(f, fa, fm, fb, point, others, at, at, at, other, early, middle, late, far) >= far:
             continue
         for i in range(view.first[link], view.first[link + 1]):
-            part = _POSE * i
-            away = less + view.extents[_EXTENTS * i + 4]
+            part = POSE * i
+            away = less + view.extents[EXTENTS * i + 4]
             lower = _apart(
-                f, size * a + part, size * m + part, size * b + part, _extents(view.extents, i),
+                f, size * a + part, size * m + part, size * b + part, extents_of(view.extents, i),
                 others, at, at, at, other, early, middle, late, margin + away,
             ) - away  # fmt: skip
             if lower < margin:
@@ -439,7 +442,7 @@ def _against_link(
     view: View, one: int, other: int, a: int, m: int, b: int, sag: float, margin: float, clearance: float
 ) -> tuple[float, int, int]:
     """The same of two links; a part of `other` is -1 minus its index. Here -1 minus `view.parts` is its ball."""
-    size = _POSE * view.solids
+    size = POSE * view.solids
     fa, fm, fb = size * a, size * m, size * b
     f, e = view.frames, view.extents
     still = (0.0, 0.0, 0.0)
@@ -448,16 +451,16 @@ def _against_link(
     for i in range(view.first[one] - 1, view.first[one + 1]):
         whole = i < view.first[one]
         mine = ball if whole else i
-        p = _POSE * mine
-        core = _extents(e, mine)
+        p = POSE * mine
+        core = extents_of(e, mine)
         for j in range(view.first[other] - 1, view.first[other + 1]):
             hull = j < view.first[other]
             his = around if hull else j
-            o = _POSE * his
-            away = sag + e[_EXTENTS * mine + 4] + e[_EXTENTS * his + 4]
+            o = POSE * his
+            away = sag + e[EXTENTS * mine + 4] + e[EXTENTS * his + 4]
             need = away + (lowest if whole or hull else margin)
             lower = _apart(
-                f, fa + p, fm + p, fb + p, core, f, fa + o, fm + o, fb + o, _extents(e, his), still, still, still, need
+                f, fa + p, fm + p, fb + p, core, f, fa + o, fm + o, fb + o, extents_of(e, his), still, still, still, need
             ) - away  # fmt: skip
             if hull and lower >= lowest:
                 if whole:
@@ -491,7 +494,7 @@ def first_contact(
     what is proven to be clear up to there, at most `clearance`, which is not below `margin`. `standing` are the world's
     shapes, of which only those that are `alive` (n,) count.
     """
-    view = _view(body, world, standing, alive, movers, motion)
+    view = view_of(body, world, standing, alive, movers, motion)
     until, part, near = motion.q.shape[0] - 1, 0, 0
     stack = np.empty((64, 3), np.int64)
     for subject in range(body.asked.shape[0]):
@@ -509,9 +512,9 @@ def first_contact(
                 sag = max(_sag(view, subject, 2 * node, a, m), _sag(view, subject, 2 * node + 1, m, b))
             else:
                 sag = _sag(view, subject, node, a, b)
-            _place(view, body, motion, a)
-            _place(view, body, motion, m)
-            _place(view, body, motion, b)
+            place(view, body, motion, a)
+            place(view, body, motion, m)
+            place(view, body, motion, b)
             if subject < view.links:
                 lower, i, other = _against_world(view, subject, a, m, b, sag, margin, clearance)
             else:
