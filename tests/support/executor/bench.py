@@ -13,6 +13,7 @@ from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
 from zarm_contract.robot import RobotDescriptor
 from zarm_executor.goal import Chunk, Goal
+from zarm_executor.guard import Guard
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Progress, Steerable
@@ -84,6 +85,9 @@ class Arm(Steerable):
     def joint_state(self) -> Measured | None:
         return self.disturb(self.exact)
 
+    def braking_from(self) -> tuple[float, float]:
+        return self.follower.time, self.follower.speed
+
     def progress(self) -> Progress:
         return Progress(self.follower.time, self.follower.speed, self.follower.position, self.follower.finished)
 
@@ -97,7 +101,7 @@ class Bench:
     robot: RobotDescriptor = ROBOT.descriptor
 
     def __post_init__(self) -> None:
-        self.machine = Machine(self.arm, TICK)
+        self.machine = Machine(self.arm, TICK, Guard(self.robot))
         self.positions: list[Array] = []
         self.machine.tick(self.now)
 
