@@ -140,6 +140,7 @@ class Handlers:
             scene_revision=revision,
             trajectory=trajectory.message(model.robot.descriptor.joints),
             tip=pose_of(model.fk_tip(trajectory.position[-1])),
+            selected_goal_index=verified.goal_pose,
             clearance=verified.clearance,
             resolution=RESOLUTION,
             waypoint_times=verified.waypoint_times,

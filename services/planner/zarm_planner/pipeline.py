@@ -27,11 +27,15 @@ _FASTEST_ONLY = 2
 
 @dataclass(frozen=True)
 class Verified:
-    """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s."""
+    """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s.
+
+    `goal_pose` says which pose of its goal it reaches, where that has any.
+    """
 
     trajectory: TimedTrajectory
     clearance: float
     waypoint_times: tuple[float, ...]
+    goal_pose: int | None
 
 
 def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal) -> Verified:
@@ -95,13 +99,15 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
 def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and what the deadline raises."""
     goals, limits, check = problem.goals, context.limits, context.deadline.check
-    goal = goals[np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
-    clearance = verify(trajectory, problem.start.asked, goal, limits, context.exact, check, problem.constraint)
-    if not isinstance(problem.goal, WaypointsGoal):
-        return Verified(trajectory, clearance, ())
-    waypoints = [ends[0].asked for ends in problem.targets]  # all ends of one lead to the same pose of the tip
-    tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
-    return Verified(trajectory, clearance, passing_times(context.model, trajectory, waypoints, *tolerances))
+    end = problem.targets[-1][np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
+    clearance = verify(trajectory, problem.start.asked, end.asked, limits, context.exact, check, problem.constraint)
+    times: tuple[float, ...] = ()
+    if isinstance(problem.goal, WaypointsGoal):
+        # All ends that reach one pose are the same waypoint.
+        waypoints = [np.array([*{end.pose: end.asked for end in ends}.values()]) for ends in problem.targets]
+        tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
+        times = passing_times(context.model, trajectory, waypoints, *tolerances)
+    return Verified(trajectory, clearance, times, end.pose)
 
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:

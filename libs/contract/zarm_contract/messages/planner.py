@@ -22,11 +22,20 @@ from zarm_contract.messages.scene import SceneRevision
 
 
 class PoseGoal(Message):
-    """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`."""
+    """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
+
+    With `alternatives` it is a goal set: the planner goes to that of all these poses that it reaches in the shortest time.
+    """
 
     kind: Literal["pose"]
     position: Vector3
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    alternatives: tuple[Pose, ...] = Field(default=(), max_length=63)
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """All poses of the set: its own, then the alternatives."""
+        return (Pose(position=self.position, orientation=self.orientation), *self.alternatives)
 
 
 class JointGoal(Message):
@@ -115,7 +124,9 @@ class Plan(Message):
 
     `clearance` (m) is the smallest exact distance of the timed trajectory to the scene and of the robot to itself, at most
     1 m. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
-    passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
+    passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
+    says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
+    It is left out where the motion ends at a joint goal.
     """
 
     plan_id: Name
@@ -124,6 +135,7 @@ class Plan(Message):
     scene_revision: SceneRevision
     trajectory: Trajectory
     tip: Pose
+    selected_goal_index: Annotated[int, Field(ge=0)] | None = None
     clearance: float
     resolution: Positive
     waypoint_times: tuple[NonNegative, ...] = ()

@@ -47,8 +47,6 @@ class PlanningProblem:
         for field, target in through.items():
             targets.append(goal_ends(context, start, target, field, constraint))
             start = targets[-1][0].asked
-            if constraint is not None:
-                constraint.check_goal(model.fk_tip(start), field)
         return cls(begin, tuple(targets), goal, constraint)
 
     @property

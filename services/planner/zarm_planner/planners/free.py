@@ -60,7 +60,7 @@ class FreePlanner(Planner):
 
 
 def _route(context: PlanningContext, problem: PlanningProblem) -> Route | None:
-    return find_route(_FreePaths(context), problem, context.model.velocity)
+    return find_route(_FreePaths(context), problem, context.limits)
 
 
 def _smooth(context: PlanningContext, route: Route) -> TimedTrajectory:
