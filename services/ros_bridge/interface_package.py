@@ -45,8 +45,18 @@ KINDS = {".msg": convert_msg_to_idl, ".srv": convert_srv_to_idl, ".action": conv
 ENTRY_POINT = "rosidl_typesupport_c"
 """The one type support that rclpy loads."""
 _GENERATORS = ("adapter", "generator-c", "generator-py", "parser", "typesupport-c", "typesupport-fastrtps-c")
-_IMPLIED = ("action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs")  # in every service and action
-_RUNTIME = ("rosidl_runtime_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_fastrtps_cpp")
+_IMPLIED = (
+    "action_msgs",
+    "builtin_interfaces",
+    "service_msgs",
+    "unique_identifier_msgs",
+)  # in every service and action
+_RUNTIME = (
+    "rosidl_runtime_c",
+    "rosidl_typesupport_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_fastrtps_cpp",
+)
 _PARTS = ("rosidl_generator_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c", "rosidl_generator_py")
 
 Progress = Callable[[int, int, str], None]
@@ -336,7 +346,9 @@ def _assemble(package: str, jobs: Sequence[_Job], tree: Path) -> None:
         objects = [job.folder / name for job in jobs for name in ("interface.o", "type_support.o")]
         _link(package, [source.with_suffix(".o"), *objects], _packages_of(jobs) - {package}, tree)
     index = tree / "share" / "ament_index" / "resource_index"
-    places = sorted(f"{job.definition.place.with_suffix(end)}" for job in jobs for end in (".idl", job.definition.path.suffix))
+    places = sorted(
+        f"{job.definition.place.with_suffix(end)}" for job in jobs for end in (".idl", job.definition.path.suffix)
+    )
     for resource, text in (("packages", ""), ("rosidl_interfaces", "\n".join(places))):
         (index / resource).mkdir(parents=True, exist_ok=True)
         (index / resource / package).write_text(text)
