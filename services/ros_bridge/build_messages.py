@@ -41,7 +41,7 @@ def _arguments() -> argparse.Namespace:
         type=Path,
         nargs="*",
         default=(),
-        help="folders of other packages; what the messages refer to is built from their definitions",
+        help="folders of other packages with definitions, as nav2_msgs, to be built as well",
     )
     return parser.parse_args()
 
@@ -73,7 +73,6 @@ def main() -> None:
     title = f"{PACKAGE}, generation {generation.upper()}"
     try:
         tree, left_out = build(
-            PACKAGE,
             definitions,
             arguments.cache,
             lambda done, total, name: _say(f"{title}: built {done} of {total} ({name.removeprefix(f'{PACKAGE}/')})"),

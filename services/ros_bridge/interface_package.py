@@ -103,10 +103,8 @@ class _Job:
     folder: Path
 
 
-def build(
-    package: str, definitions: Iterable[Definition], cache: Path, progress: Progress
-) -> tuple[Path, dict[str, str]]:
-    """Build those of `package` among the definitions, and what they refer to in others of them.
+def build(definitions: Iterable[Definition], cache: Path, progress: Progress) -> tuple[Path, dict[str, str]]:
+    """Build the definitions, of one package or of several of which none refers to one before it.
 
     Returns a folder in `cache` laid out like an installation prefix, and the definitions that are left out: each one's
     name, and the package that it refers to and nobody has. Raises CalledProcessError where a compiler fails.
@@ -115,21 +113,19 @@ def build(
     left_out: dict[str, str] = {}
     wanted: dict[str, tuple[Definition, ...]] = {}
     for one in known.values():
-        if one.package == package:
-            closure = _closure(one, known)
-            if lacking := _lacking(closure, known):
-                left_out[one.name] = lacking
-            else:
-                wanted.update({need.name: _closure(need, known) for need in closure})
+        closure = _closure(one, known)
+        if lacking := _lacking(closure, known):
+            left_out[one.name] = lacking
+        else:
+            wanted[one.name] = closure
     tools = _tools()
     jobs = [_job(known[name], needs, cache, tools) for name, needs in wanted.items()]
     _compile(jobs, progress)
     tree = cache / "packages" / _digest(*sorted(job.folder.name for job in jobs), *left_out)
     if not tree.exists():
         with _made(tree) as folder:
-            packages = dict.fromkeys(job.definition.package for job in jobs)
-            for one in sorted(packages, key=lambda one: one == package):  # the one that refers to the others at last
-                _assemble(one, [job for job in jobs if job.definition.package == one], folder)
+            for package in reversed(dict.fromkeys(job.definition.package for job in jobs)):
+                _assemble(package, [job for job in jobs if job.definition.package == package], folder)
     return tree, left_out
 
 
