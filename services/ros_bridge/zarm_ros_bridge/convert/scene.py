@@ -16,8 +16,9 @@ from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.poses import pose_of
 
 if TYPE_CHECKING:
-    from curobo_msgs.srv import AddObject
     from nav2_msgs.msg import VoxelGrid
+
+    from curobo_msgs.srv import AddObject
 
 MOST_VOXELS = 4_000_000
 """In one box, which is a message of four times as many bytes."""
