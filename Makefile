@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 PINNED := pyproject.toml constraints.txt
 BRIDGE := services/ros_bridge
-MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/curobo_msgs/,*.* srv/*.srv action/*.action))
+MESSAGES ?= b
 
 REQUIREMENTS := deploy/requirements
 
@@ -39,7 +39,9 @@ test-deploy: $(VENV)/.dev
 	@docker image ls --filter reference='zarm-*:test'
 	@$(BIN)/pytest tests/deploy
 
-ros: $(VENV)/.ros
+# The bridge with a generation of its messages, `make ros MESSAGES=a`; what was built before is taken from a cache.
+ros: $(VENV)/.ros_packages | $(VENV)/.planner
+	@$(BIN)/python $(BRIDGE)/build_messages.py $(MESSAGES)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check
@@ -98,12 +100,6 @@ $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	@echo "installing ROS 2 into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e ".[ros,ros-messages]" || { echo "The ROS bridge is left out: pip finds no packages of ROS 2 \
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
-	@touch $@
-
-# The messages take minutes to build, so pyproject.toml, which often changes, is no reason to.
-$(VENV)/.ros: constraints.txt $(MESSAGES) | $(VENV)/.ros_packages
-	@echo "building the messages of the ROS bridge, once; takes minutes ..."
-	@$(BIN)/python $(BRIDGE)/build_messages.py
 	@touch $@
 
 # The planner's compiled kernels are kept between runs; this is the one time that they are waited for.

@@ -202,7 +202,7 @@ def test_a_goal_whose_client_is_killed_goes_on_and_anybody_can_cancel_it(zarm: Z
     zarm.robot.plan(speed=0.15)
     with subprocess.Popen([sys.executable, "-c", CLIENT], stdout=subprocess.PIPE, text=True) as client:
         assert client.stdout is not None
-        assert any(line.strip() == "running" for line in client.stdout)
+        assert any(line.strip() == "EXECUTING" for line in client.stdout)
         client.kill()
     executor_goal = zarm.executor_goal()
     cancel = zarm.node.create_client(CancelGoal, "/unified_planner/execute_trajectory/_action/cancel_goal")

@@ -93,6 +93,7 @@ def _print_status(
         rows += _state_rows(state)
     if scene is not None:
         rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
+    rows += [(service, health.note) for service, health in services.items() if health is not None and health.note]
     table = records(columns, [_service_row(service, health) for service, health in services.items()])
     out.print(facts(*rows), "", table, sep="\n")
 

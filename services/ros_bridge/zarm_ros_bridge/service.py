@@ -7,12 +7,17 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from zarm_contract.errors import InvalidRequest
+from zarm_ros_bridge.additions import Additions
+from zarm_ros_bridge.availability import Availability
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.execution import ExecutionActions
 from zarm_ros_bridge.faults import Faults
+from zarm_ros_bridge.generations.c import GenerationC
+from zarm_ros_bridge.generations.installed import installed
 from zarm_ros_bridge.kinematics import Kinematics
+from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.replies import insist
@@ -34,6 +39,8 @@ WORKERS = 16
 def start(service: Service) -> Iterator[None]:
     """The node of one robot, and beside it the one that serves `set_robot_strategy` by its first type."""
     namespace = _namespace(service)
+    generation = installed()
+    service.note = str(generation)
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"_{NODE}_v1", namespace, workers=2) as first,
@@ -46,18 +53,26 @@ def start(service: Service) -> Iterator[None]:
             bus, service.keys, service.robot, Terms(ros.node.get_fully_qualified_name(), service.keys, params)
         )
         parameters = Parameters(ros.node, engine)
+        motions = Motions(engine, parameters)
         colours: dict[str, Colour] = {}
-        Planning(ros, engine, parameters)
-        Kinematics(ros, engine)
+        Planning(ros, engine, parameters, motions, generation)
+        Kinematics(ros, engine, generation)
         Faults(ros, engine)
-        SceneServices(ros, engine, parameters, colours)
+        SceneServices(ros, engine, parameters, colours, generation)
         if params is not None:
             Drivers(ros, engine, params)
         WorldFile(engine, parameters)
+        additions = isinstance(generation, GenerationC)
+        topics = Topics(ros, engine, colours, obstacles=("~/obstacles", "~/scene_obstacles")[: 1 + additions])
+        if additions:
+            Additions(ros, engine, motions, topics.show_spheres)
+        else:
+            topics.show_spheres(True)
         with (
-            Topics(ros, engine, colours),
-            StrategyServices(ros, first, engine, parameters),
-            ExecutionActions(ros, engine, parameters),
+            topics,
+            StrategyServices(ros, first, engine, parameters, generation),
+            ExecutionActions(ros, engine, parameters, motions, generation),
+            Availability(engine, parameters),
         ):
             ros.spin()
             first.spin()

@@ -304,7 +304,7 @@ def _along(n: Vector, frames: Pointer, at: int, core: Extents, other: Pointer, w
     x = frames[at + 3] - other[where + 3] - shift[0]
     y = frames[at + 7] - other[where + 7] - shift[1]
     z = frames[at + 11] - other[where + 11] - shift[2]
-    along = n0 * x + n1 * y + n2 * z
+    along: float = n0 * x + n1 * y + n2 * z
     if core[0] + core[1] + core[2] + core[3] > 0.0:
         along -= core_reach(turned_back(turn_of(frames, at), (-n0, -n1, -n2)), core)
     return along
