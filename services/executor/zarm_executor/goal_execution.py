@@ -26,6 +26,7 @@ class GoalExecution:
         self._strategy = strategy
         self._changes = changes
         self._seen = True
+        self._failures: list[ExecutionFailed] = []
         if goal.chunk is not None:
             self._steerable()
 
@@ -41,6 +42,11 @@ class GoalExecution:
         self.goal.outcome = outcome
         self._strategy.stop()
         self._become("stopping")
+
+    def fail(self, failure: ExecutionFailed) -> None:
+        """Bring the robot to rest, where the goal ends in a fault."""
+        self._failures.append(failure)
+        self.end(Outcome.fault_of(self._failures, self.goal.monitor.faults))
 
     def pause(self) -> None:
         """Bring the robot to rest and hold it; nothing where the goal ends."""
@@ -126,7 +132,7 @@ class GoalExecution:
             else:
                 goal.held_until = now
         except ExecutionFailed as failure:
-            self.end(Outcome.fault_of(failure))
+            self.fail(failure)
         if goal.moving or goal.status == "paused":
             return None
         return self._come_to_rest(now, progress, measured)
@@ -144,19 +150,11 @@ class GoalExecution:
             if not self.goal.monitor.at_rest(now, progress, measured):
                 return None
         except ExecutionFailed as failure:
-            return self._give_up(failure)
+            self.fail(failure)  # the robot had its time to stop; the strategy goes on telling it to
         if self.goal.outcome is not None:
             return self._finish(self.goal.outcome)
         self._become("paused")
         return None
-
-    def _give_up(self, failure: ExecutionFailed) -> Outcome:
-        """The robot had its time to stop. The strategy goes on telling it to."""
-        first, problem = self.goal.outcome, failure.problem
-        if first is not None and first.problem is not None and first.fault:
-            problem = first.problem.model_copy(update={"message": f"{first.problem.message}; and {problem.message}"})
-        self.end(Outcome.fault_of(failure))
-        return self._finish(Outcome("aborted", problem, fault=True))
 
     def _finish(self, outcome: Outcome) -> Outcome:
         self.goal.outcome = outcome

@@ -61,6 +61,14 @@ def test_a_position_alone_keeps_the_orientation_of_the_tool(up: Up, empty_scene:
     assert cosine == pytest.approx(1.0, abs=1e-4)
 
 
+def test_of_several_poses_with_any_the_quickest_to_reach_is_planned_to(up: Up, empty_scene: None) -> None:
+    poses = ("--to", f"-0.4,-0.4,0.5,{DOWN}", "--to", f"5,0,0.5,{DOWN}", "--to", f"0.5,0.2,0.5,{DOWN}")
+    plan = data(up, "plan", *poses, "--any", "--start", vector(HOME))
+    assert plan["selected_goal_index"] == 2
+    assert plan["tip"]["position"] == pytest.approx([0.5, 0.2, 0.5], abs=1e-3)
+    assert "--to number 2 of 3" in done(up, "plan", *poses, "--any", "--start", vector(HOME))
+
+
 def test_plan_takes_start_timeout_and_velocity_scale(up: Up, empty_scene: None) -> None:
     arguments = ("plan", "--start", vector(HOME), "--joints", near_home(-0.4), "--timeout", "3")
     fast, slow = data(up, *arguments), data(up, *arguments, "--velocity-scale", "0.2")

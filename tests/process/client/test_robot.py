@@ -96,6 +96,16 @@ def test_what_cannot_be_is_an_error_of_zarm_that_names_the_field(make: object, f
     assert refused.value.problem.field == field
 
 
+def test_of_several_poses_the_one_that_is_quickest_to_reach_is_planned_to(robot: zarm.Robot) -> None:
+    there, near = robot.fk([ELSEWHERE, [(a + 3 * b) / 4 for a, b in zip(ELSEWHERE, HOME, strict=True)]])
+    plan = robot.plan(zarm.AnyOf(zarm.Pose((5.0, 0.0, 0.5)), there, near), start=HOME)
+    assert plan.selected_goal_index == 2
+    assert plan.tip.position == pytest.approx(near.position, abs=1e-5)
+    through = robot.plan(zarm.Waypoints(zarm.AnyOf(there, near), HOME), start=HOME)
+    assert len(through.waypoint_times) == 2
+    assert through.selected_goal_index is None
+
+
 def test_what_a_service_refuses_is_the_error_that_it_stands_for(robot: zarm.Robot) -> None:
     with pytest.raises(zarm.PlanningFailed):
         robot.plan(zarm.Pose((5.0, 0.0, 0.5)))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -63,7 +64,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
             trajectory = within(partial(fastest.sample, dt=dt), limits)
             if trajectory.duration < sum(edge.duration for edge in edges):
                 return trajectory
-    return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
+    return joined([within(partial(edge.sample, dt=dt), limits) for edge in edges])
 
 
 def _distinct(path: Array) -> Array:
@@ -205,8 +206,8 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
     return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
 
 
-def _join(trajectories: list[TimedTrajectory]) -> TimedTrajectory:
-    """Motions from rest to rest, one after the other."""
+def joined(trajectories: Sequence[TimedTrajectory]) -> TimedTrajectory:
+    """Motions, each of which begins at rest where the one before came to rest, one after the other."""
     starts = np.cumsum([0.0, *(trajectory.duration for trajectory in trajectories[:-1])])
     first, *rest = trajectories
     return TimedTrajectory(
