@@ -13,6 +13,9 @@ from zarm_contract.messages.executor import (
     ExecutorState,
     GoalState,
     GoalStatus,
+    GoalTrajectory,
+    Hold,
+    Obstruction,
     RobotMode,
     Speed,
     SpeedRequest,
@@ -90,6 +93,7 @@ from zarm_contract.messages.scene import (
     Voxels,
 )
 from zarm_contract.messages.service import Health, Nothing, Requester
+from zarm_contract.messages.servo import Authority, ServoState
 
 __all__ = [
     "MAX_ATTACHED",
@@ -101,6 +105,7 @@ __all__ = [
     "AddObjects",
     "AttachObject",
     "Attached",
+    "Authority",
     "CancelPlan",
     "CancelRequest",
     "CancelledPlan",
@@ -123,7 +128,9 @@ __all__ = [
     "Goal",
     "GoalState",
     "GoalStatus",
+    "GoalTrajectory",
     "Health",
+    "Hold",
     "IkRequest",
     "IkSolutions",
     "JointGoal",
@@ -136,6 +143,7 @@ __all__ = [
     "Name",
     "NonNegative",
     "Nothing",
+    "Obstruction",
     "Occupancy",
     "OccupancyRequest",
     "PathConstraint",
@@ -159,6 +167,7 @@ __all__ = [
     "SceneEdited",
     "SceneObject",
     "SceneRevision",
+    "ServoState",
     "SetLinkCollision",
     "SettingsChange",
     "Speed",

@@ -19,12 +19,15 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from toppra import SplineInterpolator
-from toppra.algorithm import TOPPRA
-from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.timing.sampling import sample_times, within
+from zarm_planner.timing.toppra_without_plots import (
+    TOPPRA,
+    JointAccelerationConstraint,
+    JointVelocityConstraint,
+    SplineInterpolator,
+)
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
