@@ -41,7 +41,7 @@ def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
 
 
 def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple[LeadIn, End]:
-    """A way to brake from `state` (3, dof), verified, and where it comes to rest; with `vias` as gently as `smooth_path` then is.
+    """A way to brake from `state` (3, dof), verified, and where it comes to rest; `vias` as in `ways_to_rest`.
 
     Raises PlanningFailed (`start_in_collision`, and `no_path` where every braking that is tried breaks a limit or hits something).
     """
