@@ -45,7 +45,7 @@ def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple
 
     Raises PlanningFailed (`start_in_collision`, and `no_path` where every braking that is tried breaks a limit or hits something).
     """
-    check_start(context, state[0])
+    check_start(context, state[0], "start_state")
     failure: VerificationFailed | None = None
     ways = ways_to_rest(context.model, context.world, state, context.limits, context.dt, vias=vias, seed=context.seed)
     for lead_in in ways:
