@@ -103,10 +103,11 @@ $(VENV)/.ros: constraints.txt $(MESSAGES) | $(VENV)/.ros_packages
 	@$(BIN)/python $(BRIDGE)/build_messages.py
 	@touch $@
 
-# The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
+# The compiled kernels of planner and servo are kept between runs; this is the one time that they are waited for.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
-	@echo "compiling the planner's kernels, once ..."
+	@echo "compiling the kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
+	@$(BIN)/python -m zarm_servo.warm_up
 	@touch $@
 
 $(BIN)/python:

@@ -125,6 +125,14 @@ class ExecutionSettings(_Section):
     progress_timeout: Positive = 1.0
     """How long the driver of a moving robot may stay at one point of its path (s)."""
 
+    guard: Literal["optional", "required"] = "optional"
+    """Whether a servo must guard every motion. `required`: without one none starts, and one that runs is held. `optional`: it moves
+    unguarded."""
+    guard_timeout: Annotated[float, Field(ge=0.2)] = 0.5
+    """How long the servo may be silent before it is taken to be gone (s)."""
+    obstruction_timeout: NonNegative = 30.0
+    """How long a goal that is held waits before it is given up (s)."""
+
     @property
     def control_period(self) -> float:
         """Time between two ticks of the control loop, s."""

@@ -50,6 +50,10 @@ class GhostOnly(Strategy):
         """Where the robot stands."""
         return self._robot.measured
 
+    def braking_from(self) -> tuple[float, float]:
+        """It stands."""
+        return 0.0, 0.0
+
     def progress(self) -> Progress:
         """No motion: at its end from the beginning."""
         return Progress(time=0.0, speed=0.0, command=self._robot.measured.position, finished=True)
