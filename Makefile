@@ -103,10 +103,11 @@ $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
 	@touch $@
 
-# The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
+# The compiled kernels of planner and servo are kept between runs; this is the one time that they are waited for.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
-	@echo "compiling the planner's kernels, once ..."
+	@echo "compiling the kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
+	@$(BIN)/python -m zarm_servo.warm_up
 	@touch $@
 
 $(BIN)/python:
