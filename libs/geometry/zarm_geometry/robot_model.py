@@ -130,8 +130,10 @@ class RobotModel:
         offset = np.append(np.repeat(np.eye(4)[None], self.dof, axis=0), self.offset[-1:], axis=0)
         frames(self.origin, self.revolute, joint, offset, np.array(q, np.float64, ndmin=2), out)
         axes, arms = out[0, :-1, :3, 2], out[0, -1, :3, 3] - out[0, :-1, :3, 3]
-        turning = self.revolute[:, None]
-        return np.hstack((np.where(turning, np.cross(axes, arms), axes), np.where(turning, axes, 0.0))).T
+        (a, b, c), (x, y, z) = axes.T, arms.T
+        turning = (b * z - c * y, c * x - a * z, a * y - b * x, a, b, c)
+        sliding = (a, b, c, 0 * a, 0 * b, 0 * c)
+        return np.where(self.revolute, turning, sliding)
 
     def link_transforms(self, q: ArrayLike) -> Array:
         """The poses (..., len(links), 4, 4) of `links` for joints (..., dof)."""

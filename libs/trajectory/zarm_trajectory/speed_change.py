@@ -44,28 +44,27 @@ class SpeedChange:
         missing = wanted - velocity - (acceleration + peak) / 2 * rise - peak / 2 * fall
         level = np.where(height > acceleration_limit, missing / np.where(peak == 0.0, 1.0, peak), 0.0)
         jerks = np.array((sign * jerk_limit, np.zeros_like(sign), -sign * jerk_limit, np.zeros_like(sign)))
-        states = np.empty((4, 3, len(position)))
-        states[0] = position, velocity, acceleration
-        for k, span in enumerate((rise, np.maximum(level, 0.0), fall)):
-            states[k + 1] = _after(states[k], jerks[k], span)
-        states[3, 1], states[3, 2] = wanted, 0.0
-        return cls(np.cumsum((np.zeros_like(rise), rise, np.maximum(level, 0.0), fall), axis=0), states, jerks)
+        level = np.maximum(level, 0.0)
+        states = np.empty((3, 4, len(position)))
+        states[:, 0] = position, velocity, acceleration
+        for k, span in enumerate((rise, level, fall)):
+            states[:, k + 1] = _after(states[:, k], jerks[k], span)
+        states[1, 3], states[2, 3] = wanted, 0.0
+        return cls(np.cumsum((np.zeros_like(rise), rise, level, fall), axis=0), states, jerks)
 
     def sample(self, times: Array) -> Array:
         """Positions, velocities and accelerations (3, K, J) at `times` (K,) from 0 on."""
         phase = (np.asarray(times)[:, None, None] >= self._times[1:]).sum(axis=1)
         joint = np.arange(self._times.shape[1])
         since = np.asarray(times)[:, None] - self._times[phase, joint]
-        return _after(np.moveaxis(self._states[phase, :, joint], 2, 0), self._jerks[phase, joint], since)
+        return np.array(_after(self._states[:, phase, joint], self._jerks[phase, joint], since))
 
 
-def _after(state: Array, jerk: Array, time: Array) -> Array:
+def _after(state: Array, jerk: Array, time: Array) -> tuple[Array, Array, Array]:
     """The state (3, ...) after some time with a constant jerk."""
     position, velocity, acceleration = state
-    return np.stack(
-        (
-            position + time * (velocity + time * (acceleration / 2 + time * jerk / 6)),
-            velocity + time * (acceleration + time * jerk / 2),
-            acceleration + time * jerk,
-        )
+    return (
+        position + time * (velocity + time * (acceleration / 2 + time * jerk / 6)),
+        velocity + time * (acceleration + time * jerk / 2),
+        acceleration + time * jerk,
     )
