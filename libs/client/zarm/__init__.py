@@ -28,6 +28,7 @@ from zarm.robot import Robot
 from zarm.scene import Scene
 from zarm.streaming import Stream
 from zarm.values import (
+    AnyOf,
     Axis,
     Capsule,
     Cuboid,
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from zarm import aio
 
 __all__ = [
+    "AnyOf",
     "Axis",
     "Busy",
     "Cancelled",

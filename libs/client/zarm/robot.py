@@ -109,7 +109,8 @@ class Robot:
         margin: float | None = None,
         seed: int = 0,
     ) -> Plan:
-        """A verified motion to a `zarm.Pose`, to joint positions (rad), or through `zarm.Waypoints`. Nothing moves.
+        """A verified motion to a `zarm.Pose`, to joint positions (rad), to `zarm.AnyOf` several poses, or through
+        `zarm.Waypoints`. Nothing moves.
 
         `start` are joint positions (rad), left out: the measured ones. `timeout` (s) is the deadline of the planning, and
         `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is found

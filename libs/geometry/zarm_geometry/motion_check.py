@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -13,8 +13,9 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, SceneObject, Vector3
 from zarm_geometry import rows
 from zarm_geometry.exact import obstacles, robot_parts, subjects
-from zarm_geometry.kernels.clearance import Obstacles, RobotParts
-from zarm_geometry.kernels.motion import Movers, first_contact, motion
+from zarm_geometry.kernels.clearance import Obstacles
+from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, first_contact, motion, motion_body, solids
+from zarm_geometry.kernels.nearby import GRADIENT, near
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World, convex_shapes
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 
 FARTHEST = 0.1
 """Clearance (m) beyond the margin that a verdict does not tell apart."""
+MOST_PAIRS = 64
+"""Rows of the world and pairs of links that are told apart near one configuration."""
 _OVERSHOOT = 1.01
 """Trajectories may accelerate by this factor more than the joints' limits say, as `zarm_trajectory.limits` has it."""
 
@@ -41,6 +44,19 @@ class MotionVerdict:
     object: str | None
     link: str | None
     clearance: float
+
+
+@dataclass(frozen=True)
+class NearPair:
+    """A link that is `distance` (m, below 0 where they overlap) from `object`, a scene object or another link.
+
+    `gradient` (dof,) in m/rad (m/m where prismatic): by how much each joint changes that.
+    """
+
+    distance: float
+    link: str
+    object: str
+    gradient: Array
 
 
 @dataclass(frozen=True)
@@ -63,13 +79,12 @@ class _Body:
     """A robot with what is attached to it, for the kernel."""
 
     model: RobotModel
-    parts: RobotParts
-    asked: NDArray[np.bool_]
+    packed: MotionBody
 
     @classmethod
     def of(cls, model: RobotModel) -> Self:
         parts, _ = robot_parts(model)
-        return cls(model, parts, subjects(model, parts))
+        return cls(model, motion_body(parts, subjects(model, parts)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +93,8 @@ class _Scene:
 
     world: World
     obstacles: Obstacles
-    alive: NDArray[np.bool_]
+    standing: Solids
+    alive: Flags
     changed: dict[str, Array] = field(default_factory=dict)
 
 
@@ -95,7 +111,7 @@ class MotionCheck:
 
     def set_world(self, world: World) -> None:
         """Check in this world from now on; its margin is not added to that of the checks."""
-        self._scene = _Scene(world, obstacles(world), np.ones(len(world.rows), np.bool_))
+        self._scene = _Scene(world, obstacles(world), solids(world.rows), np.ones(len(world.rows), np.uint8))
 
     def update(self, changed: Sequence[SceneObject], removed: Sequence[str] = ()) -> None:
         """Put objects into the world, in place of those of the same names, and take others out; unknown names do not matter.
@@ -105,10 +121,10 @@ class MotionCheck:
         scene = self._scene
         names = {item.name for item in changed} | set(removed)
         gone = [index for index, name in enumerate(scene.world.names) if name in names]
-        alive = scene.alive & ~np.isin(scene.world.owner, gone)
+        alive = np.where(np.isin(scene.world.owner, gone), np.uint8(0), scene.alive)
         others = {name: shapes for name, shapes in scene.changed.items() if name not in names}
         fresh = {item.name: convex_shapes([item], self._meshes)[0] for item in changed}
-        self._scene = _Scene(scene.world, scene.obstacles, alive, others | fresh)
+        self._scene = replace(scene, alive=alive, changed=others | fresh)
 
     def check(
         self,
@@ -125,11 +141,15 @@ class MotionCheck:
 
         `times` (N,) in s increase; `positions` (N, dof) in rad (m where prismatic). Between two samples a joint may do whatever
         its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: what is proven holds there, too, and so
-        samples that are 4 to 20 ms apart are best. Motions that are closer than the margin by 1 mm less than that may be called not
-        free. `attached` objects and `ignored_links` are as in the scene. Raises InvalidRequest for arrays that do not fit.
+        samples that are 4 to 20 ms apart are best. The further apart they are, the more a motion must keep beyond the margin to be
+        called free: at 6 rad/s^2 some 0.1 mm for 4 ms and 2 mm for 20 ms. `attached` objects and `ignored_links` are as in the scene. Raises InvalidRequest for arrays that do not fit.
         """
         time, q = np.array(times, np.float64, ndmin=1), np.array(positions, np.float64, order="C", ndmin=2)
-        if q.shape != (len(time), self.model.dof) or not (np.isfinite(time).all() and np.isfinite(q).all()):
+        if (
+            len(time) == 0
+            or q.shape != (len(time), self.model.dof)
+            or not (np.isfinite(time).all() and np.isfinite(q).all())
+        ):
             raise InvalidRequest(f"a motion needs a finite time and {self.model.dof} finite positions for each sample")
         if len(time) == 1:
             time, q = np.repeat(time, 2) + (0.0, 1e-6), np.repeat(q, 2, axis=0)
@@ -139,25 +159,47 @@ class MotionCheck:
         limit = _OVERSHOOT * self.model.acceleration if acceleration is None else np.asarray(acceleration, np.float64)
         names, movers = self._movers(scene, moving)
         until, part, other, clearance = first_contact(
-            body.parts,
+            body.packed,
             scene.obstacles,
+            scene.standing,
             scene.alive,
             movers,
-            body.asked,
-            motion(body.parts, time, q, limit),
+            motion(body.packed, time, q, limit),
             margin,
             margin + FARTHEST,
         )
         if until == len(time) - 1:
             return MotionVerdict(True, None, None, None, clearance)
-        link = body.model.links[body.model.parts[part][0]]
-        if other < 0:
-            near = body.model.links[body.model.parts[-1 - other][0]]
-        elif other < len(scene.alive):
-            near = scene.world.names[scene.world.owner[other]]
-        else:
-            near = names[other - len(scene.alive)]
-        return MotionVerdict(False, float(time[until]), near, link, clearance)
+        link, near_it = _names(body, scene, names, part, other)
+        return MotionVerdict(False, float(time[until]), near_it, link, clearance)
+
+    def nearby(
+        self,
+        position: ArrayLike,
+        *,
+        within: float,
+        time: float = 0.0,
+        attached: Sequence[Attached] = (),
+        ignored_links: Sequence[str] = (),
+        moving: Sequence[MovingObject] = (),
+    ) -> list[NearPair]:
+        """What is nearer than `within` (m) at `position` (dof,), nearest first: for each link and object, and each two links, once.
+
+        Of more than MOST_PAIRS the nearest count. `moving` objects are taken at `time` (s). Raises InvalidRequest.
+        """
+        q = np.array(position, np.float64, order="C")
+        if q.shape != (self.model.dof,) or not np.isfinite(q).all():
+            raise InvalidRequest(f"a configuration needs {self.model.dof} finite positions")
+        body, scene = self._body(tuple(attached), tuple(ignored_links)), self._scene
+        names, movers = self._movers(scene, moving)
+        standing = motion(body.packed, time + np.array((0.0, 1.0)), np.array((q, q)), np.zeros(self.model.dof))
+        found = np.empty((MOST_PAIRS, GRADIENT + self.model.dof))
+        count = near(body.packed, scene.obstacles, scene.standing, scene.alive, movers, standing, within, found)
+        pairs: dict[tuple[str, str], NearPair] = {}
+        for row in found[np.argsort(found[:count, 0])]:
+            link, other = _names(body, scene, names, int(row[1]), int(row[2]))
+            pairs.setdefault((link, other), NearPair(float(row[0]), link, other, row[GRADIENT:]))
+        return list(pairs.values())
 
     def _body(self, attached: tuple[Attached, ...], ignored_links: tuple[str, ...]) -> _Body:
         key = (attached, ignored_links)
@@ -176,8 +218,18 @@ class MotionCheck:
         state = np.repeat(np.array(states), counts, axis=0)
         shapes = np.concatenate(tables)
         return [name for name, count in zip(names, counts, strict=True) for _ in range(count)], Movers(
-            shapes, state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), *rows.bounds(shapes)
+            solids(shapes), state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), *rows.bounds(shapes)
         )
 
 
-_NONE = Movers(*(np.zeros(shape) for shape in ((0, rows.WIDTH), (0, 3), 0, 0, (0, 3), (0, 3))))
+def _names(body: _Body, scene: _Scene, movers: Sequence[str], part: int, other: int) -> tuple[str, str]:
+    """The link that a part is of, and what the kernels call `other`."""
+    link = body.model.links[body.model.parts[part][0]]
+    if other < 0:
+        return link, body.model.links[body.model.parts[-1 - other][0]]
+    if other < len(scene.alive):
+        return link, scene.world.names[scene.world.owner[other]]
+    return link, movers[other - len(scene.alive)]
+
+
+_NONE = Movers(solids(np.zeros((0, rows.WIDTH))), *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))))

@@ -12,7 +12,7 @@ import typer
 from zarm.robot import REST_SECONDS, Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
 from zarm_cli.output import SCENE_CHANGED, err, facts, out, print_json
-from zarm_cli.planning import JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
+from zarm_cli.planning import AnyOf, JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Speed
 from zarm_runtime.session import DEFAULT_ENDPOINT
@@ -20,6 +20,7 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 
 def execute(
     to: To = None,
+    any_of: AnyOf = False,
     joints_goal: JointsGoal = None,
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
     plan_id: Annotated[str | None, typer.Option(help="Id of a plan published on this bus.")] = None,
@@ -32,7 +33,7 @@ def execute(
     name: Name = None,
 ) -> None:
     """Move the robot along the last plan, a given one, or a new one (--to, --joints). Ctrl-C stops the robot."""
-    goal = None if not to and joints_goal is None else typed_goal(to, joints_goal)
+    goal = None if not to and joints_goal is None and not any_of else typed_goal(to, joints_goal, any_of)
     if [plan, plan_id, goal].count(None) < 2:
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
     if velocity_scale is not None and goal is None:

@@ -31,6 +31,7 @@ class GoalExecution:
         self._speed_scale = 1.0
         self._changes = changes
         self._seen = True
+        self._failures: list[ExecutionFailed] = []
         if goal.chunk is not None:
             self._steerable()
 
@@ -54,6 +55,11 @@ class GoalExecution:
         self.goal.outcome = outcome
         self._strategy.stop()
         self._become("stopping")
+
+    def fail(self, failure: ExecutionFailed) -> None:
+        """Bring the robot to rest, where the goal ends in a fault."""
+        self._failures.append(failure)
+        self.end(Outcome.fault_of(self._failures, self.goal.monitor.faults))
 
     def pause(self) -> None:
         """Bring the robot to rest and hold it; nothing where the goal ends."""
@@ -150,7 +156,7 @@ class GoalExecution:
             else:
                 goal.held_until = now
         except ExecutionFailed as failure:
-            self.end(Outcome.fault_of(failure))
+            self.fail(failure)
         if goal.moving or goal.status == "paused" or (goal.waits and goal.outcome is None and not goal.pausing):
             return None
         return self._come_to_rest(now, progress, measured)
@@ -168,7 +174,7 @@ class GoalExecution:
             if not self.goal.monitor.at_rest(now, progress, measured):
                 return None
         except ExecutionFailed as failure:
-            return self._give_up(failure)
+            self.fail(failure)  # the robot had its time to stop; the strategy goes on telling it to
         if self.goal.outcome is not None:
             return self._finish(self.goal.outcome)
         if self.goal.pausing:
@@ -248,14 +254,6 @@ class GoalExecution:
                 found.time,
                 found.avoidable,
             )
-
-    def _give_up(self, failure: ExecutionFailed) -> Outcome:
-        """The robot had its time to stop. The strategy goes on telling it to."""
-        first, problem = self.goal.outcome, failure.problem
-        if first is not None and first.problem is not None and first.fault:
-            problem = first.problem.model_copy(update={"message": f"{first.problem.message}; and {problem.message}"})
-        self.end(Outcome.fault_of(failure))
-        return self._finish(Outcome("aborted", problem, fault=True))
 
     def _finish(self, outcome: Outcome) -> Outcome:
         self.goal.outcome = outcome

@@ -164,4 +164,5 @@ def _log(event: str, *values: object, problem: Problem | None) -> None:
     if problem is None:
         log.info(event, *values)
     else:
-        log.info(f"{event} reason=%s", *values, f"{problem.code}: {problem.message}")
+        level = logging.INFO if problem.code == "cancelled" else logging.WARNING
+        log.log(level, f"{event} reason=%s", *values, f"{problem.code}: {problem.message}")

@@ -124,7 +124,8 @@ class ExecutionActions:
             run.ended.set()
 
     def _failed(self, run: Run, error: ZarmError) -> SendTrajectory.Result:
-        log.info("goal not reached reason=%s: %s", error.code, error)
+        level = logging.INFO if error.code == "cancelled" else logging.WARNING
+        log.log(level, "goal not reached reason=%s: %s", error.code, error)
         if error.code == "cancelled" and run.cancelled():
             run.handle.canceled()
         else:
@@ -183,7 +184,7 @@ class ExecutionActions:
         for state in run.follow(self._engine.client.start(request, timeout=ANSWER_SECONDS)):
             feedback.show(state)
         if state.problem is not None:
-            raise from_problem(state.problem)
+            raise self._engine.terms.of_error(from_problem(state.problem))
 
     def _plan(self, run: Run, target: Any) -> Plan:
         value = self._parameters.value

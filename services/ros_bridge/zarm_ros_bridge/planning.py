@@ -29,6 +29,8 @@ from zarm_ros_bridge.ros import Ros
 
 _WITHOUT_ENGINE = ("mpc",)
 """Planners that zarm does not have yet."""
+_FIELDS = {"start": "start_pose", "path_constraint": "trajectory_constraints"}
+"""Fields of a plan's request beside its goal, and what they are in TrajectoryGeneration."""
 _WAYS = 16
 """Joint solutions of a pose that are looked at."""
 
@@ -82,7 +84,7 @@ class Planning:
         try:
             return self._engine.client.request_plan(request)
         except ZarmError as error:
-            raise in_terms_of(error, {"goal.through": target, "goal": target, "start": "start_pose"}) from error
+            raise in_terms_of(error, {"goal.through": target, "goal": target} | _FIELDS) from error
 
     def _any_of(
         self, poses: tuple[Pose, ...], start: Positions | None, constraint: PathConstraint | None

@@ -61,7 +61,7 @@ class StrategyServices:
         response.previous_robot_strategy = response.current_robot_strategy = before
         self._switch(request.robot_strategy)
         response.current_robot_strategy = request.robot_strategy
-        return _switched(before, request.robot_strategy)
+        return _switched(before, request.robot_strategy) + self._fault()
 
     def _set_chosen(self, _: Any, __: Any) -> str:
         """Version 1: apply what robot_type says. Where that fails, robot_type goes back to what is active."""
@@ -72,12 +72,17 @@ class StrategyServices:
         except ZarmError:
             self._parameters.set("robot_type", self._type(self._active))
             raise
-        return _switched(before, chosen)
+        return _switched(before, chosen) + self._fault()
 
     def _get(self, _: Any, __: Any) -> str:
         active = self._engine.client.strategy().active
         known = self._type(active)
-        return f"Active strategy: '{active}'" + ("" if known == active else f" (robot_type '{known}')")
+        return f"Active strategy: '{active}'" + ("" if known == active else f" (robot_type '{known}')") + self._fault()
+
+    def _fault(self) -> str:
+        """What is to be said of a fault, where there is one, beside the strategy."""
+        problem = self._engine.client.state().problem
+        return "" if problem is None else f"; the robot is in fault: {self._engine.terms.of(problem.message)}"
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
         """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""
@@ -104,8 +109,7 @@ class StrategyServices:
         self._show()
 
     def _follow(self) -> None:
-        while not self._ended:
-            self._changed.wait()
+        while self._changed.wait() and not self._ended:
             self._changed.clear()
             try:
                 self._show()
