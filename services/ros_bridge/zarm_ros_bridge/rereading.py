@@ -32,8 +32,7 @@ def reread_robot(engine: Engine) -> str:
         )
     strategy = engine.client.strategy().active
     renewed = []
-    bus, keys = engine.client.connection.bus, engine.keys
-    there = [service for service in _WHERE_THERE if bus.alive(keys.alive(service, "*"))]
+    there = [service for service in _WHERE_THERE if engine.bus.alive(engine.keys.alive(service, "*"))]
     for service in (*_SERVICES, *there):
         if engine.client.connection.ask(engine.keys.reread(service), Health).robot_hash != robot.hash:
             renewed.append(service)
