@@ -33,7 +33,8 @@ def built(generation: str, folder: Path) -> dict[str, str]:
         stdout=subprocess.DEVNULL,
     )
     site = Path(sysconfig.get_path("purelib")).relative_to(sys.prefix)
-    return {"PYTHONPATH": str(folder / site)}
+    libraries = os.pathsep.join([str(folder / "lib"), os.environ.get("LD_LIBRARY_PATH", "")])
+    return {"PYTHONPATH": str(folder / site), "LD_LIBRARY_PATH": libraries}
 
 
 @dataclass
