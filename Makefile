@@ -10,6 +10,9 @@ MESSAGES ?= b
 
 REQUIREMENTS := deploy/requirements
 
+# Where Python is told not to keep what it compiles, each of the many processes of the tests would compile all of zarm again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-all test-deploy ros lint docs bench requirements licences audit clean
 
 demo: $(VENV)/.kernels

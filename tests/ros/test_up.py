@@ -15,7 +15,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from support.command_line import KEYS, ROBOT, Up, environment, health, pid, wait_replaced, zarm
-from support.harness import PATIENCE, ServiceProcess, free_endpoint
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint
 from support.ros.stack import RosClient
 from zarm_runtime.bus import Bus
 
@@ -44,15 +44,21 @@ def test_a_bridge_that_dies_is_started_again(up: Up, node: Node) -> None:
         old = pid(bus, "ros_bridge")
         os.kill(old, signal.SIGKILL)
         wait_replaced(bus, "ros_bridge", old)
+    said = "zarm: the ros_bridge has ended (terminated by SIGKILL) and is started again"
+    eventually(lambda: said in up.errors(), "the user is told")
 
 
 @pytest.mark.slow
 def test_the_bridge_ends_with_the_rest(tmp_path: Path) -> None:
-    with Up(free_endpoint(), tmp_path, "--ros") as up:
+    unsaid = {"FASTRTPS_DEFAULT_PROFILES_FILE": "", "ROS_AUTOMATIC_DISCOVERY_RANGE": ""}
+    with Up(free_endpoint(), tmp_path, "--ros", **unsaid) as up:
+        reach = {process.environ()["ROS_AUTOMATIC_DISCOVERY_RANGE"] for process in up.family()}
+        assert reach == {"LOCALHOST"}  # where the user has said nothing
         up.interrupt()
         assert up.end() == 0
         assert not up.family()
-        assert "Traceback" not in up.errors()
+        for never in ("Traceback", "strategy unknown", "DDS listens on every interface"):
+            assert never not in up.errors()
 
 
 @pytest.mark.slow

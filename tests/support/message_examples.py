@@ -86,6 +86,8 @@ _WAYPOINTS = m.WaypointsGoal(
 _PATH_CONSTRAINT = m.PathConstraint(
     axes=(True, True, False, False, False, True), frame="tool", position_tolerance=0.002, angle_tolerance=0.01
 )
+_OBSTRUCTION = m.Obstruction(object="table", link="link_5", time=1.1, avoidable=False)
+_HOLD = m.Hold(reason="obstruction", obstruction=_OBSTRUCTION)
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
 _CHECKED = m.CheckResult(
     in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"), spheres=(-0.004, 0.5)
@@ -196,7 +198,12 @@ EXAMPLES: tuple[Message, ...] = (
         duration=1.25,
         joint_command=(0.1, -0.2),
         problem=_PROBLEM,
+        hold=_HOLD,
     ),
+    m.GoalTrajectory(goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION),
+    _HOLD,
+    m.Hold(reason="no_guard"),
+    _OBSTRUCTION,
     m.CancelRequest(goal_id="goal-1"),
     m.ExecutorState(
         mode="fault",
@@ -204,6 +211,7 @@ EXAMPLES: tuple[Message, ...] = (
         goal_id="goal-1",
         problem=_PROBLEM,
         scene_changed=True,
+        guarded=True,
         speed_scale=0.5,
         missed_ticks=2,
     ),
@@ -213,6 +221,27 @@ EXAMPLES: tuple[Message, ...] = (
     m.SpeedRequest(speed_scale=0.25),
     m.Speed(speed_scale=0.25),
     m.StreamChunk(goal_id="follow.1", sequence=2, start=0.4, trajectory=_TRAJECTORY, deadline=0.2, last=True),
+    # servo
+    m.Authority(
+        servo="0a1b2c3d",
+        sequence=7,
+        goal_id="goal-1",
+        trajectory=3,
+        scene_revision=_REVISION,
+        until=0.9,
+        obstruction=_OBSTRUCTION,
+    ),
+    m.Authority(servo="0a1b2c3d", sequence=8, scene_revision=_REVISION),
+    m.ServoState(
+        activity="guarding",
+        goal_id="goal-1",
+        scene_revision=_REVISION,
+        scene_lost=True,
+        until=0.9,
+        obstruction=_OBSTRUCTION,
+        problem=_PROBLEM,
+        check=0.0008,
+    ),
     # driver
     m.DriverCommand(
         sequence=7,

@@ -1,4 +1,4 @@
-"""A `zarm up` for all tests of a folder that only use one."""
+"""A `zarm up` for all tests of a package that only use one. The folder needs an `__init__.py`: else `up` runs on to the end."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
         yield stack
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture
 def observer(up: Up) -> Iterator[Bus]:
-    """A client on its bus."""
+    """A client on its bus, whose subscriptions end with the test."""
     with Bus(up.endpoint) as session:
         yield session
 

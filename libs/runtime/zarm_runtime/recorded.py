@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
+    Authority,
     DriverCommand,
     DriverProgress,
     ExecutorState,
     GoalState,
+    GoalTrajectory,
     JointState,
     Message,
     Plan,
     SceneEdited,
+    ServoState,
     Speed,
     Strategies,
     StreamChunk,
@@ -31,6 +34,9 @@ class Recorded:
             keys.scene_revision: SceneEdited,
             keys.executor_state: ExecutorState,
             keys.goal("*"): GoalState,
+            keys.goal_trajectory: GoalTrajectory,
+            keys.authority: Authority,
+            keys.servo_state: ServoState,
             keys.strategy: Strategies,
             keys.speed: Speed,
             keys.stream: StreamChunk,

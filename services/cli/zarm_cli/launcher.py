@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -17,13 +18,14 @@ from zarm.connection import Connection
 from zarm.robot import Robot
 from zarm_cli.client import SIGNALS, keys_of
 from zarm_cli.interrupts import pause
-from zarm_cli.output import facts, numbers, out
+from zarm_cli.output import err, facts, numbers, out
 from zarm_cli.supervision import Supervisor
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health
 from zarm_contract.robot import RobotDescription, find_robot, load_robot
 from zarm_runtime.bus import Bus
+from zarm_runtime.dds import RANGE, REACH
 from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
 
@@ -68,8 +70,10 @@ class Stack:
             pause(0.1)
 
     def wait(self) -> None:
-        """Wait for ever; raises InternalError when a service ends again and again."""
+        """Wait for ever, and say which service is started again; raises InternalError when one ends again and again."""
         while not (fallen := self.supervisor.given_up()):
+            for service, how in self.supervisor.ended():
+                err.print(f"zarm: the {service} has ended ({how}) and is started again", soft_wrap=True)
             pause(1.0)
         raise InternalError(
             f"the {fallen[0]} ends again and again, at last with: {self.supervisor.last_words(fallen[0])}"
@@ -116,6 +120,8 @@ def launch(
         for service, (_, words) in programs.items():
             words += ["--metrics", _next_port(metrics, METERED.index(service))]
     environment = {"ZARM_METRICS": ""}  # of one address there is but one
+    if ros and not any(map(os.environ.get, REACH)):
+        environment[RANGE] = "LOCALHOST"  # whoever reaches DDS can move the robot
     if sys.stderr.isatty():
         environment["ZARM_COLOUR"] = "1"
     if log_level is not None:

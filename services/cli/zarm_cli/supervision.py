@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import socket
 import subprocess
@@ -29,6 +30,7 @@ from supervisor.xmlrpc import SupervisorTransport
 from zarm_contract.errors import InternalError
 
 _STOP_SECONDS = 15  # for one process, deceleration included; then it is killed
+_ENDED = re.compile(r" exited: (\w+) \((.+?)(?:; .+)?\)\n")  # how supervisord's log puts it
 _RETRIES = 6  # starts that fail in a row, with 1 s, 2 s, ... between them
 
 _HEAD = """\
@@ -85,6 +87,7 @@ class Supervisor:
         self._socket = folder / "socket"
         self._names = tuple(programs)
         self._environment = {**os.environ, **environment}
+        self._read = 0
         self._last_lines: deque[str] = deque(maxlen=100)
 
     def __enter__(self) -> Self:
@@ -113,6 +116,16 @@ class Supervisor:
             self._process.wait()
         self._relay.join()
         self._folder.cleanup()
+
+    def ended(self) -> list[tuple[str, str]]:
+        """Programs that have ended by themselves since the last call, and how: `exit status 1`, `terminated by SIGKILL`."""
+        with suppress(FileNotFoundError), Path(self._folder.name, "supervisord.log").open() as log:
+            log.seek(self._read)
+            text = log.read()
+            whole = text[: text.rfind("\n") + 1]
+            self._read += len(whole.encode())
+            return _ENDED.findall(whole)
+        return []
 
     def fallen(self) -> list[str]:
         """Names of the programs that have ended by themselves at least once, whether they run again or not."""

@@ -38,14 +38,16 @@ class Verified:
     goal_pose: int | None
 
 
-def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal) -> Verified:
+def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> Verified:
     """The trajectory from `start` (dof,) to the goal that `planner` finds. Nothing leaves here that is not verified.
+
+    `motion` (2, dof) are velocity and acceleration at the start, left out where it is at rest.
 
     Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`), InvalidRequest for a goal
     that does not keep the path constraint, and what the deadline raises.
     """
     with context.timer.stage("ik"):
-        problem = PlanningProblem.of(context, start, goal)
+        problem = PlanningProblem.of(context, start, goal, motion)
     verified, seed = _first(planner, context, problem)
     if context.optimize_s > 0.0:
         with context.timer.stage("optimize"):
@@ -82,7 +84,9 @@ def _first(planner: Planner, context: PlanningContext, problem: PlanningProblem)
 
 def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProblem, best: Verified) -> Verified:
     """The fastest among `best` and the trajectories that are found until the deadline of `context`."""
-    least = least_duration(problem.start.asked, problem.goals, context.limits, context.dt)
+    least = 0.0
+    if problem.lead_in is None:
+        least = least_duration(problem.start.asked, problem.goals, context.limits, context.dt)
     faster_than = planner.faster(context, problem)
     while best.trajectory.duration > (1.0 + GAIN) * least:
         try:
@@ -100,7 +104,8 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     """The trajectory with its clearance. Raises VerificationFailed and what the deadline raises."""
     goals, limits, check = problem.goals, context.limits, context.deadline.check
     end = problem.targets[-1][np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
-    clearance = verify(trajectory, problem.start.asked, end.asked, limits, context.exact, check, problem.constraint)
+    start, motion = (problem.start.asked, None) if (led := problem.lead_in) is None else (led.state[0], led.state[1:])
+    clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
     times: tuple[float, ...] = ()
     if isinstance(problem.goal, WaypointsGoal):
         # All ends that reach one pose are the same waypoint.

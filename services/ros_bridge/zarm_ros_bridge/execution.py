@@ -134,7 +134,8 @@ class ExecutionActions:
             run.ended.set()
 
     def _failed(self, run: Run, error: ZarmError) -> SendTrajectory.Result:
-        log.info("goal not reached reason=%s: %s", error.code, error)
+        level = logging.INFO if error.code == "cancelled" else logging.WARNING
+        log.log(level, "goal not reached reason=%s: %s", error.code, error)
         if error.code == "cancelled" and run.cancelled():
             run.handle.canceled()
         else:
@@ -190,7 +191,7 @@ class ExecutionActions:
         for state in run.follow(self._start(run, feedback)):
             feedback.show(state)
         if state.problem is not None:
-            raise from_problem(state.problem)
+            raise self._engine.terms.of_error(from_problem(state.problem))
 
     def _start(self, run: Run, feedback: _Feedback) -> str:
         """The goal of the executor that a client's goal becomes; where it has a target, that is planned to."""

@@ -19,6 +19,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _READS = ("planner_type", "max_attempts", "collision_activation_distance")
 """Parameters that a plan depends on."""
+_FIELDS = {"start": "start_pose", "path_constraint": "trajectory_constraints"}
+"""Fields of a plan's request beside its goal, and what they are on ROS."""
 
 
 class Motions:
@@ -54,8 +56,7 @@ class Motions:
         try:
             plan = request_plan(request)
         except ZarmError as error:
-            names = {"goal.through": asked.field, "goal": asked.field, "start": "start_pose"}
-            raise in_terms_of(error, names) from error
+            raise in_terms_of(error, {"goal.through": asked.field, "goal": asked.field} | _FIELDS) from error
         with self._turn:
             self._last, self._forgotten = (self._key(asked), plan), False
         return plan

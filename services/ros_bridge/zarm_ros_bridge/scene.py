@@ -11,6 +11,7 @@ from zarm_contract.errors import InvalidRequest, ZarmError
 from zarm_ros_bridge.answers import with_message, without_words
 from zarm_ros_bridge.convert.colours import Colour, colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
+from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.convert.scene import FIELDS, fill_grid, name_of, object_of
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.generations.generation import Generation
@@ -126,11 +127,13 @@ class SceneServices:
         if not request.link_names:
             raise InvalidRequest("name the links", field="link_names")
         known = self._engine.robot.descriptor.spheres
-        applied = [name for name in dict.fromkeys(request.link_names) if name in known]
-        response.unknown_links = [name for name in dict.fromkeys(request.link_names) if name not in known]
+        asked = {name: known_as(name, known) for name in request.link_names}
+        applied = [name for name, link in asked.items() if link in known]
+        response.unknown_links = [name for name, link in asked.items() if link not in known]
         if applied:
+            links = dict.fromkeys(asked[name] for name in applied)
             try:
-                self._scene.set_link_collision(*applied, enabled=request.enabled)
+                self._scene.set_link_collision(*links, enabled=request.enabled)
             except ZarmError as error:
                 raise in_terms_of(error, {"edit.names": "link_names"}) from error
             response.applied_links = applied

@@ -24,6 +24,7 @@ from zarm_ros_bridge.replies import insist
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.scene import SceneServices
 from zarm_ros_bridge.strategies import StrategyServices
+from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
 from zarm_ros_bridge.world_file import WorldFile
 from zarm_runtime.service import Service, run_service, service_parser
@@ -42,12 +43,15 @@ def start(service: Service) -> Iterator[None]:
     service.note = str(generation)
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
-        Ros(f"{NODE}_v1", namespace, workers=2) as first,
+        Ros(f"_{NODE}_v1", namespace, workers=2) as first,
         service.open_bus() as bus,  # closed before the nodes go: nothing comes from it for nodes that are gone
         ExitStack() as listening,  # nor from a driver for a bus that is closed
     ):
         listening.callback(ros.stop_listening)
-        engine = Engine(bus, service.keys, service.robot)
+        params = service.robot.descriptor.strategy_params
+        engine = Engine(
+            bus, service.keys, service.robot, Terms(ros.node.get_fully_qualified_name(), service.keys, params)
+        )
         parameters = Parameters(ros.node, engine)
         motions = Motions(engine, parameters)
         colours: dict[str, Colour] = {}
@@ -55,7 +59,6 @@ def start(service: Service) -> Iterator[None]:
         Kinematics(ros, engine, generation)
         Faults(ros, engine)
         SceneServices(ros, engine, parameters, colours, generation)
-        params = service.robot.descriptor.strategy_params
         if params is not None:
             Drivers(ros, engine, params)
         WorldFile(engine, parameters)

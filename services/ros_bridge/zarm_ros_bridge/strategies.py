@@ -66,7 +66,7 @@ class StrategyServices:
         strategy = self._generation.strategy(request, self._engine.robot.descriptor.name)
         self._switch(strategy)
         response.current_robot_strategy = strategy
-        return _switched(before, strategy)
+        return _switched(before, strategy) + self._fault()
 
     def _set_chosen(self, _: Any, __: Any) -> str:
         """Version 1: apply what robot_type says. Where that fails, robot_type goes back to what is active."""
@@ -77,11 +77,16 @@ class StrategyServices:
         except ZarmError:
             self._parameters.set("robot_type", self._type(self._active))
             raise
-        return _switched(before, chosen)
+        return _switched(before, chosen) + self._fault()
 
     def _get(self, _: Any, __: Any) -> str:
         active = self._engine.client.strategy().active
-        return self._generation.active(active, self._type(active))
+        return self._generation.active(active, self._type(active)) + self._fault()
+
+    def _fault(self) -> str:
+        """What is to be said of a fault, where there is one, beside the strategy."""
+        problem = self._engine.client.state().problem
+        return "" if problem is None else f"; the robot is in fault: {self._engine.terms.of(problem.message)}"
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
         """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""
@@ -108,8 +113,7 @@ class StrategyServices:
         self._show()
 
     def _follow(self) -> None:
-        while not self._ended:
-            self._changed.wait()
+        while self._changed.wait() and not self._ended:
             self._changed.clear()
             try:
                 self._show()

@@ -10,6 +10,7 @@ import signal
 import subprocess
 from contextlib import suppress
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
@@ -164,9 +165,12 @@ def test_ctrl_c_during_execute_cancels_and_waits_until_the_robot_stands(
 
 def measured(bus: Bus) -> tuple[float, ...]:
     """The next measured joints (rad)."""
-    state = bus.latest(KEYS.joint_states, JointState).wait(5)
-    assert state is not None
-    return state.position
+    states: SimpleQueue[JointState] = SimpleQueue()
+    end = bus.subscribe(KEYS.joint_states, JointState, lambda _, state: states.put(state))
+    try:
+        return states.get(timeout=5).position
+    finally:
+        end()
 
 
 def mode(bus: Bus) -> str:

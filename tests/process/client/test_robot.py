@@ -9,9 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +26,19 @@ ELSEWHERE = (1.2, *HOME[1:])
 SLOWLY = 0.12
 PROGRAM = f"""
 import signal
-import zarm
+from zarm import Robot
+from zarm.connection import connected
+from zarm.interrupts import CtrlC
+
+class ToldOf(CtrlC):
+    def insist(self, awaited):
+        print("waiting for", awaited, flush=True)
+        return super().insist(awaited)
+
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, and so would this
-with zarm.connect() as robot:
-    plan = robot.plan({ELSEWHERE}, velocity_scale={SLOWLY})
-    robot.execute(plan, on_progress=lambda goal: print(goal.status, flush=True))
+with connected(interrupts=ToldOf()) as connection:
+    robot = Robot(connection)
+    robot.execute(robot.plan({ELSEWHERE}, velocity_scale={SLOWLY}))
 """
 
 
@@ -182,12 +188,11 @@ def test_a_second_ctrl_c_leaves_an_executor_that_hangs_and_says_what_that_means(
         os.kill(executor, signal.SIGSTOP)
         try:
             running.send_signal(signal.SIGINT)
-            waiting = threading.Thread(target=running.wait, daemon=True)
-            waiting.start()
-            while waiting.is_alive():  # one at a time: the first must have been heard before the second comes
-                time.sleep(0.2)
-                with suppress(ProcessLookupError):
-                    running.send_signal(signal.SIGINT)
+            assert running.stdout is not None
+            while "to rest" not in running.stdout.readline():  # two at once would count as one
+                assert running.poll() is None
+            running.send_signal(signal.SIGINT)
+            running.wait(PATIENCE)
         finally:
             os.kill(executor, signal.SIGCONT)
         _, errors = running.communicate(timeout=PATIENCE)

@@ -114,9 +114,9 @@ def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
 
 
 @at_every_phase
-@pytest.mark.parametrize("changes", [(0.3,), (0.5, 1.0), (0.6, 0.05, 1.0), (0.9, 0.8, 0.7, 0.6)], ids=str)
+@pytest.mark.parametrize("changes", sampled([0.6, 0.05, 1.0], [0.3], [0.5, 1.0], [0.9, 0.8, 0.7, 0.6]), ids=str)
 def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
-    bench: DriverBench, changes: tuple[float, ...]
+    bench: DriverBench, changes: list[float]
 ) -> None:
     path = bench.execute()
     bench.run(0.6)

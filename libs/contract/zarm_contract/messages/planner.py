@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import (
@@ -17,6 +17,7 @@ from zarm_contract.messages.motion import (
     Scale,
     Trajectory,
     Vector3,
+    same_length,
 )
 from zarm_contract.messages.scene import SceneRevision
 
@@ -78,6 +79,20 @@ class PathConstraint(Message):
     angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
 
 
+class StartState(Message):
+    """A state of the joints in motion: `position` (rad), `velocity` (rad/s) and `acceleration` (rad/s²)."""
+
+    position: Joints
+    velocity: Joints
+    acceleration: Joints
+
+    @field_validator("velocity", "acceleration")
+    @classmethod
+    def _one_per_joint(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        same_length(values, info, "position")
+        return values
+
+
 Timeout = Annotated[float, Field(gt=0, le=60)]
 Attempts = Annotated[int, Field(ge=1, le=1000)]
 OptimizeSeconds = Annotated[float, Field(ge=0, le=30)]
@@ -87,6 +102,9 @@ Margin = Annotated[float, Field(ge=0, le=0.2)]
 class PlanRequest(Message):
     """Ask for a verified trajectory. What is left out comes from `planner/settings`; `start` (rad) from the measured joints.
 
+    With `start_state` in place of `start` the trajectory begins in motion, exactly in that state, and is continuous with it in
+    position, velocity and acceleration. The state must be inside the limits, and the robot able to brake from it without a
+    collision. A path constraint is then refused.
     `request_id` names the request for `planner/cancel`. `timeout` (s) is the deadline of the whole request; `max_attempts`
     bounds the number of searches. After the first plan the planner looks for faster ones for `optimize_s` (s), as long as no
     other request waits. `margin` (m) is the distance to keep from objects. Scales are shares of the velocity and acceleration
@@ -95,6 +113,7 @@ class PlanRequest(Message):
 
     goal: Goal
     start: Joints | None = None
+    start_state: StartState | None = None
     planner: PlannerKind | None = None
     path_constraint: PathConstraint | None = None
     request_id: Name | None = None
@@ -105,6 +124,13 @@ class PlanRequest(Message):
     acceleration_scale: Scale | None = None
     margin: Margin | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    @field_validator("start_state")
+    @classmethod
+    def _one_start(cls, state: StartState | None, info: ValidationInfo) -> StartState | None:
+        if state is not None and info.data.get("start") is not None:
+            raise ValueError("start is given too; give one of them")
+        return state
 
 
 class PlanTimings(Message):

@@ -52,8 +52,8 @@ class End:
         return self.asked[None][: 0 if self.free is self.asked else 1]
 
 
-def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End:
-    """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
+def check_start(context: PlanningContext, q: Array) -> Nearest:
+    """What is nearest at the start of a path. Raises PlanningFailed (`start_in_collision`)."""
     nearest = context.exact.nearest(q)
     if nearest.distance <= 0.0:
         raise PlanningFailed(
@@ -61,6 +61,12 @@ def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold
             code="start_in_collision",
             field="start",
         )
+    return nearest
+
+
+def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End:
+    """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
+    nearest = check_start(context, q)
     if (end := _end(context, q, constraint)) is None:
         raise PlanningFailed(
             f"there is no way out of the start, where {_gap(nearest)}; move the robot away by hand, or lower margin",
@@ -68,6 +74,11 @@ def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold
             field="start",
         )
     return end
+
+
+def rest_end(context: PlanningContext, q: Array) -> End | None:
+    """The end at `q`, which is free of collision; None where no way leads from there to what is free in spheres."""
+    return _end(context, q, None)
 
 
 def goal_ends(
