@@ -1,7 +1,7 @@
 """Turns definitions of ROS interfaces into Python packages, with the generators of rosidl that pip installed.
 
-rclpy on Fast DDS needs of each interface its Python class, its C structure and the type support of Fast DDS. That is all that is
-made; a build with CMake makes eight libraries and takes ten times as long. The code of one interface depends on its own
+rclpy on Fast DDS needs of each interface its Python class, its C structure, the type support of Fast DDS, and its description by
+introspection, which a topic is registered with. That is all that is made; a build with CMake makes eight libraries and takes far longer. The code of one interface depends on its own
 definition and on those that it refers to alone, so that each is kept in a cache by their content.
 """
 
@@ -38,26 +38,31 @@ from rosidl_parser.parser import parse_idl_file
 from rosidl_pycommon import convert_camel_case_to_lower_case_underscore, expand_template
 from rosidl_typesupport_c import generate_c as generate_dispatch
 from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
+from rosidl_typesupport_introspection_c import generate_c as generate_introspection
 
 PREFIX = Path(sys.prefix)
 SITE_PACKAGES = Path(sysconfig.get_path("purelib")).relative_to(PREFIX)
 KINDS = {".msg": convert_msg_to_idl, ".srv": convert_srv_to_idl, ".action": convert_action_to_idl}
 ENTRY_POINT = "rosidl_typesupport_c"
-"""The one type support that rclpy loads."""
-_GENERATORS = ("adapter", "generator-c", "generator-py", "parser", "typesupport-c", "typesupport-fastrtps-c")
+"""The type support that rclpy loads, which finds the others."""
+TYPE_SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
+_GENERATORS = (
+    "adapter",
+    "generator-c",
+    "generator-py",
+    "parser",
+    "typesupport-c",
+    "typesupport-fastrtps-c",
+    "typesupport-introspection-c",
+)
 _IMPLIED = (
     "action_msgs",
     "builtin_interfaces",
     "service_msgs",
     "unique_identifier_msgs",
 )  # in every service and action
-_RUNTIME = (
-    "rosidl_runtime_c",
-    "rosidl_typesupport_c",
-    "rosidl_typesupport_fastrtps_c",
-    "rosidl_typesupport_fastrtps_cpp",
-)
-_PARTS = ("rosidl_generator_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c", "rosidl_generator_py")
+_RUNTIME = ("rosidl_runtime_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_cpp", *TYPE_SUPPORTS)
+_PARTS = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_c", *TYPE_SUPPORTS)
 
 Progress = Callable[[int, int, str], None]
 """`progress(done, all, name)`, after each interface that was not in the cache."""
@@ -134,11 +139,11 @@ def install(package: str, tree: Path, prefix: Path) -> None:
     for folder in (SITE_PACKAGES / package, Path("share", package)):
         shutil.rmtree(prefix / folder, ignore_errors=True)
         shutil.copytree(tree / folder, prefix / folder)
-    for marker in tree.glob(f"share/ament_index/resource_index/*/{package}"):
-        target = prefix / marker.relative_to(tree)
+    for file in (*tree.glob(f"share/ament_index/resource_index/*/{package}"), *tree.glob(f"lib/lib{package}__*.so")):
+        target = prefix / file.relative_to(tree)
         target.parent.mkdir(parents=True, exist_ok=True)
         target.unlink(missing_ok=True)
-        shutil.copy(marker, target)
+        shutil.copy(file, target, follow_symlinks=False)
 
 
 def _closure(one: Definition, known: Mapping[str, Definition]) -> tuple[Definition, ...]:
@@ -209,7 +214,7 @@ def _interface(job: _Job) -> None:
         one = job.definition
         generate_dispatch(
             _arguments(folder, "rosidl_typesupport_c", one.package, [idl[one.name]], folder / "dispatch"),
-            ["rosidl_typesupport_fastrtps_c"],
+            list(TYPE_SUPPORTS),
         )
         python = folder / "python" / one.package
         generate_py(_arguments(folder, "rosidl_generator_py", one.package, [idl[one.name]], python), [])
@@ -219,6 +224,7 @@ def _interface(job: _Job) -> None:
             folder,
             "interface.c",
             *(detail / f"{stem}__{part}.c" for part in ("description", "functions", "type_support")),
+            folder / "introspection" / one.package / kind / "detail" / f"{stem}__type_support.c",
             python / kind / f"_{stem}_s.c",
         )
         _compiled(
@@ -263,8 +269,10 @@ def _generate_headers(folder: Path, package: str, definitions: Sequence[Definiti
             ros_interface_files=[str(one.path) for one in definitions],
         )
     )
-    generate_typesupport_fastrtps_c(_arguments(folder, "rosidl_typesupport_fastrtps_c", package, idl, include))
-    for generator in ("rosidl_generator_c", "rosidl_typesupport_fastrtps_c"):
+    fastrtps, introspection = TYPE_SUPPORTS
+    generate_typesupport_fastrtps_c(_arguments(folder, fastrtps, package, idl, include))
+    generate_introspection(_arguments(folder, introspection, package, idl, folder / "introspection" / package))
+    for generator in ("rosidl_generator_c", *TYPE_SUPPORTS):
         header = f"{generator}__visibility_control.h"
         generate_visibility_control_file(
             package_name=package,
@@ -300,7 +308,13 @@ def _compiled(folder: Path, unit: str, *sources: Path) -> None:
     file = folder / unit
     file.write_text("".join(f'#include "{source}"\n' for source in sources))
     wheels = [PREFIX / "include", *(path for path in (PREFIX / "include").iterdir() if path.is_dir())]
-    includes = (folder / "include", *wheels, sysconfig.get_path("include"), numpy.get_include())
+    includes = (
+        folder / "include",
+        folder / "introspection",
+        *wheels,
+        sysconfig.get_path("include"),
+        numpy.get_include(),
+    )
     compiler = ["cc"] if file.suffix == ".c" else ["c++", "-std=c++17"]
     _run(*compiler, "-O1", "-w", "-fPIC", "-c", file, "-o", file.with_suffix(".o"), *(f"-I{path}" for path in includes))
 
@@ -360,7 +374,7 @@ def _library(package: str) -> str:
 
 
 def _link(package: str, objects: Sequence[Path], needs: set[str], tree: Path) -> None:
-    """One shared library, which Python imports and which has all of it; so nothing is looked for when it is loaded."""
+    """One shared library, which Python imports, with all of it; `rosidl_typesupport_c` finds it by the names of type supports."""
     site = tree / SITE_PACKAGES
     built = [site / one / _library(one) for one in sorted(needs) if (site / one).is_dir()]
     wheels = [one for one in sorted(needs) if not (site / one).is_dir()]
@@ -381,3 +395,5 @@ def _link(package: str, objects: Sequence[Path], needs: set[str], tree: Path) ->
         f"-Wl,-rpath,{PREFIX / 'lib'}",
         *(f"-Wl,-rpath,$ORIGIN/../{library.parent.name}" for library in built),
     )
+    for one in TYPE_SUPPORTS:
+        (tree / "lib" / f"lib{package}__{one}.so").symlink_to(Path("..") / SITE_PACKAGES / package / _library(package))

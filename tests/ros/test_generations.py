@@ -181,10 +181,13 @@ def test_of_several_poses_the_quickest_is_reached(arm: Typed) -> None:
     assert arm.call("set_planner", "SetPlanner", planner_type=4 if arm.generation != "c" else 0)["success"]
     if arm.generation == "c":
         chosen = arm.call(
-            "generate_trajectory", "TrajectoryGeneration", start_pose=start, **goal_sets(poses, [NEAR, FAR])
+            "generate_trajectory",
+            "TrajectoryGeneration",
+            start_pose=start,
+            **goal_sets([NOWHERE, NEAR], [FAR, NOWHERE]),
         )
         assert chosen["success"], chosen["message"]
-        assert chosen["selected_goal_index"] in ([2, 0], [1, 1], [2, 1], [1, 0])
+        assert chosen["selected_goal_index"] == [1, 0]
     else:
         through = arm.call("generate_trajectory", "TrajectoryGeneration", start_pose=start, target_poses=[NEAR, FAR])
         assert through["success"], through["message"]

@@ -71,11 +71,16 @@ def test_a_bridge_joins_a_bus_that_runs(tmp_path: Path, node: Node) -> None:
         assert bridge.process.returncode == 0
 
 
-def test_without_ros_up_says_how_to_get_it(tmp_path: Path) -> None:
-    hidden = (
-        "import sys; sys.modules['curobo_msgs'] = None; sys.argv[0] = 'zarm'; from zarm_cli.app import main; main()"
-    )
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        ("curobo_msgs", "curobo_msgs cannot be imported here; `make ros`"),
+        ("numba", "the planner cannot run, because numba cannot be imported here; `pip install 'zarm[planner]'`"),
+    ],
+)
+def test_without_its_packages_up_says_how_to_get_them(tmp_path: Path, missing: str, said: str) -> None:
+    hidden = f"import sys; sys.modules['{missing}'] = None; sys.argv[0] = 'zarm'; from zarm_cli.app import main; main()"
     command = [sys.executable, "-c", hidden, "up", "--ros", "--listen", free_endpoint(), "--state", str(tmp_path)]
     ended = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=PATIENCE)
     assert ended.returncode == 3, ended.stderr
-    assert "curobo_msgs cannot be imported here; `make ros`" in ended.stderr
+    assert said in ended.stderr

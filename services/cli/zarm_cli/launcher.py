@@ -34,6 +34,7 @@ SERVICES = ("planner", "servo", "executor")
 first."""
 METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo")
 """Whose metrics are read at the address that `up` is given, at the next port, and so on."""
+_PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 
@@ -98,10 +99,15 @@ def launch(
     """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
 
     Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
-    is already up on that bus, Unavailable where the port is taken, no router answers, or ROS is asked for and not installed.
+    is already up on that bus, Unavailable where the port is taken, no router answers, or packages are not installed.
     """
+    _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
     if ros:
-        _require_ros()
+        _require(
+            "ROS 2 cannot be bridged to",
+            _ROS_PACKAGES,
+            "`make ros` installs what is needed, and all else works without --ros",
+        )
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
     endpoint = spoken(connect or listen)
@@ -145,12 +151,9 @@ def _next_port(address: str, step: int) -> str:
     return f"{host}:{int(port) + step}"
 
 
-def _require_ros() -> None:
-    if missing := [package for package in _ROS_PACKAGES if find_spec(package) is None]:
-        raise Unavailable(
-            f"ROS 2 cannot be bridged to, because {' and '.join(missing)} cannot be imported here; `make ros` installs what is "
-            "needed, and all else works without --ros"
-        )
+def _require(what: str, packages: Sequence[str], remedy: str) -> None:
+    if missing := [package for package in packages if find_spec(package) is None]:
+        raise Unavailable(f"{what}, because {' and '.join(missing)} cannot be imported here; {remedy}")
 
 
 def _router(listen: str, keys: Keys) -> AbstractContextManager[object]:

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -62,6 +62,22 @@ redirect_stderr = true
 stdout_logfile = /dev/fd/1
 stdout_logfile_maxbytes = 0
 """
+
+
+_ERROR = re.compile(r"[\w.]*(Error|Exception)\b")  # the end of what Python prints of one
+
+
+def _reason(name: str, lines: Iterable[str]) -> str | None:
+    """The first reason in a line of this program's log, as text or as JSON."""
+    own = re.compile(rf"(\x1b\[\d+m)?{name} *\| .*?\breason=(?P<reason>.*)")
+    for line in lines:
+        if found := own.match(line):
+            return found["reason"]
+        if line.startswith("{"):
+            told = json.loads(line)
+            if told.get("service") == name and "reason" in told.get("fields", {}):
+                return str(told["fields"]["reason"])
+    return None
 
 
 def _command(module: str, arguments: Sequence[str]) -> list[str]:
@@ -115,6 +131,9 @@ class Supervisor:
             self._process.kill()
             self._process.wait()
         self._relay.join()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
         self._folder.cleanup()
 
     def ended(self) -> list[tuple[str, str]]:
@@ -136,14 +155,11 @@ class Supervisor:
         return [process["name"] for process in self._processes() if process["state"] == ProcessStates.FATAL]
 
     def last_words(self, name: str) -> str:
-        """Why a program ended: the reason in its log (as `zarm_runtime.service` writes it), else the last line of all."""
+        """Why a program ended: the reason in its own log (as `zarm_runtime.service` writes it); else the error that ended a program
+        before it had a log; else the last line of all."""
         self._relay.join(0.2)  # what it printed last may still be on its way here
-        for line in reversed(list(self._last_lines)):
-            if name in line and "reason=" in line:
-                return line.partition("reason=")[2]
-            if name in line and line.startswith("{") and "reason" in (fields := json.loads(line).get("fields", {})):
-                return str(fields["reason"])
-        return self._last_lines[-1] if self._last_lines else "it printed nothing"
+        lines = list(self._last_lines)[::-1]
+        return _reason(name, lines) or next(filter(_ERROR.match, lines), None) or (lines or ["it printed nothing"])[0]
 
     def _processes(self) -> Any:
         if self._process.poll() is not None:

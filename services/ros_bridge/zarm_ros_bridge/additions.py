@@ -39,7 +39,7 @@ class Additions:
             ros.serve(kind, "~/attach_object", with_message(self._attach))
 
     def _clear_trajectory(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        self._motions.forget()
+        self._motions.clear()
         self._trajectory.publish(JointTrajectory())
         return "Trajectory cleared"
 

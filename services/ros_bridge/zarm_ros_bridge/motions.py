@@ -15,6 +15,7 @@ from zarm_ros_bridge.convert.joints import is_empty, positions_of
 from zarm_ros_bridge.convert.motions import MotionRequest
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import Parameters
+from zarm_runtime.publications import deliver
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _READS = ("planner_type", "max_attempts", "collision_activation_distance")
@@ -31,8 +32,8 @@ class Motions:
         self._parameters = parameters
         self._turn = threading.Lock()
         self._last: tuple[Any, Plan] | None = None
-        self._forgotten = False
-        engine.bus.listen(engine.keys.plans, self._planned)
+        self._cleared: str | None = None  # the id of a plan that is not to be executed, or "" where that is not known
+        engine.bus.listen(engine.keys.plans, self._published)
 
     @property
     def planner(self) -> str:
@@ -58,7 +59,7 @@ class Motions:
         except ZarmError as error:
             raise in_terms_of(error, {"goal.through": asked.field, "goal": asked.field} | _FIELDS) from error
         with self._turn:
-            self._last, self._forgotten = (self._key(asked), plan), False
+            self._last, self._cleared = (self._key(asked), plan), None
         return plan
 
     def made(self, asked: MotionRequest) -> Plan | None:
@@ -67,22 +68,27 @@ class Motions:
             last = self._last
         return last[1] if last is not None and last[0] == self._key(asked) else None
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """The last plan, whoever asked for it, is not to be executed any more."""
         with self._turn:
+            self._cleared = self._last[1].plan_id if self._last is not None else ""
             self._last = None
-            self._forgotten = True
 
     def check_last(self) -> None:
         """Raises InvalidRequest where the last plan was cleared, and none has been made since."""
         with self._turn:
-            if self._forgotten:
+            if self._cleared is not None:
                 raise InvalidRequest("the last plan was cleared; plan anew, or give the goal a target")
 
-    def _planned(self, *_: object) -> None:
-        """Somebody has a plan."""
+    def _published(self, key: str, payload: bytes) -> None:
+        if self._cleared is not None:
+            deliver(key, payload, Plan, self._planned)
+
+    def _planned(self, _: str, plan: Plan) -> None:
+        """Somebody has a plan, unless it is the cleared one, which comes late."""
         with self._turn:
-            self._forgotten = False
+            if plan.plan_id != self._cleared:
+                self._cleared = None
 
     def passed(self, asked: MotionRequest, plan: Plan) -> list[int]:
         """The place of the pose that is passed in each goal set before the last one: the nearest to where the tip is then."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from support.harness import PATIENCE, ServiceProcess
+from support.harness import ServiceProcess
 from support.paths import PROGRAMS, ROOT
 from support.ros.stack import KEYS
 from zarm_contract.messages import Health
@@ -33,7 +33,8 @@ def built(generation: str, folder: Path) -> dict[str, str]:
         stdout=subprocess.DEVNULL,
     )
     site = Path(sysconfig.get_path("purelib")).relative_to(sys.prefix)
-    return {"PYTHONPATH": str(folder / site)}
+    libraries = os.pathsep.join([str(folder / "lib"), os.environ.get("LD_LIBRARY_PATH", "")])
+    return {"PYTHONPATH": str(folder / site), "LD_LIBRARY_PATH": libraries}
 
 
 @dataclass
@@ -76,13 +77,13 @@ def typed(generation: str, endpoint: str, bus: Bus, folder: Path) -> Iterator[Ty
         bridge = started.enter_context(
             ServiceProcess("ros_bridge", endpoint, folder, name=KEYS.robot, environment=environment)
         )
-        client = subprocess.Popen(
-            [sys.executable, str(PROGRAMS / "typed_client.py")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | environment,
+        client = started.enter_context(
+            subprocess.Popen(
+                [sys.executable, str(PROGRAMS / "typed_client.py")],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                env=os.environ | environment,
+            )
         )
-        started.callback(client.wait, PATIENCE)
-        started.callback(client.stdin.close)
         yield Typed(generation, bridge, bridge.wait_ready(bus, KEYS), client)
