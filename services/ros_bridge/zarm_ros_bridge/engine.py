@@ -8,20 +8,22 @@ from zarm.connection import Connection
 from zarm.robot import Robot
 from zarm_contract.keys import Keys
 from zarm_contract.robot import RobotDescription
+from zarm_ros_bridge.terms import Terms, Translated
 from zarm_runtime.bus import Bus
 
 
 class Engine:
-    """One robot's planner and executor. Everything here is safe from any thread, and raises what the services answer.
+    """One robot's planner and executor. Everything here is safe from any thread, and raises what the services answer, in `terms`.
 
     Where one is absent that is Unavailable, after the timeout at most.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription) -> None:
+    def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription, terms: Terms) -> None:
         self.bus = bus
         self.keys = keys
         self.robot = robot
+        self.terms = terms
         self.joints = robot.descriptor.joints
-        self.client = Robot(Connection.of(bus, keys))
+        self.client = Robot(Connection.of(bus, keys, Translated(terms)))
         self.ending = threading.Event()
         """Set when the bridge ends: whoever waits for what the executor tells gives up."""

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -20,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from zarm_ros_bridge.leader_followers import LeaderFollowersExecutor
 from zarm_ros_bridge.rclpy_parts import CheckedParameterService, Reception
 from zarm_ros_bridge.replies import Unanswered
+from zarm_runtime import dds
 
 log = logging.getLogger(__name__)
 
@@ -33,30 +32,24 @@ REQUESTS = QoSProfile(
 client waits for ever."""
 
 
-WITHOUT_SHARED_MEMORY = ("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-"""What a process that was killed has left in the shared memory of Fast DDS holds up whoever opens it next, for a third of a
-second: a driver that sends to a bridge, or a bridge that answers a client."""
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("dds_profiles.xml")))
-
-
 class Ros:
     """The node `name` under `namespace`, in a context of its own, served by `workers` threads from `spin` on.
 
-    With `parameters` it has the services of parameters, and tells its log on /rosout.
+    With `parameters` it has the services of parameters, and tells its log on /rosout. Other nodes have names that begin with `_`, so
+    that tools pass over them: `ros2 param list` waits for each node that it sees.
 
     Use it in `with`. Services and actions of `node` in `group` may wait, each in a thread. What arrives at a high rate goes to `listen`:
     a second node, which has nothing else, with a thread of its own, whose callbacks must return quickly. DDS refuses two types under
-    one name in one participant; a second `Ros` is a second participant. There is no shared memory with other processes, and `dds_profiles.xml` holds, unless the environment says otherwise.
+    one name in one participant; a second `Ros` is a second participant. It reaches whom `zarm_runtime.dds` says.
     """
 
     def __init__(self, name: str, namespace: str = "", *, workers: int, parameters: bool = False) -> None:
-        os.environ.setdefault(*WITHOUT_SHARED_MEMORY)
-        os.environ.setdefault(*PROFILES)
+        dds.join()
         self._context = Context()
         rclpy.init(args=[], context=self._context)
         self.node = self._node(name, namespace, parameters=parameters)
         self.group = ReentrantCallbackGroup()
-        self._listener = self._node(f"{name}_listener", namespace, parameters=False)
+        self._listener = self._node(f"_{name.lstrip('_')}_listener", namespace, parameters=False)
         self._executor = LeaderFollowersExecutor(self._context)
         self._reception = Reception(self._listener)
         self._listening = threading.Thread(target=_run, args=(self._reception.run,), name=f"ros {name}_listener")
