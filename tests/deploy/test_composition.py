@@ -78,7 +78,7 @@ def test_a_ros_client_in_another_container_plans_and_executes(robot: Composition
     told = robot.ros_client(ON_ROS)
     assert told["planned"]
     assert told["points"] > 10
-    assert {"running", "succeeded"} <= set(told["states"])
+    assert "EXECUTING" in told["states"]
     assert told["succeeded"]
 
 

@@ -12,12 +12,10 @@ import pytest
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually, router
 from support.planner.client import BEHIND_POST, HOME, POST, load, plan, to_joints
-from support.planner.second_opinion import Collisions
+from support.planner.second_opinion import Collisions, link_pose
 from support.trajectories import KEYS, ROBOT, moved, rest_to_rest, with_execution
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState, PlanRequest, SceneObject, Sphere
-from zarm_contract.robot import load_robot
-from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Bus
 
 SLOWLY = 0.3
@@ -130,8 +128,8 @@ def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks
 def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_and_says_so(cell: Cell) -> None:
     goal = cell.way(1.0)
     cell.client.under_way(goal, 0.4)
-    tip = RobotModel.of(load_robot("doosan_m1013")).fk_tip(cell.client.position())[:3, 3]
-    load(cell.bus, Sphere(kind="sphere", name="hand", position=tuple(tip), radius=0.15))
+    x, y, z = link_pose(ROBOT, ROBOT.descriptor.tip_link, cell.client.position())[:3, 3].tolist()
+    load(cell.bus, Sphere(kind="sphere", name="hand", position=(x, y, z), radius=0.15))
     hold = cell.held(goal).hold
     assert hold is not None
     assert hold.obstruction is not None

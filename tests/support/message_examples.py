@@ -78,10 +78,12 @@ _REVISION = "12-5be0c1d2f3a4"
 _CLEAR = m.ClearScene(op="clear")
 _LOAD = m.LoadScene(op="load", objects=(_SPHERE,))
 _POSE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
+_GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
 _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
 _WAYPOINTS = m.WaypointsGoal(
     kind="waypoints", through=(_POSE_GOAL, _JOINT_GOAL), position_tolerance=0.01, angle_tolerance=0.05
 )
+_START_STATE = m.StartState(position=(0.1, -0.2), velocity=(0.3, -0.5), acceleration=(0.25, -0.125))
 _PATH_CONSTRAINT = m.PathConstraint(
     axes=(True, True, False, False, False, True), frame="tool", position_tolerance=0.002, angle_tolerance=0.01
 )
@@ -100,6 +102,7 @@ EXAMPLES: tuple[Message, ...] = (
     _TRAJECTORY,
     # planner
     _POSE_GOAL,
+    _GOAL_SET,
     _JOINT_GOAL,
     _WAYPOINTS,
     _PATH_CONSTRAINT,
@@ -117,7 +120,9 @@ EXAMPLES: tuple[Message, ...] = (
         margin=0.03,
         seed=7,
     ),
+    _START_STATE,
     m.PlanRequest(goal=_JOINT_GOAL),
+    m.PlanRequest(goal=_JOINT_GOAL, start_state=_START_STATE),
     m.PlanRequest(goal=_WAYPOINTS),
     _TIMINGS,
     m.Plan(
@@ -127,6 +132,7 @@ EXAMPLES: tuple[Message, ...] = (
         scene_revision=_REVISION,
         trajectory=_TRAJECTORY,
         tip=_POSE,
+        selected_goal_index=1,
         clearance=0.021,
         resolution=0.005,
         waypoint_times=(0.5, 1.25),

@@ -122,6 +122,11 @@ def patient(folder: Path, robot: RobotDescription = ROBOT) -> Path:
     return with_execution(folder, "joint_state_timeout: 1.0", robot)
 
 
+def forgiving(folder: Path) -> RobotDescription:
+    """The same robot, and the next goal leaves its faults."""
+    return load_robot(str(with_execution(folder, "faults: clear_at_rest")))
+
+
 def with_execution(folder: Path, execution: str, robot: RobotDescription = ROBOT) -> Path:
     """The descriptor of a robot with these settings under `execution`, in a folder of its own."""
     folder.mkdir(parents=True)

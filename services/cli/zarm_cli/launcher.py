@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -17,13 +18,14 @@ from zarm.connection import Connection
 from zarm.robot import Robot
 from zarm_cli.client import SIGNALS, keys_of
 from zarm_cli.interrupts import pause
-from zarm_cli.output import facts, numbers, out
+from zarm_cli.output import err, facts, numbers, out
 from zarm_cli.supervision import Supervisor
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health
 from zarm_contract.robot import RobotDescription, find_robot, load_robot
 from zarm_runtime.bus import Bus
+from zarm_runtime.dds import RANGE, REACH
 from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
 
@@ -32,6 +34,7 @@ SERVICES = ("planner", "servo", "executor")
 first."""
 METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo")
 """Whose metrics are read at the address that `up` is given, at the next port, and so on."""
+_PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 
@@ -68,8 +71,10 @@ class Stack:
             pause(0.1)
 
     def wait(self) -> None:
-        """Wait for ever; raises InternalError when a service ends again and again."""
+        """Wait for ever, and say which service is started again; raises InternalError when one ends again and again."""
         while not (fallen := self.supervisor.given_up()):
+            for service, how in self.supervisor.ended():
+                err.print(f"zarm: the {service} has ended ({how}) and is started again", soft_wrap=True)
             pause(1.0)
         raise InternalError(
             f"the {fallen[0]} ends again and again, at last with: {self.supervisor.last_words(fallen[0])}"
@@ -94,10 +99,15 @@ def launch(
     """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
 
     Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
-    is already up on that bus, Unavailable where the port is taken, no router answers, or ROS is asked for and not installed.
+    is already up on that bus, Unavailable where the port is taken, no router answers, or packages are not installed.
     """
+    _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
     if ros:
-        _require_ros()
+        _require(
+            "ROS 2 cannot be bridged to",
+            _ROS_PACKAGES,
+            "`make ros` installs what is needed, and all else works without --ros",
+        )
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
     endpoint = spoken(connect or listen)
@@ -117,6 +127,8 @@ def launch(
         for service, (_, words) in programs.items():
             words += ["--metrics", _next_port(metrics, METERED.index(service))]
     environment = {"ZARM_METRICS": ""}  # of one address there is but one
+    if ros and not any(map(os.environ.get, REACH)):
+        environment[RANGE] = "LOCALHOST"  # whoever reaches DDS can move the robot
     if sys.stderr.isatty():
         environment["ZARM_COLOUR"] = "1"
     if log_level is not None:
@@ -139,12 +151,9 @@ def _next_port(address: str, step: int) -> str:
     return f"{host}:{int(port) + step}"
 
 
-def _require_ros() -> None:
-    if missing := [package for package in _ROS_PACKAGES if find_spec(package) is None]:
-        raise Unavailable(
-            f"ROS 2 cannot be bridged to, because {' and '.join(missing)} cannot be imported here; `make ros` installs what is "
-            "needed, and all else works without --ros"
-        )
+def _require(what: str, packages: Sequence[str], remedy: str) -> None:
+    if missing := [package for package in packages if find_spec(package) is None]:
+        raise Unavailable(f"{what}, because {' and '.join(missing)} cannot be imported here; {remedy}")
 
 
 def _router(listen: str, keys: Keys) -> AbstractContextManager[object]:

@@ -13,14 +13,13 @@ from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected
 from zarm_cli.compatibility import mismatches
 from zarm_cli.interrupts import pause
-from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, out, pose_text, print_json, records
+from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, held_by, out, pose_text, print_json, records
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
     ExecutorState,
     GoalState,
     Health,
-    Hold,
     JointState,
     Message,
     Pose,
@@ -100,9 +99,10 @@ def _print_status(
     if state is not None:
         rows += _state_rows(state)
     if goal is not None:
-        rows += hold_rows(goal.hold)
+        rows += _hold_rows(goal)
     if scene is not None:
         rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
+    rows += [(service, health.note) for service, health in services.items() if health is not None and health.note]
     table = records(columns, [_service_row(service, health) for service, health in services.items()])
     out.print(facts(*rows), "", table, sep="\n")
 
@@ -128,14 +128,8 @@ def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
     return rows
 
 
-def hold_rows(hold: Hold | None) -> list[tuple[str, str]]:
-    """What a goal that is held waits for."""
-    if hold is None:
-        return []
-    found = hold.obstruction
-    if found is None:
-        return [("held", "no servo guards it, and the descriptor demands one")]
-    return [("held", f"{found.object} is in the way of {found.link} at {found.time:.2f} s of the trajectory")]
+def _hold_rows(goal: GoalState) -> list[tuple[str, str]]:
+    return [] if goal.hold is None else [("held", held_by(goal.hold))]
 
 
 def health(
@@ -216,7 +210,7 @@ def _picture(robot: Robot, look: _Look) -> Table:
     rows += [("mode", "the executor does not answer")] if state is None else _state_rows(state)
     if goal is not None:
         filled = round(goal.progress * 30)
-        rows += hold_rows(goal.hold)
+        rows += _hold_rows(goal)
         rows.append(("goal", f"{'━' * filled}{'╌' * (30 - filled)} {goal.elapsed:.1f} of {goal.duration:.1f} s"))
     rows.append(("tip", "unknown" if tip is None else pose_text(tip)))
     if joints is None:

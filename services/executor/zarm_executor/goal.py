@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.messages import GoalState, GoalStatus, GoalTrajectory, Hold, SceneRevision
-from zarm_executor.monitor import Monitor
+from zarm_contract.robot import FaultPolicy
+from zarm_executor.monitor import Monitor, NotStopped
 from zarm_executor.strategies.base import Progress
 from zarm_trajectory.trajectory import TimedTrajectory
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a goal ends; in a `fault` of the robot nothing moves until somebody has looked at it."""
+    """How a goal ends; after a `fault` of the robot nothing moves until it is left, a `latched` one by `reset` alone."""
 
     status: GoalStatus
     problem: Problem | None = None
     fault: bool = False
+    latched: bool = False
 
     @classmethod
-    def fault_of(cls, failure: ExecutionFailed) -> Outcome:
-        """What a check during motion found, or the control loop."""
-        return cls("aborted", failure.problem, fault=True)
+    def fault_of(cls, failures: Sequence[ExecutionFailed], policy: FaultPolicy) -> Outcome:
+        """What checks during motion found, or the control loop, first things first; its problem says how the fault is left."""
+        latched = policy == "latch" or any(isinstance(failure, NotStopped) for failure in failures)
+        found = "; and ".join(failure.problem.message for failure in failures)
+        way_out = (
+            ", then reset (executor/reset)"
+            if latched
+            else "; the next goal leaves this fault, once the robot rests and reports its joints"
+        )
+        problem = failures[0].problem.model_copy(update={"message": found + way_out})
+        return cls("aborted", problem, fault=True, latched=latched)
 
 
 @dataclass(frozen=True)

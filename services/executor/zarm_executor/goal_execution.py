@@ -31,6 +31,7 @@ class GoalExecution:
         self._speed_scale = 1.0
         self._changes = changes
         self._seen = True
+        self._failures: list[ExecutionFailed] = []
         if goal.chunk is not None:
             self._steerable()
 
@@ -55,6 +56,11 @@ class GoalExecution:
         self._strategy.stop()
         self._become("stopping")
 
+    def fail(self, failure: ExecutionFailed) -> None:
+        """Bring the robot to rest, where the goal ends in a fault."""
+        self._failures.append(failure)
+        self.end(Outcome.fault_of(self._failures, self.goal.monitor.faults))
+
     def pause(self) -> None:
         """Bring the robot to rest and hold it; nothing where the goal ends."""
         if self.goal.outcome is None:
@@ -75,7 +81,7 @@ class GoalExecution:
                     "the rest of it may collide; it stays paused: cancel it, and plan again from where the robot is",
                     code="stale_plan",
                 )
-            goal.pausing = False
+            goal.pausing, goal.hold_since = False, now
             goal.monitor.go_on()
             self._speed_scale = speed_scale
             self._become("running")
@@ -150,7 +156,7 @@ class GoalExecution:
             else:
                 goal.held_until = now
         except ExecutionFailed as failure:
-            self.end(Outcome.fault_of(failure))
+            self.fail(failure)
         if goal.moving or goal.status == "paused" or (goal.waits and goal.outcome is None and not goal.pausing):
             return None
         return self._come_to_rest(now, progress, measured)
@@ -168,7 +174,7 @@ class GoalExecution:
             if not self.goal.monitor.at_rest(now, progress, measured):
                 return None
         except ExecutionFailed as failure:
-            return self._give_up(failure)
+            self.fail(failure)  # the robot had its time to stop; the strategy goes on telling it to
         if self.goal.outcome is not None:
             return self._finish(self.goal.outcome)
         if self.goal.pausing:
@@ -194,7 +200,7 @@ class GoalExecution:
                     return
                 self._strategy.move(self._speed_scale)
             self._note()
-        elif now - goal.hold_since > self._guard.patience:
+        elif not goal.pausing and now - goal.hold_since > self._guard.patience:
             self.end(Outcome("aborted", given_up(goal.hold, self._guard.patience)))
         else:
             self._say_what_is_in_the_way(goal.hold)
@@ -248,14 +254,6 @@ class GoalExecution:
                 found.time,
                 found.avoidable,
             )
-
-    def _give_up(self, failure: ExecutionFailed) -> Outcome:
-        """The robot had its time to stop. The strategy goes on telling it to."""
-        first, problem = self.goal.outcome, failure.problem
-        if first is not None and first.problem is not None and first.fault:
-            problem = first.problem.model_copy(update={"message": f"{first.problem.message}; and {problem.message}"})
-        self.end(Outcome.fault_of(failure))
-        return self._finish(Outcome("aborted", problem, fault=True))
 
     def _finish(self, outcome: Outcome) -> Outcome:
         self.goal.outcome = outcome

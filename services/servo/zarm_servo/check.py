@@ -9,7 +9,7 @@ import numpy as np
 
 from zarm_contract.messages import Obstruction, SceneObject
 from zarm_geometry.meshes import Meshes
-from zarm_geometry.motion_check import MotionCheck
+from zarm_geometry.motion_check import MotionCheck, MotionVerdict, MovingObject
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_servo.world import Seen
@@ -21,6 +21,8 @@ DISTANCE = 0.02
 """The robot rests so far (m) from what is in its way, where it can."""
 _SAMPLE = 0.01
 """The trajectory is looked at this often (s)."""
+_LONG = 1e3
+"""An object that may have moved for so long (s) at a small speed is larger on all sides."""
 _UPDATES = 100
 """After so many changed objects a new world is quicker than to keep them beside the old one."""
 
@@ -61,21 +63,25 @@ class Checker:
         times = times[np.append(np.diff(times) > 1e-6, True)]
         positions = trajectory.positions(times)
 
-        def first(margin: float) -> tuple[float, str, str] | None:
-            verdict = self._check.check(
-                times, positions, margin=margin, attached=seen.attached, ignored_links=seen.ignored_links
+        def first(*grown: MovingObject) -> MotionVerdict:
+            return self._check.check(
+                times,
+                positions,
+                margin=CONTACT,
+                attached=seen.attached,
+                ignored_links=seen.ignored_links,
+                moving=grown,
             )
-            if verdict.contact_time is None:
-                return None
-            return verdict.contact_time, verdict.object or "", verdict.link or ""
 
-        contact = first(CONTACT)
-        if contact is None:
+        contact = first()
+        time, what = contact.contact_time, contact.object or ""
+        if time is None:
             return Way()
-        near = first(DISTANCE)
-        time, what, link = contact
-        until = near[0] if near is not None and near[1] == what else time
-        return Way(until, Obstruction(object=what, link=link, time=time))
+        until = time
+        if what in objects:  # the distance is kept to it alone: much else may be nearer to the trajectory all the time
+            grown = MovingObject(objects[what], speed=DISTANCE / _LONG, time=begin - _LONG)
+            until = first(grown).contact_time or time
+        return Way(until, Obstruction(object=what, link=contact.link or "", time=time))
 
     def _load(self, objects: Mapping[str, SceneObject]) -> None:
         """Have these objects in the world that is checked, and no others."""

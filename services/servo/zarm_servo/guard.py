@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zarm_contract.errors import Problem, ZarmError
-from zarm_contract.messages import Authority, GoalState, GoalTrajectory, JointState, ServoState
+from zarm_contract.messages import Authority, ExecutorState, GoalState, GoalTrajectory, JointState, ServoState
 from zarm_runtime.bus import Latched, Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker, Way
@@ -21,6 +22,8 @@ log = logging.getLogger(__name__)
 
 PERIOD = 0.1
 """How often (s) an authority is repeated."""
+_STARTED = 2.0
+"""A goal whose trajectory was told so long (s) ago runs, or was refused after all."""
 _BEHIND = 0.3
 """How far (s of the path) the robot may be behind what was commanded last."""
 _AHEAD = 0.05
@@ -29,10 +32,12 @@ _AHEAD = 0.05
 
 @dataclass(frozen=True)
 class Followed:
-    """The trajectory of a goal; the executor commanded the path time `commanded` (s) at the moment `told` (monotonic)."""
+    """The trajectory of a goal, which was there first at the moment `since` (s, monotonic); at the moment `told` the executor
+    commanded the path time `commanded` (s)."""
 
     message: GoalTrajectory
     trajectory: TimedTrajectory
+    since: float
     commanded: float
     told: float
 
@@ -59,7 +64,8 @@ class Guard:
         self._instance = instance
         self._metrics = metrics
         self._followed: Followed | None = None
-        self._ended: set[str] = set()
+        self._ended: deque[str] = deque(maxlen=32)
+        self._running: str | None = None
         self._sequence = 0
         self._planner_gone = False
         self._state: ServoState | None = None
@@ -97,18 +103,18 @@ class Guard:
             before = self._followed
             if message.goal_id in self._ended:
                 return
-            same = before is not None and before.message.goal_id == message.goal_id
-            commanded, told = (
-                (before.commanded, before.told) if same and before is not None else (message.start, time.monotonic())
-            )
-            self._followed = Followed(message, trajectory, commanded, told)
+            if before is not None and before.message.goal_id == message.goal_id:
+                self._followed = replace(before, message=message, trajectory=trajectory)
+            else:
+                now = time.monotonic()
+                self._followed = Followed(message, trajectory, since=now, commanded=message.start, told=now)
         self.wake()
 
     def hear_goal(self, _key: str, goal: GoalState) -> None:
         """How far a goal is, or how it ended."""
         with self._lock:
             if goal.done:
-                self._ended = {goal.goal_id, *list(self._ended)[:15]}
+                self._ended.append(goal.goal_id)
             followed = self._followed
             if followed is None or followed.message.goal_id != goal.goal_id:
                 return
@@ -117,6 +123,10 @@ class Guard:
                 self.wake()
             else:
                 self._followed = replace(followed, commanded=goal.progress * goal.duration, told=time.monotonic())
+
+    def hear_state(self, _key: str, state: ExecutorState) -> None:
+        """Which goal runs."""
+        self._running = state.goal_id
 
     def hear_planner(self, *, gone: bool) -> None:
         """Whether there is a planner."""
@@ -137,6 +147,8 @@ class Guard:
         seen = self.mirror.seen(time.monotonic())
         with self._lock:
             followed = self._followed
+            if followed is not None and self._running != followed.message.goal_id and _old(followed):
+                followed = self._followed = None
         if followed is None:
             self._done, way = None, Way()
         else:
@@ -213,3 +225,7 @@ class Guard:
             log.warning("the planner is gone or has lost its scene; what is known of it still counts")
         self._state = state
         self._states.set(state)
+
+
+def _old(followed: Followed) -> bool:
+    return time.monotonic() - followed.since > _STARTED

@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from zarm_contract.messages import (
     Authority,
+    ExecutorState,
     GoalState,
     GoalTrajectory,
     JointState,
@@ -65,6 +66,7 @@ def start(service: Service) -> Iterator[None]:
 
         bus.watch(keys.scene, Scene, guard.mirror.hear_scene)
         bus.listen(keys.scene_object("*"), receive)
+        bus.watch(keys.executor_state, ExecutorState, guard.hear_state)
         bus.watch(keys.goal("*"), GoalState, guard.hear_goal)
         bus.watch(keys.goal_trajectory, GoalTrajectory, guard.hear_trajectory)
         ended = threading.Event()

@@ -98,10 +98,10 @@ class Bench:
 
     arm: Arm = field(default_factory=Arm)
     now: float = 100.0
-    descriptor: RobotDescriptor = ROBOT.descriptor
+    robot: RobotDescriptor = ROBOT.descriptor
 
     def __post_init__(self) -> None:
-        self.machine = Machine(self.arm, TICK, Guard(self.descriptor))
+        self.machine = Machine(self.arm, TICK, Guard(self.robot))
         self.positions: list[Array] = []
         self.machine.tick(self.now)
 
@@ -124,7 +124,7 @@ class Bench:
     def execute(self, goal_id: str = "goal-1", asked: int | None = None, scene: str | None = None) -> TimedTrajectory:
         """Start a motion that was asked for at the arrival `asked` (left out: just now)."""
         path = TimedTrajectory.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
-        goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor), scene)
+        goal = Goal(goal_id, None, path, Monitor(path, self.robot), scene)
         self.machine.start(goal, arrival() if asked is None else asked)
         return path
 

@@ -35,7 +35,7 @@ def authority(
 def bench_with(**execution: object) -> Bench:
     descriptor = ROBOT.descriptor
     settings = descriptor.execution.model_copy(update=execution)
-    bench = Bench(descriptor=descriptor.model_copy(update={"execution": settings}))
+    bench = Bench(robot=descriptor.model_copy(update={"execution": settings}))
     bench.machine.scene = SCENE
     return bench
 

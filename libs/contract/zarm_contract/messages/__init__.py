@@ -59,6 +59,7 @@ from zarm_contract.messages.planner import (
     PlanTimings,
     PoseGoal,
     SettingsChange,
+    StartState,
     WaypointsGoal,
 )
 from zarm_contract.messages.scene import (
@@ -173,6 +174,7 @@ __all__ = [
     "SpeedRequest",
     "SpeedScale",
     "Sphere",
+    "StartState",
     "Strategies",
     "StrategyInfo",
     "StrategyRequest",

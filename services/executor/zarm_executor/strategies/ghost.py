@@ -28,8 +28,8 @@ class GhostOnly(Strategy):
     def admit(self) -> None:
         """Refuse: nothing moves."""
         raise Unavailable(
-            "the active strategy is ghost, which moves nothing; switch to another one first "
-            '(executor/strategy with {"strategy": "emulator"})'
+            "the active strategy is ghost, which moves nothing; switch to another one first, such as emulator "
+            "(executor/strategy)"
         )
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
