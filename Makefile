@@ -18,10 +18,11 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
 
-# Every promise once. What is timed runs alone. Without the ROS bridge its tests are skipped, and say so.
+# Every promise once. Tests mostly wait for robots, so that three at once are none too many for two cores; what is timed runs
+# alone. Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest --ignore=tests/deploy --numprocesses=2 -m "not slow and not timed"
+	@$(BIN)/pytest --ignore=tests/deploy --numprocesses=3 -m "not slow and not timed"
 	@$(BIN)/pytest --ignore=tests/deploy -m "timed and not slow"
 
 # What `make test` runs, what it leaves out as repetition, and more examples of each property.
@@ -102,10 +103,11 @@ $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
 	@touch $@
 
-# The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
+# The compiled kernels of planner and servo are kept between runs; this is the one time that they are waited for.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
-	@echo "compiling the planner's kernels, once ..."
+	@echo "compiling the kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
+	@$(BIN)/python -m zarm_servo.warm_up
 	@touch $@
 
 $(BIN)/python:

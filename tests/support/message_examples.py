@@ -83,6 +83,7 @@ _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
 _WAYPOINTS = m.WaypointsGoal(
     kind="waypoints", through=(_POSE_GOAL, _JOINT_GOAL), position_tolerance=0.01, angle_tolerance=0.05
 )
+_START_STATE = m.StartState(position=(0.1, -0.2), velocity=(0.3, -0.5), acceleration=(0.25, -0.125))
 _PATH_CONSTRAINT = m.PathConstraint(
     axes=(True, True, False, False, False, True), frame="tool", position_tolerance=0.002, angle_tolerance=0.01
 )
@@ -119,7 +120,9 @@ EXAMPLES: tuple[Message, ...] = (
         margin=0.03,
         seed=7,
     ),
+    _START_STATE,
     m.PlanRequest(goal=_JOINT_GOAL),
+    m.PlanRequest(goal=_JOINT_GOAL, start_state=_START_STATE),
     m.PlanRequest(goal=_WAYPOINTS),
     _TIMINGS,
     m.Plan(

@@ -8,14 +8,16 @@ import pytest
 
 from support.command_line import KEYS, Up
 from support.harness import free_endpoint
+from support.paths import ROOT
 from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
 from zarm_runtime.bus import Bus
 
 
 @pytest.fixture(scope="package")
 def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """`zarm up`, which all of these tests share: none of them stops it or changes its files."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
+    """`zarm up` with the meshes of the examples, which all of these tests share: none of them stops it or changes its files."""
+    meshes = ROOT / "examples" / "meshes"
+    with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--meshes", str(meshes)) as stack:
         yield stack
 
 

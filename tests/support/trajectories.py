@@ -113,21 +113,22 @@ def trapezoid(
 
 def descriptor_at(control_rate: float, folder: Path) -> Path:
     """The descriptor of the tests' robot with another rate (Hz) of the control loop, in a folder of its own."""
-    return _descriptor(folder, ROBOT, f"control_rate: {control_rate}")
+    return with_execution(folder, f"control_rate: {control_rate}")
 
 
 def patient(folder: Path, robot: RobotDescription = ROBOT) -> Path:
     """The descriptor of a robot that is given 1 s to tell its joints, in a folder of its own: for tests that move it through a
     driver on a machine that is busy, and say nothing of how soon its silence is noticed."""
-    return _descriptor(folder, robot, "joint_state_timeout: 1.0")
+    return with_execution(folder, "joint_state_timeout: 1.0", robot)
 
 
 def forgiving(folder: Path) -> RobotDescription:
     """The same robot, and the next goal leaves its faults."""
-    return load_robot(str(_descriptor(folder, ROBOT, "faults: clear_at_rest")))
+    return load_robot(str(with_execution(folder, "faults: clear_at_rest")))
 
 
-def _descriptor(folder: Path, robot: RobotDescription, execution: str) -> Path:
+def with_execution(folder: Path, execution: str, robot: RobotDescription = ROBOT) -> Path:
+    """The descriptor of a robot with these settings under `execution`, in a folder of its own."""
     folder.mkdir(parents=True)
     name = robot.descriptor.name
     descriptor = folder / f"{name}.yaml"

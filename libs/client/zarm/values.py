@@ -116,6 +116,18 @@ class Waypoints(_Checked, messages.WaypointsGoal):
         )
 
 
+class StartState(_Checked, messages.StartState):
+    """Where a motion begins in motion: joint positions (rad), velocities (rad/s) and accelerations (rad/s^2, left out: none)."""
+
+    def __init__(self, position: Numbers, velocity: Numbers, acceleration: Numbers | None = None) -> None:
+        at = numbers(position, "position")
+        super().__init__(
+            position=at,
+            velocity=numbers(velocity, "velocity"),
+            acceleration=(0.0,) * len(at) if acceleration is None else numbers(acceleration, "acceleration"),
+        )
+
+
 class PathConstraint(_Checked, messages.PathConstraint):
     """Components of the tip's pose that a motion keeps as they are at its start: `PathConstraint(("theta_x", "theta_y"))`.
 

@@ -24,6 +24,7 @@ ROLES: tuple[Role, ...] = get_args(Role)
 SERVICE_ROLES: Mapping[str, Role] = {
     "planner": "planner",
     "executor": "executor",
+    "servo": "servo",
     "ros_bridge": "bridge",
     "leeloo_sim": "driver",
 }

@@ -140,9 +140,10 @@ class MotionCheck:
         """Whether a motion keeps `margin` (m, above 0) to all objects and between the robot's own links.
 
         `times` (N,) in s increase; `positions` (N, dof) in rad (m where prismatic). Between two samples a joint may do whatever
-        its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: what is proven holds there, too, and so
-        samples that are 4 to 20 ms apart are best. The further apart they are, the more a motion must keep beyond the margin to be
-        called free: at 6 rad/s^2 some 0.1 mm for 4 ms and 2 mm for 20 ms. `attached` objects and `ignored_links` are as in the scene. Raises InvalidRequest for arrays that do not fit.
+        its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: what is proven holds there, too. The
+        further apart samples are, the more a motion must keep beyond the margin to be called free: at 6 rad/s^2 in each joint
+        some 0.1 mm for 4 ms and 2 mm for 20 ms. `attached` objects and `ignored_links` are as in the scene. Raises
+        InvalidRequest for arrays that do not fit.
         """
         time, q = np.array(times, np.float64, ndmin=1), np.array(positions, np.float64, order="C", ndmin=2)
         if (

@@ -9,7 +9,6 @@ from zarm_contract.messages import (
     DriverProgress,
     ExecutorState,
     GoalState,
-    GoalTrajectory,
     JointState,
     Message,
     Plan,
@@ -22,7 +21,7 @@ from zarm_contract.messages import (
 
 
 class Recorded:
-    """The recorded keys of one robot. The preview is left out: it moves nothing and follows from the plans.
+    """The recorded keys of one robot. The preview and the trajectories of goals are left out: they follow from plans and streams.
 
     `models` are the classes by key expression (goals are the family `executor/goal/*`); `present` are the keys that answer
     with their present value, so that a record can begin with what held before it.
@@ -34,7 +33,6 @@ class Recorded:
             keys.scene_revision: SceneEdited,
             keys.executor_state: ExecutorState,
             keys.goal("*"): GoalState,
-            keys.goal_trajectory: GoalTrajectory,
             keys.authority: Authority,
             keys.servo_state: ServoState,
             keys.strategy: Strategies,

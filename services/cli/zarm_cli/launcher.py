@@ -1,4 +1,4 @@
-"""`zarm up`: a router, a planner and an executor for one robot, started together and stopped together."""
+"""`zarm up`: a router, a planner, a servo and an executor for one robot, started together and stopped together."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from zarm_runtime.dds import RANGE, REACH
 from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
 
-SERVICES = ("planner", "executor")
+SERVICES = ("planner", "servo", "executor")
 """What every robot needs, in the order in which they start; they stop the other way round, so that the robot comes to rest
 first."""
-METERED = (*SERVICES, "ros_bridge", "leeloo_sim")
+METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo")
 """Whose metrics are read at the address that `up` is given, at the next port, and so on."""
 _PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
@@ -120,6 +120,7 @@ def launch(
         **simulated,  # this and the bridge before the executor, which may wait for a driver and brakes through it at the end
         **bridge,
         "planner": ("zarm_planner.service", [*arguments, *folders]),
+        "servo": ("zarm_servo.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
     }
     if metrics is not None:
@@ -200,7 +201,7 @@ def up(
         typer.Option(
             envvar="ZARM_METRICS",
             metavar="HOST:PORT",
-            help="Serve the planner's metrics for Prometheus there, and those of executor, bridge and driver at the ports "
+            help="Serve the planner's metrics for Prometheus there, and those of executor, bridge, driver and servo at the ports "
             "that follow.",
         ),
     ] = None,
@@ -211,7 +212,7 @@ def up(
         ),
     ] = None,
 ) -> None:
-    """Start router, planner and executor of one robot; Ctrl-C stops them, the robot first."""
+    """Start router, planner, servo and executor of one robot; Ctrl-C stops them, the robot first."""
     if connect is not None and listen is not None:
         raise typer.BadParameter(
             "one joins a router, the other runs one (ZARM_CONNECT and ZARM_LISTEN count)",

@@ -81,7 +81,7 @@ class GoalExecution:
                     "the rest of it may collide; it stays paused: cancel it, and plan again from where the robot is",
                     code="stale_plan",
                 )
-            goal.pausing = False
+            goal.pausing, goal.hold_since = False, now
             goal.monitor.go_on()
             self._speed_scale = speed_scale
             self._become("running")
@@ -200,7 +200,7 @@ class GoalExecution:
                     return
                 self._strategy.move(self._speed_scale)
             self._note()
-        elif now - goal.hold_since > self._guard.patience:
+        elif not goal.pausing and now - goal.hold_since > self._guard.patience:
             self.end(Outcome("aborted", given_up(goal.hold, self._guard.patience)))
         else:
             self._say_what_is_in_the_way(goal.hold)

@@ -136,6 +136,8 @@ class Reporter:
 
     def _publish_state(self, state: ExecutorState, now: float) -> ExecutorState:
         before = self._state
+        if state == before:
+            return state
         if before is None or state != before.model_copy(update={"missed_ticks": state.missed_ticks}):
             _log("state mode=%s strategy=%s", state.mode, state.strategy, problem=state.problem)
             if state.scene_changed and not (before and before.scene_changed and before.goal_id == state.goal_id):
@@ -144,7 +146,7 @@ class Reporter:
                     state.goal_id,
                     "stop it, and plan again, if something is in its way",
                 )
-        elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:
+        elif now - self._published_state < MISSED_TICKS_PERIOD:
             return state
         self._states.set(state)
         if state.mode == "fault" and state.problem is not None and (before is None or before.problem != state.problem):

@@ -165,7 +165,8 @@ class Handlers:
 
     def _choose(self, request: PlanRequest) -> Planner:
         name = request.planner or self._settings.planner
-        return choose(name, request.goal, constrains(request.path_constraint), self._planners)
+        moving = request.start_state is not None
+        return choose(name, request.goal, constrains(request.path_constraint), moving, self._planners)
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:
         """End the planning of a request, or of one that is still on its way here."""

@@ -13,6 +13,10 @@ from zarm_contract.robot import StrategyParams
 
 T = TypeVar("T")
 
+_FIELDS = {
+    ", set replace,": ",",  # add_object has no such field
+    "breaks the path constraint": "breaks trajectory_constraints",
+}
 _SILENT = re.compile(r"nobody answered on zarm/\w+/(\w+)[\w/.*-]*")
 
 
@@ -48,7 +52,9 @@ class Terms:
 
     def of(self, text: str) -> str:
         """The text with a name on ROS for each key that has one."""
-        text = _SILENT.sub(self._silent, text).replace(", set replace,", ",")  # add_object has no such field
+        text = _SILENT.sub(self._silent, text)
+        for said, told in _FIELDS.items():
+            text = text.replace(said, told)
         return self._words.sub(lambda found: self._names[found[0]], text)
 
     def of_error(self, error: ZarmError) -> ZarmError:

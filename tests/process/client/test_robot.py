@@ -106,6 +106,21 @@ def test_of_several_poses_the_one_that_is_quickest_to_reach_is_planned_to(robot:
     assert through.selected_goal_index is None
 
 
+def test_a_plan_begins_in_the_motion_that_it_is_to_take_over(robot: zarm.Robot) -> None:
+    runs = robot.plan(ELSEWHERE, start=HOME).trajectory
+    at = len(runs.time) // 2
+    state = zarm.StartState(runs.position[at], np.array(runs.velocity[at]), runs.acceleration[at])
+    back = robot.plan(HOME, start=state).trajectory
+    assert (back.position[0], back.velocity[0], back.acceleration[0]) == (
+        state.position,
+        state.velocity,
+        state.acceleration,
+    )
+    assert back.position[-1] == pytest.approx(HOME)
+    with pytest.raises(zarm.InvalidRequest, match="path constraint"):
+        robot.plan(HOME, start=state, path_constraint=zarm.PathConstraint(("z",)))
+
+
 def test_what_a_service_refuses_is_the_error_that_it_stands_for(robot: zarm.Robot) -> None:
     with pytest.raises(zarm.PlanningFailed):
         robot.plan(zarm.Pose((5.0, 0.0, 0.5)))

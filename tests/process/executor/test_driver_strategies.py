@@ -27,7 +27,7 @@ from zarm_runtime.session import open_client
 EXAMPLE = EXAMPLES / "zenoh_driver.py"
 
 
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -98,7 +98,8 @@ def test_the_ur5e_reaches_the_goal_by_whole_trajectories_without_being_told_prog
         assert len(set(progress)) > 5
 
 
-@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
 def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -117,7 +118,8 @@ def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
-@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_pose", "joint_trajectory"))
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
 def test_the_speed_of_a_robot_behind_a_driver_changes_in_motion(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -133,6 +135,7 @@ def test_the_speed_of_a_robot_behind_a_driver_changes_in_motion(
         np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.01)
 
 
+@pytest.mark.slow
 def test_switching_to_the_driver_and_back_while_it_moves(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_speed") as robot:
         goal_id = robot.client.execute(THERE)

@@ -32,6 +32,7 @@ TERMS = Terms("/left/unified_planner", Keys("left"), load_robot("doosan_m1013").
             "nobody answered on zarm/left/scene/edit within 5 s; `zarm status` shows which services run",
             "the planner of left has not answered within 5 s; `zarm status` shows which services run",
         ),
+        ("the goal breaks the path constraint: there", "the goal breaks trajectory_constraints: there"),
         (
             "there is already an object box; remove it first, set replace, or choose another name",
             "there is already an object box; remove it first, or choose another name",

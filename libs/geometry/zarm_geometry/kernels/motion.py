@@ -24,8 +24,10 @@ from zarm_geometry.kernels.simd import pointer
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
 
-COARSE = 0.05
+COARSE = 0.02
 """A stretch with a larger sag (m) is cut in two at once when something is near it."""
+CROWD = 48
+"""So many obstacles are looked at on a stretch that had better be cut in two."""
 POSE = 12
 """Numbers per frame (3, 4)."""
 EXTENTS = 6
@@ -304,7 +306,7 @@ def _along(n: Vector, frames: Pointer, at: int, core: Extents, other: Pointer, w
     x = frames[at + 3] - other[where + 3] - shift[0]
     y = frames[at + 7] - other[where + 7] - shift[1]
     z = frames[at + 11] - other[where + 11] - shift[2]
-    along = n0 * x + n1 * y + n2 * z
+    along: float = n0 * x + n1 * y + n2 * z
     if core[0] + core[1] + core[2] + core[3] > 0.0:
         along -= core_reach(turned_back(turn_of(frames, at), (-n0, -n1, -n2)), core)
     return along
@@ -378,6 +380,9 @@ def _against_world(
     x0, x1 = min(f[fa + 3], f[fm + 3], f[fb + 3]) - wide, max(f[fa + 3], f[fm + 3], f[fb + 3]) + wide
     y0, y1 = min(f[fa + 7], f[fm + 7], f[fb + 7]) - wide, max(f[fa + 7], f[fm + 7], f[fb + 7]) + wide
     z0, z1 = min(f[fa + 11], f[fm + 11], f[fb + 11]) - wide, max(f[fa + 11], f[fm + 11], f[fb + 11]) + wide
+    # A stretch on which a link moves far, for its size, is beside more obstacles than its halves together.
+    long = b > a + 1 and max(x1 - x0, y1 - y0, z1 - z0) - 2.0 * wide + 2.0 * sag > 0.25 * radius
+    crowd = 0
     lowest = clearance
     point = (0.0, 0.0, 0.0, 0.0)
     node, mover, boxes = 0, 0, view.boxes
@@ -416,7 +421,8 @@ def _against_world(
                 or view.upper[high + 2] + max(early[2], late[2]) + growth < z0
             ):
                 continue
-        if sag > COARSE and b > a + 1:
+        crowd += 1
+        if (sag > COARSE and b > a + 1) or (long and crowd > CROWD):
             return -math.inf, 0, 0
         other = extents_of(extents, which)
         less = extents[EXTENTS * which + 4] + sag + growth

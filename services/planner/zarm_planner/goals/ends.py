@@ -52,14 +52,14 @@ class End:
         return self.asked[None][: 0 if self.free is self.asked else 1]
 
 
-def check_start(context: PlanningContext, q: Array) -> Nearest:
-    """What is nearest at the start of a path. Raises PlanningFailed (`start_in_collision`)."""
+def check_start(context: PlanningContext, q: Array, field: str = "start") -> Nearest:
+    """What is nearest at the start of a path, the request's `field`. Raises PlanningFailed (`start_in_collision`)."""
     nearest = context.exact.nearest(q)
     if nearest.distance <= 0.0:
         raise PlanningFailed(
             f"the start is in collision: {_overlap(nearest)}; move the robot away by hand, or correct the scene",
             code="start_in_collision",
-            field="start",
+            field=field,
         )
     return nearest
 

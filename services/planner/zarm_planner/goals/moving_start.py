@@ -41,11 +41,11 @@ def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
 
 
 def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple[LeadIn, End]:
-    """A way to brake from `state` (3, dof), verified, and where it comes to rest; with `vias` as gently as `smooth_path` then is.
+    """A way to brake from `state` (3, dof), verified, and where it comes to rest; `vias` as in `ways_to_rest`.
 
     Raises PlanningFailed (`start_in_collision`, and `no_path` where every braking that is tried breaks a limit or hits something).
     """
-    check_start(context, state[0])
+    check_start(context, state[0], "start_state")
     failure: VerificationFailed | None = None
     ways = ways_to_rest(context.model, context.world, state, context.limits, context.dt, vias=vias, seed=context.seed)
     for lead_in in ways:

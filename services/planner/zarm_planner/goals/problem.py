@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Goal, JointGoal, PoseGoal, WaypointsGoal
 from zarm_planner.constraints.path_constraint import ConstraintManifold, constrains
 from zarm_planner.context import PlanningContext
@@ -38,7 +37,7 @@ class PlanningProblem:
 
         `motion` (2, dof) are velocity and acceleration at the start, left out where it is at rest. Raises PlanningFailed
         (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path` where no braking is free), InvalidRequest for a
-        goal that does not keep the constraint and for a constraint in motion, and what the deadline raises.
+        goal that does not keep the constraint, and what the deadline raises.
         """
         model, constraint = context.model, None
         if constrains(context.path_constraint):
@@ -46,15 +45,10 @@ class PlanningProblem:
         lead_in: LeadIn | None = None
         if motion is None or not motion.any():
             begin = start_end(context, start, constraint)
-        elif constraint is None:
+        else:
             vias = isinstance(goal, WaypointsGoal) and len(goal.through) > 1
             lead_in, begin = moving_start(context, np.vstack((start, motion)), vias=vias)
             start = begin.asked
-        else:
-            raise InvalidRequest(
-                "a path constraint is kept only by motions that begin at rest; leave one of them out",
-                field="start_state",
-            )
         through: dict[str, PoseGoal | JointGoal]
         if isinstance(goal, WaypointsGoal):
             through = {f"goal.through.{number}": waypoint for number, waypoint in enumerate(goal.through)}

@@ -211,8 +211,8 @@ def smooth(
 ) -> int:
     """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns how many it has.
 
-    Before `begin` (s) it stays as it is.     `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration (rad/s^2). Vias are passed as before,
-    perhaps at another velocity.
+    Before `begin` (s) it stays as it is. `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration
+    (rad/s^2). Vias are passed as before, perhaps at another velocity.
     """
     checks = space(robot, world, memory)
     capacity, dof = ramps.position.shape

@@ -37,6 +37,7 @@ class FreePlanner(Planner):
     """To a pose, to joints, or through waypoints, in the way that is quickest."""
 
     names = NAMES
+    moving = True
 
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         """The smooth trajectory along the route, and then those that round its corners ever less.

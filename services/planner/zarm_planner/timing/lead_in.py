@@ -48,8 +48,9 @@ class LeadIn:
 def ways_to_rest(
     model: RobotModel, world: World, state: Array, limits: Limits, dt: float, *, vias: bool, seed: int
 ) -> Iterator[LeadIn]:
-    """The ways to brake from `state` (3, dof) inside the joints' ranges that are worth a look; at most one that is free in spheres, and
-    first. With `vias` acceleration is as gentle as `smooth_path` has it then.
+    """Ways to brake from `state` (3, dof) inside the joints' ranges: first one that is free in spheres, if any, then others.
+
+    With `vias` acceleration is as gentle as `smooth_path` has it then.
     """
     q, velocity, acceleration = state
     strongest = gentle_acceleration(limits, dt) if vias else limits.acceleration

@@ -49,7 +49,7 @@ def positions_of(message: RosJointState, joints: Sequence[str], field: str) -> P
         raise InvalidRequest(
             f"{len(values)} positions for {len(message.name)} names; give one for each", field=f"{field}.position"
         )
-    places = _places(message.name or joints, joints, f"{field}.name")
+    places = places_of(message.name or joints, joints, f"{field}.name")
     return tuple(finite(values[places[joint]], f"{field}.position.{places[joint]}") for joint in joints)
 
 
@@ -65,7 +65,7 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
     which names the field, for what cannot be read.
     """
     names = message.name or unnamed
-    places = _places(names, joints, "name")
+    places = places_of(names, joints, "name")
     position, velocity = message.position, message.velocity or [0.0] * len(names)
     for field, values in (("position", position), ("velocity", velocity)):
         if len(values) != len(names):
@@ -82,8 +82,8 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
     )
 
 
-def _places(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:
-    """Where each of `joints` stands in `names`, and each other name."""
+def places_of(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:
+    """Where each of `joints` stands in `names`, and each other name. Raises InvalidRequest where one is missing, or there twice."""
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         joint = known_as(name, joints)

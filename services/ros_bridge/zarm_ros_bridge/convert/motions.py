@@ -132,11 +132,11 @@ def pose_sets(sets: Sequence[Sequence[Any]], field: str) -> tuple[tuple[Pose, ..
     for i, poses in enumerate(sets):
         if not len(poses):
             raise InvalidRequest("the goal set has no pose; give one, or several to choose from", field=f"{field}[{i}]")
-    places = _places(sets, field)
+    places = places_of(sets, field)
     return tuple(tuple(pose_of(pose, next(places)) for pose in poses) for poses in sets)
 
 
-def _places(sets: Sequence[Sequence[Any]], field: str) -> Iterator[str]:
+def places_of(sets: Sequence[Sequence[Any]], field: str) -> Iterator[str]:
     """How a client knows each of the poses: target_pose, target_poses[2], goalsets[0].poses[2]."""
     for i, poses in enumerate(sets):
         for j in range(len(poses)):
