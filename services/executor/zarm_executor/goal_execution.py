@@ -196,7 +196,7 @@ class GoalExecution:
             log.info("the goal goes on goal_id=%s", goal.goal_id)
             if goal.moving:
                 goal.monitor.go_on()
-                if self._blocked(now):
+                if not progress.finished and self._blocked(now):
                     return
                 self._strategy.move(self._speed_scale)
             self._note()
