@@ -194,7 +194,8 @@ def _single_keys() -> Iterator[int]:
 
 
 def _read(descriptor: int) -> str:
-    """The keys that were pressed, after `PERIOD` s at most; the end of the input counts as Ctrl-D."""
+    """The keys that were pressed, after `PERIOD` s at most; the end of the input counts as Ctrl-D, and what is no character stops."""
     if not select.select([descriptor], [], [], PERIOD)[0]:
         return ""
-    return os.read(descriptor, 64).decode(errors="replace") or "\x04"
+    read = os.read(descriptor, 64).decode(errors="replace") or "\x04"
+    return " " if "\x1b" in read else read  # an arrow, a function key

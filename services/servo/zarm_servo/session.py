@@ -81,7 +81,7 @@ class Snapshot:
 
 
 class Session:
-    """Leads the goal `goal_id`, from rest at `position` (J,). `revision` is the scene that it knows and keeps away from.
+    """Leads the goal `goal_id`, from rest at `position` (J,).
 
     `check` is its own while it is open. `changed()` is called where what limits it has changed.
     """
@@ -106,9 +106,7 @@ class Session:
         self._check, self._mirror, self._measured = check, mirror, measured
         self._chunks, self._changed = chunks, changed
         self._load(mirror.seen(time.monotonic()))
-        limits = Limits.of(robot, request.velocity_scale, request.acceleration_scale)
-        acceleration = _SHARE * limits.acceleration
-        limits = replace(limits, acceleration=acceleration, jerk=np.minimum(limits.jerk, acceleration / _SOFT))
+        limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
         self._course = Course(position)
         self._clock = StreamClock(delay)
@@ -125,6 +123,11 @@ class Session:
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
 
     # -- from any thread --
+
+    @property
+    def revision(self) -> SceneRevision | None:
+        """The scene that its steps are checked in."""
+        return self._seen.revision
 
     @property
     def ended(self) -> bool:
@@ -272,8 +275,7 @@ class Session:
 
     def _load(self, seen: Seen) -> None:
         self._check.load(seen.objects)
-        self._seen, self.revision = seen, seen.revision
-        self._around = Surroundings(seen.attached, seen.ignored_links)
+        self._seen, self._around = seen, Surroundings(seen.attached, seen.ignored_links)
 
     def _put(
         self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False
@@ -306,6 +308,8 @@ class Session:
         self._done.set()
         self._changed()
 
-    revision: SceneRevision | None
-    _seen: Seen
-    _around: Surroundings
+
+def soft(limits: Limits) -> Limits:
+    """The limits that steps are made with, so that the quintics of a chunk are inside `limits` between its samples too."""
+    acceleration = _SHARE * limits.acceleration
+    return replace(limits, acceleration=acceleration, jerk=np.minimum(limits.jerk, acceleration / _SOFT))
