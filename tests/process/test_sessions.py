@@ -83,9 +83,9 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 
 @pytest.fixture
-def cell(shared: Cell) -> Iterator[Cell]:
+def cell(shared: Cell) -> Cell:
     shared.home()
-    yield shared
+    return shared
 
 
 def test_a_pose_is_reached_to_a_millimetre_beside_a_wall_and_one_behind_it_says_what_is_in_the_way(cell: Cell) -> None:
@@ -143,10 +143,15 @@ def test_a_session_beside_a_goal_is_refused_and_a_stop_ends_a_session(cell: Cell
         pass
     cell.robot.cancel(goal)
     cell.client.mode("idle")
-    with pytest.raises(zarm.Cancelled), cell.robot.jog() as jogging:
-        cell.repeat(jogging, "free", linear=(0.0, 0.05, 0.0))
-        cell.robot.stop()
-        eventually(lambda: not jogging.running, "the session has ended")
+
+    def led_until_stopped() -> None:
+        with cell.robot.jog() as jogging:
+            cell.repeat(jogging, "free", linear=(0.0, 0.05, 0.0))
+            cell.robot.stop()
+            eventually(lambda: not jogging.running, "the session has ended")
+
+    with pytest.raises(zarm.Cancelled):
+        led_until_stopped()
     assert cell.client.mode("idle").problem is None
 
 
