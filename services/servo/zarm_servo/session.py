@@ -211,7 +211,7 @@ class Session:
     def _measured_position(self) -> Array:
         measured = self._measured.get()
         if measured is None or set(measured.joint_names) != set(self._joints):
-            return self._controller.state[0]
+            return np.asarray(self._controller.state[0])
         return np.array([measured.position[measured.joint_names.index(joint)] for joint in self._joints])
 
     # -- the thread --
