@@ -6,8 +6,8 @@ import threading
 
 from zarm_contract.messages import GoalState
 
-_SLACK = 0.1
-"""What a goal tells of itself may be so old (s) when it is heard."""
+_AGE, _OLDEST = 0.02, 0.12
+"""What a goal tells of itself is usually so old (s) when it is heard, and at most."""
 
 
 class StreamClock:
@@ -40,9 +40,9 @@ class StreamClock:
         with self._lock:
             self._advance(now)
             told, behind = goal.progress * goal.duration, self._scale * self._delay
-            least = told + behind if told > 0.0 else 0.0
-            self._time = min(max(self._time, least), told + behind + _SLACK)
             self._rate = self._scale if goal.status == "running" and goal.hold is None else 0.0
+            least = told + self._rate * _AGE + (behind if told > 0.0 else 0.0)
+            self._time = min(max(self._time, least), told + behind + _OLDEST)
 
     def _advance(self, now: float) -> None:
         self._time += self._rate * (now - self._at)

@@ -6,6 +6,7 @@ import numpy as np
 
 from zarm_servo.controller import PERIOD, Step
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.speed_change import SpeedChange
 from zarm_trajectory.trajectory import TimedTrajectory
 
 REST = 0.5
@@ -15,18 +16,17 @@ _APART = 1e-5
 
 
 class Course:
-    """Begins with rest at `position` (J,), at 0 s of a stream."""
+    """Begins in `state` (3, J), from which `braking` leads to rest, at `start` (s) of a stream."""
 
-    def __init__(self, position: Array) -> None:
-        rest = np.array((position, np.zeros_like(position), np.zeros_like(position)))
-        self._steps = 0
-        self._states = [rest]
-        self._braking: tuple[Array, Array] = np.empty(0), np.empty((3, 0, len(position)))
+    def __init__(self, start: float, state: Array, braking: SpeedChange) -> None:
+        self._begun, self._steps = start, 0
+        self._states = [state]
+        self._brake(braking, 0.0)
 
     @property
     def time(self) -> float:
         """The time (s) of the stream up to which there are steps."""
-        return (self._steps + self.pending) * PERIOD
+        return self._begun + (self._steps + self.pending) * PERIOD
 
     @property
     def pending(self) -> int:
@@ -36,16 +36,19 @@ class Course:
     def add(self, step: Step) -> None:
         """Go one step further."""
         self._states.append(step.state)
-        times = step.braking.knots
-        times = times[times > step.braked + _APART]
+        self._brake(step.braking, step.braked)
+
+    def _brake(self, braking: SpeedChange, braked: float) -> None:
+        times = braking.knots
+        times = times[times > braked + _APART]
         times = times[np.append(True, np.diff(times) > _APART)] if len(times) else times
-        self._braking = times - step.braked, step.braking.sample(times)
+        self._braking = times - braked, braking.sample(times)
 
     def chunk(self) -> tuple[float, TimedTrajectory]:
         """The time (s) of the stream at which the next chunk starts, and its trajectory, to rest. It begins exactly where the steps of
         the chunk before it ended.
         """
-        start, times = self._steps * PERIOD, PERIOD * np.arange(len(self._states))
+        start, times = self._begun + self._steps * PERIOD, PERIOD * np.arange(len(self._states))
         after, braking = self._braking
         states = np.concatenate((np.stack(self._states, axis=1), braking), axis=1)
         rest = states[:, -1:].copy()

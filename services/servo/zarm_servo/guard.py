@@ -101,6 +101,7 @@ class Guard:
         """A goal begins, or its trajectory changes."""
         session = self.session
         if session is not None and message.goal_id == session.goal_id:
+            session.hear_trajectory(message)
             if message.number == 1:
                 self.wake()
             return

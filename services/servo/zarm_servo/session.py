@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -15,6 +15,7 @@ from zarm_contract.errors import Busy, Unavailable, from_problem
 from zarm_contract.messages import (
     ExecutorState,
     GoalState,
+    GoalTrajectory,
     JointState,
     SceneRevision,
     ServoSession,
@@ -40,10 +41,16 @@ log = logging.getLogger(__name__)
 
 CHUNK = 5
 """Steps in a chunk: 50 chunks a second leave the executor time for other things."""
-LEAD = 0.05
+LEAD = 0.06
 """Steps are made for so long (s) after what the executor commands now: a chunk has its way to go, and waits for a tick there."""
 DEADLINE = 0.3
 """The executor brakes where no chunk has come for so long (s)."""
+_ASTRAY = 1e-4
+"""An executor that follows something further (rad) from the steps has had a chunk too late, and blends."""
+_ON_ITS_WAY = 0.1
+"""After so long (s) the executor has taken every chunk, or dropped it."""
+_REMEMBERED = 50
+"""So many chunks are remembered."""
 _REPEATED = 0.08
 """A chunk is sent at least so often (s), however slowly the robot moves."""
 _CAUGHT_UP = 2
@@ -108,7 +115,10 @@ class Session:
         self._load(mirror.seen(time.monotonic()))
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
-        self._course = Course(position)
+        self._course = Course(0.0, self._controller.state, self._controller.braking)
+        self._joins: OrderedDict[int, tuple[float, Array]] = OrderedDict()
+        self._followed: tuple[int, TimedTrajectory] | None = None
+        self._astray = False
         self._clock = StreamClock(delay)
         self._sequence, self._sent_at = 0, 0.0
         self._used = time.monotonic()
@@ -164,6 +174,14 @@ class Session:
         self._held = goal.status == "paused"
         if goal.status != "accepted":
             self._told.set()
+
+    def hear_trajectory(self, message: GoalTrajectory) -> None:
+        """What the executor follows, after every chunk: whether that is what was checked."""
+        trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
+        start, state = self._joins.get(message.number, (-1.0, np.empty(0)))
+        if start >= trajectory.time[0]:
+            self._astray = float(np.abs(trajectory.at(start) - state)[0].max()) > _ASTRAY
+        self._followed = message.number, trajectory
 
     def hear_speed(self, state: ExecutorState) -> None:
         """At which share of the planned speed the robot moves."""
@@ -253,6 +271,8 @@ class Session:
             log.info("the session ends, no target has come seconds=%g goal_id=%s", _UNUSED, self.goal_id)
             self._closing = True
         commanded = self._clock.time(now)
+        if self._astray and not self._found(commanded, now):
+            return
         for _ in range(_CAUGHT_UP):
             coming = self._course.time + PERIOD - commanded
             if coming > LEAD:
@@ -260,6 +280,20 @@ class Session:
             self._step(None if self._closing else target, age, max(coming, 0.0))
         if self._course.pending >= CHUNK or now - self._sent_at > _REPEATED:
             self._put(*self._course.chunk())
+
+    def _found(self, commanded: float, now: float) -> bool:
+        """Go on from what the executor follows, once it has taken all chunks; whether that is done."""
+        followed = self._followed
+        if followed is None or (followed[0] < self._sequence and now - self._sent_at < _ON_ITS_WAY):
+            return False
+        time_there = commanded + LEAD
+        state = followed[1].at(time_there)
+        if time_there >= followed[1].duration:
+            state[1:] = 0.0
+        self._controller.restart(state)
+        self._course = Course(time_there, self._controller.state, self._controller.braking)
+        self._astray = False
+        return True
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
         wanted = None if target is None else ahead(target, coming)
@@ -282,6 +316,9 @@ class Session:
     ) -> None:
         self._sequence += 1
         self._sent_at = time.monotonic()
+        self._joins[self._sequence] = start, trajectory.states[:, 0]
+        if len(self._joins) > _REMEMBERED:
+            self._joins.popitem(last=False)
         self._chunks.put(
             StreamChunk(
                 goal_id=self.goal_id,

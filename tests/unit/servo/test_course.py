@@ -23,7 +23,7 @@ HOME = np.array(ROBOT.descriptor.home)
 
 def test_chunks_continue_one_another_exactly_stay_inside_the_limits_and_end_at_rest() -> None:
     controller = Controller(MODEL, MotionCheck(MODEL), soft(LIMITS), HOME, margin=0.01)
-    course, followed = Course(HOME), TimedTrajectory.standing(HOME)
+    course, followed = Course(0.0, controller.state, controller.braking), TimedTrajectory.standing(HOME)
     states = [controller.state]
     rng = np.random.default_rng(5)
     target: Target = TwistTarget(np.zeros(6))
