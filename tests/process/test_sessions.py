@@ -99,7 +99,7 @@ def test_a_pose_is_reached_to_a_millimetre_beside_a_wall_and_one_behind_it_says_
         with pytest.raises(DeadlineExceeded, match="wall"):
             tracking.reach(behind, timeout=3.0)
         tracking.reach(HOME, timeout=PATIENCE)
-    assert [goal.status for goal in cell.client.goals if goal.done] == ["succeeded"]
+    assert cell.client.ended(tracking.goal_id).status == "succeeded"
     cell.assert_sound(WALL)
 
 
