@@ -6,7 +6,7 @@ import os
 import pty
 import select
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -43,7 +43,7 @@ class Cell:
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         self.endpoint = stack.enter_context(router())
         self.bus = stack.enter_context(Bus(self.endpoint))
-        for service in ("planner", "executor", "servo"):
+        for service in ("planner", "leeloo_sim", "executor", "servo"):
             process = stack.enter_context(ServiceProcess(service, self.endpoint, folder))
             process.wait_ready(self.bus, KEYS)
         self.client = Client(self.bus)
@@ -185,6 +185,35 @@ def test_a_pause_ends_a_session_and_leaves_its_goal_paused(cell: Cell) -> None:
         pass
     cell.robot.cancel(session.goal_id)
     assert cell.client.ended(session.goal_id).status == "cancelled"
+
+
+@pytest.fixture
+def driven(cell: Cell) -> Iterator[Callable[[str], None]]:
+    """Have a driver move the robot, by another strategy, and then the emulator again."""
+
+    def switch(strategy: str) -> None:
+        cell.client.strategy(strategy)
+
+    yield switch
+    cell.client.strategy("emulator")
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose"])
+def test_a_driver_is_led_as_well(cell: Cell, driven: Callable[[str], None], strategy: str) -> None:
+    driven(strategy)
+    at = cell.client.position()
+    there = at + (0.1, 0.05, -0.05, 0.0, 0.0, 0.1)
+    with cell.robot.track() as tracking:
+        tracking.reach(there, timeout=PATIENCE)
+    assert cell.client.ended(tracking.goal_id).status == "succeeded"
+    np.testing.assert_allclose(cell.client.position(), there, atol=0.005)
+
+
+def test_a_strategy_that_hands_motions_over_as_a_whole_leads_nobody(cell: Cell, driven: Callable[[str], None]) -> None:
+    driven("joint_trajectory")
+    with pytest.raises(zarm.Unavailable, match="switch to another strategy"), cell.robot.jog():
+        pass
+    assert cell.client.stands()
 
 
 def test_keys_in_a_terminal_move_the_robot(cell: Cell) -> None:
