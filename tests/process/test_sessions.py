@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import select
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -43,8 +44,11 @@ class Cell:
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         self.endpoint = stack.enter_context(router())
         self.bus = stack.enter_context(Bus(self.endpoint))
-        for service in ("planner", "leeloo_sim", "executor", "servo"):
-            process = stack.enter_context(ServiceProcess(service, self.endpoint, folder))
+        self.services = {
+            service: stack.enter_context(ServiceProcess(service, self.endpoint, folder))
+            for service in ("planner", "leeloo_sim", "executor", "servo")
+        }
+        for process in self.services.values():
             process.wait_ready(self.bus, KEYS)
         self.client = Client(self.bus)
         self.robot = stack.enter_context(zarm.connect(self.endpoint))
@@ -185,6 +189,25 @@ def test_a_pause_ends_a_session_and_leaves_its_goal_paused(cell: Cell) -> None:
         pass
     cell.robot.cancel(session.goal_id)
     assert cell.client.ended(session.goal_id).status == "cancelled"
+
+
+def test_an_executor_that_was_held_up_is_led_on_from_where_the_robot_is(cell: Cell) -> None:
+    chunks: list[bytes] = []
+    cell.bus.listen(KEYS.stream, lambda _, payload: chunks.append(payload))
+    here, executor = cell.robot.tip(), cell.services["executor"].process
+    with cell.robot.jog() as jogging:
+        cell.repeat(jogging, "free", linear=(0.0, 0.1, 0.0))
+        executor.send_signal(signal.SIGSTOP)
+        try:
+            seen = len(chunks)
+            eventually(lambda: len(chunks) >= seen + 5, "chunks wait for the executor")
+        finally:
+            executor.send_signal(signal.SIGCONT)
+        cell.repeat(jogging, "free", linear=(0.0, 0.1, 0.0))
+    with cell.robot.track() as tracking:
+        tracking.reach(here, timeout=PATIENCE)
+    assert cell.client.ended(tracking.goal_id).status == "succeeded"
+    cell.assert_sound()
 
 
 @pytest.fixture

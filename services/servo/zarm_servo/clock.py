@@ -8,6 +8,8 @@ from zarm_contract.messages import GoalState
 
 _AGE, _OLDEST = 0.02, 0.12
 """What a goal tells of itself is usually so old (s) when it is heard, and at most."""
+_NEARER = 0.1
+"""So much of the difference to what is told is taken back at every word: an executor that was held up is found again."""
 
 
 class StreamClock:
@@ -42,7 +44,8 @@ class StreamClock:
             told, behind = goal.progress * goal.duration, self._scale * self._delay
             self._rate = self._scale if goal.status == "running" and goal.hold is None else 0.0
             least = told + self._rate * _AGE + (behind if told > 0.0 else 0.0)
-            self._time = min(max(self._time, least), told + behind + _OLDEST)
+            time = min(max(self._time, least), told + behind + _OLDEST)
+            self._time = time - _NEARER * (time - least)
 
     def _advance(self, now: float) -> None:
         self._time += self._rate * (now - self._at)
