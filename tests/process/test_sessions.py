@@ -7,6 +7,7 @@ import pty
 import select
 import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,7 +22,7 @@ from support.executor.client import Client
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.planner.client import load
 from support.trajectories import HOME, KEYS, ROBOT
-from zarm.servoing import Jogging
+from zarm.servoing import PERIOD, Jogging
 from zarm_contract.errors import Busy, DeadlineExceeded
 from zarm_contract.messages import Accepted, Cuboid, SceneObject, ServoSession, ServoStart, Sphere
 from zarm_geometry.exact import ExactScene
@@ -69,15 +70,22 @@ class Cell:
         nearest = ExactScene(MODEL, World(objects, 0.0)).nearest(positions).distance
         assert nearest >= MARGIN - PRECISION
 
-    def repeat(self, jogging: Jogging, until: str, *, linear: tuple[float, float, float]) -> ServoSession:
-        """Jog until this limits the robot; what the servo tells then."""
-
-        def limited() -> ServoSession | None:
+    def repeat(
+        self, jogging: Jogging, until: str, *, linear: tuple[float, float, float], within: float = np.inf
+    ) -> ServoSession:
+        """Jog, with a target every PERIOD, until this limits the robot, which has less clearance (m); what the servo tells then."""
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
             jogging.twist(linear)
             state = jogging.state
-            return state if state is not None and state.limiting == until else None
-
-        return eventually(limited, f"the robot is limited: {until}")
+            if (
+                state is not None
+                and state.limiting == until
+                and (within == np.inf or (state.clearance or 0.0) < within)
+            ):
+                return state
+            time.sleep(PERIOD)
+        raise AssertionError(f"waited in vain until the robot is limited: {until}; last {jogging.state}")
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +136,21 @@ def test_what_is_put_in_the_way_while_the_robot_is_led_is_kept_away_from(cell: C
         slowed = cell.repeat(jogging, "slowing", linear=(0.0, 0.2, 0.0))
         assert slowed.object == "ball"
     cell.assert_sound(ball)
+
+
+def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
+    x, y, z = TIP.tolist()
+    table = Cuboid(kind="cuboid", name="table", position=(x, y, z - 0.3), size=(0.4, 0.4, 0.1))
+    load(cell.bus, table)
+    cell.robot.scene.add(zarm.Cuboid("tool", size=(0.04, 0.04, 0.1), position=(x, y, z - 0.06)))
+    cell.robot.scene.attach("tool")
+    with cell.robot.jog() as jogging:
+        slowed = cell.repeat(jogging, "slowing", linear=(0.0, 0.0, -0.1))
+        assert slowed.object == "table"
+        cell.repeat(jogging, "slowing", linear=(0.0, 0.0, -0.1), within=2 * MARGIN)
+    holding = MODEL.with_attached(tuple(cell.robot.scene.attached().values()), ())
+    positions = np.array([state.position for state in cell.client.measured])
+    assert ExactScene(holding, World([table], 0.0)).nearest(positions).distance >= MARGIN - PRECISION
 
 
 def test_a_second_client_is_refused_unless_it_takes_over_and_then_the_first_has_lost_the_robot(cell: Cell) -> None:
