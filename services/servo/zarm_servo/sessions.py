@@ -6,6 +6,7 @@ import logging
 import secrets
 import threading
 import time
+from collections import deque
 
 import numpy as np
 
@@ -50,6 +51,7 @@ class Sessions:
         self._measured, self._chunks = measured, chunks
         self._executor: ExecutorState | None = None
         self._session: Session | None = None
+        self._ended: deque[str] = deque(maxlen=32)
         self._lock = threading.Lock()
 
     def start(self, request: ServoStart) -> Accepted:
@@ -73,7 +75,7 @@ class Sessions:
                 raise Unavailable(
                     "the executor is not heard; start it (`zarm status` shows it), then start the session again"
                 )
-            if executor.goal_id is not None:
+            if executor.goal_id is not None and executor.goal_id not in self._ended:
                 raise Busy(f"{executor.goal_id} is not at its end; cancel it or wait, then start the session again")
             if self._guard.mirror.seen(time.monotonic()).revision is None:
                 raise Unavailable(
@@ -119,7 +121,9 @@ class Sessions:
             session.inbox.hear(message, now)
 
     def hear_goal(self, _key: str, goal: GoalState) -> None:
-        """What the executor tells of a goal."""
+        """What the executor tells of a goal; its state, which comes after that, may still be on its way."""
+        if goal.done:
+            self._ended.append(goal.goal_id)
         session = self._session
         if session is not None and session.goal_id == goal.goal_id:
             session.hear_goal(goal)
