@@ -239,7 +239,7 @@ def driven(cell: Cell) -> Iterator[Callable[[str], None]]:
 
     def switch(strategy: str) -> None:
         cell.client.strategy(strategy)
-        assert cell.client.stands()  # the arm of the driver is elsewhere than the emulated one was
+        eventually(cell.client.stands, "the arm of the driver is told, which is elsewhere than the emulated one was")
 
     yield switch
     cell.client.strategy("emulator")
