@@ -89,6 +89,37 @@ _PATH_CONSTRAINT = m.PathConstraint(
 )
 _OBSTRUCTION = m.Obstruction(object="table", link="link_5", time=1.1, avoidable=False)
 _HOLD = m.Hold(reason="obstruction", obstruction=_OBSTRUCTION)
+_TARGETS = (
+    m.PoseTarget(
+        kind="pose",
+        frame="base",
+        position=(0.4, -0.1, 0.25),
+        orientation=(0.0, 0.6, 0.0, 0.8),
+        linear=(0.1, 0.0, 0.0),
+        angular=(0.0, 0.0, 0.2),
+    ),
+    m.TwistTarget(kind="twist", frame="tool", linear=(0.1, 0.0, 0.0), angular=(0.0, 0.0, 0.2)),
+    m.JointSpeedTarget(kind="joint_speed", velocity=(0.1, -0.2)),
+    m.JointTarget(kind="joints", position=(0.1, -0.2)),
+)
+_SESSION = m.ServoSession(
+    goal_id="jog-1",
+    limiting="slowing",
+    link="link_5",
+    object="table",
+    distance=0.04,
+    clearance=0.04,
+    moving=True,
+    position_error=0.002,
+    orientation_error=0.01,
+    joint_error=0.003,
+    sequence=3,
+    target_age=0.02,
+    refused=_PROBLEM,
+    cycles=250,
+    late_cycles=1,
+    computing=0.0012,
+)
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
 _CHECKED = m.CheckResult(
     in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"), spheres=(-0.004, 0.5)
@@ -245,6 +276,12 @@ EXAMPLES: tuple[Message, ...] = (
         problem=_PROBLEM,
         check=0.0008,
     ),
+    m.ServoStart(goal_id="jog-1", take_over=True, margin=0.02, velocity_scale=0.5, acceleration_scale=0.25),
+    m.ServoEnd(goal_id="jog-1"),
+    *_TARGETS,
+    *(m.ServoTarget(goal_id="jog-1", sequence=3, stamp=1.75e9, target=target) for target in _TARGETS),
+    _SESSION,
+    m.ServoState(activity="following", goal_id="jog-1", scene_revision=_REVISION, session=_SESSION),
     # driver
     m.DriverCommand(
         sequence=7,

@@ -26,6 +26,7 @@ from zarm.record_story import Story
 from zarm.replaying import replay, story
 from zarm.robot import Robot
 from zarm.scene import Scene
+from zarm.servoing import Jogging, Tracking
 from zarm.streaming import Stream
 from zarm.values import (
     AnyOf,
@@ -67,6 +68,7 @@ from zarm_contract.messages import (
     Plan,
     PlannerSettings,
     SceneObject,
+    ServoSession,
     Strategies,
 )
 
@@ -92,6 +94,7 @@ __all__ = [
     "Health",
     "InternalError",
     "InvalidRequest",
+    "Jogging",
     "JointState",
     "Mesh",
     "PathConstraint",
@@ -105,11 +108,13 @@ __all__ = [
     "Role",
     "Scene",
     "SceneObject",
+    "ServoSession",
     "Sphere",
     "StartState",
     "Story",
     "Strategies",
     "Stream",
+    "Tracking",
     "Trajectory",
     "Unavailable",
     "Voxels",

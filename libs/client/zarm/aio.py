@@ -197,6 +197,8 @@ class Robot(_Twin[zarm.robot.Robot]):
     states = _iterated(zarm.robot.Robot.states)
     joint_states = _iterated(zarm.robot.Robot.joint_states)
     stream = _entered(zarm.robot.Robot.stream)
+    track = _entered(zarm.robot.Robot.track)
+    jog = _entered(zarm.robot.Robot.jog)
     record = _entered(zarm.robot.Robot.record)
     _execute = _awaited(zarm.robot.Robot.execute)
     _follow = _awaited(zarm.robot.Robot.follow)

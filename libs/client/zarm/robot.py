@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from zarm.connection import ANSWER_SECONDS, Connection
 from zarm.scene import Scene
 from zarm.values import Goal, Pose, goal_of, invalid, numbers, pose_of, rows
-from zarm_contract.errors import ExecutionRefused, Unavailable, from_problem
+from zarm_contract.errors import ExecutionRefused, Unavailable, ZarmError, from_problem
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
     Accepted,
@@ -38,6 +38,7 @@ from zarm_contract.messages import (
     PlannerKind,
     PlannerSettings,
     PlanRequest,
+    ServoStart,
     SettingsChange,
     Speed,
     SpeedRequest,
@@ -50,6 +51,7 @@ from zarm_contract.messages import Pose as PoseMessage
 
 if TYPE_CHECKING:
     from zarm.recording import Recorder
+    from zarm.servoing import Jogging, Tracking
     from zarm.streaming import Stream
     from zarm.values import Numbers, Rows
 
@@ -60,6 +62,7 @@ REST_SECONDS = 30.0
 _MEASURED_SECONDS = 2.0
 
 M = TypeVar("M", bound=Message)
+S = TypeVar("S", "Jogging", "Tracking")
 OnProgress = Callable[[GoalState], object]
 """Is told each state of a goal that differs from the one before."""
 
@@ -333,6 +336,54 @@ class Robot:
         elif (end := stream.end()) is not None and end.problem is not None:
             raise from_problem(end.problem)
 
+    @contextmanager
+    def track(
+        self,
+        *,
+        margin: float = 0.01,
+        velocity_scale: float = 1.0,
+        acceleration_scale: float = 1.0,
+        take_over: bool = False,
+    ) -> Iterator[Tracking]:
+        """The robot follows a pose or joint positions that change all the time, and stays away from everything.
+
+        ```python
+        with robot.track() as tracking:
+            while looking:
+                tracking.to(seen_pose())
+        ```
+
+        `margin` (m) is kept to the scene and between the robot's own links; the scales are shares of the limits of velocity and
+        acceleration. Where another session is open this is Busy, unless it is to `take_over`. Leaving the block brings the robot
+        to rest. Raises Unavailable without a servo, or where it does not know the scene.
+        """
+        from zarm.servoing import Tracking
+
+        with self._session(Tracking, margin, velocity_scale, acceleration_scale, take_over) as tracking:
+            yield tracking
+
+    @contextmanager
+    def jog(
+        self,
+        *,
+        margin: float = 0.01,
+        velocity_scale: float = 1.0,
+        acceleration_scale: float = 1.0,
+        take_over: bool = False,
+    ) -> Iterator[Jogging]:
+        """The robot moves by a twist of its tip or by joint speeds, as long as it is told to: see `track`.
+
+        ```python
+        with robot.jog() as jogging:
+            while pressed():
+                jogging.twist(linear=(0, 0, 0.05))
+        ```
+        """
+        from zarm.servoing import Jogging
+
+        with self._session(Jogging, margin, velocity_scale, acceleration_scale, take_over) as jogging:
+            yield jogging
+
     # -- looking --
 
     def state(self) -> ExecutorState:
@@ -388,6 +439,31 @@ class Robot:
 
     def _ask(self, key: str, reply: type[M], request: Message | None = None, *, timeout: float = ANSWER_SECONDS) -> M:
         return self.connection.ask(key, reply, request, timeout=timeout)
+
+    @contextmanager
+    def _session(
+        self,
+        kind: Callable[[Connection, ServoStart], S],
+        margin: float,
+        velocity_scale: float,
+        acceleration_scale: float,
+        take_over: bool,
+    ) -> Iterator[S]:
+        request = _made(
+            ServoStart,
+            margin=margin,
+            velocity_scale=velocity_scale,
+            acceleration_scale=acceleration_scale,
+            take_over=take_over,
+        )
+        session = kind(self.connection, request)
+        try:
+            yield session
+        except BaseException:
+            with self._until_left(), suppress(ZarmError):
+                session.end()
+            raise
+        session.end()
 
     @contextmanager
     def _new_goal(self) -> Iterator[str]:

@@ -151,6 +151,21 @@ class Keys:
 
     # servo
     @property
+    def servo_start(self) -> str:
+        """ServoStart -> Accepted. Open a session, in which the robot follows a live target."""
+        return self._key("servo", "start")
+
+    @property
+    def servo_end(self) -> str:
+        """ServoEnd -> Nothing. Bring the robot to rest and end the session."""
+        return self._key("servo", "end")
+
+    @property
+    def servo_target(self) -> str:
+        """ServoTarget. The live target of the session."""
+        return self._key("servo", "target")
+
+    @property
     def servo_state(self) -> str:
         """ServoState. What the servo does, and in which scene."""
         return self._key("servo", "state")

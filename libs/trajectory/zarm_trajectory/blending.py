@@ -2,7 +2,8 @@
 
 From one moment on the old trajectory is left on a quintic that meets the new one in position, velocity and acceleration a
 blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit, that of jerk
-too. The path speed goes on as it was, so what the follower promises of a trajectory inside the limits holds on the way over too.
+too. Where the new trajectory continues the old one there is nothing to blend, and it is followed exactly. The path speed goes on
+as it was, so what the follower promises of a trajectory inside the limits holds on the way over too.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ LONGEST_REST = 10.0
 """How long (s) a robot that is at the end of its trajectory may wait there for the start of a chunk."""
 _APART = 1e-4
 """Samples of a blended trajectory are at least this far apart, s."""
+_CONTINUED = 1e-6
+"""A trajectory continues another where position (rad), velocity and acceleration differ by no more: rounding."""
+_CLOSE = 1e-5
+"""Samples are at least this far apart (s) where a trajectory continues another."""
 
 
 def blended(
@@ -42,29 +47,36 @@ def blended(
             field="start",
         )
     begin = max(now, start)
+    here = _states(trajectory, np.array([begin])), _states(chunk, np.array([begin - start]))
+    if begin - start < chunk.duration - _CLOSE and np.abs(here[1] - here[0]).max() <= _CONTINUED:
+        return _followed_by(trajectory, now, begin, here[1], chunk.begun_at(start), begin, _CLOSE)
     joins = begin + BLENDS
     before = _states(trajectory, np.full_like(joins, begin))
     after = _states(chunk, joins - start)
     with np.errstate(all="ignore"):
         first = limits.first_inside(coefficients(before, after, BLENDS), BLENDS)
     if first is None:
-        off = float(np.abs(_states(chunk, np.array([begin - start]))[0] - before[0, :1]).max())
+        off = float(np.abs(here[1][0] - here[0][0]).max())
         raise ExecutionRefused(
             f"the chunk is {off:.4f} rad from the motion that it must continue, at {begin:.2f} s of the stream, and cannot "
             f"be reached within {BLENDS[-1]:g} s inside the limits; send a chunk that continues from where the robot is then",
             code="limit_violated",
         )
-    join = float(joins[first])
-    old = (
-        trajectory.time >= trajectory.time[max(0, int(np.searchsorted(trajectory.time, now - PAST, side="right")) - 1)]
-    ) & (trajectory.time < begin - _APART)
-    new = chunk.time + start > join + _APART
-    times, states = [trajectory.time[old]], [trajectory.states[:, old]]
-    if trajectory.duration + _APART < begin - _APART:  # it rests until then
-        times.append(np.array([trajectory.duration + _APART]))
-        states.append(_states(trajectory, times[-1]))
-    times += [np.array([begin, join]), chunk.time[new] + start]
-    states += [before[:, :1], after[:, first : first + 1], chunk.states[:, new]]
+    between = np.concatenate((before[:, :1], after[:, first : first + 1]), axis=1)
+    return _followed_by(trajectory, now, begin, between, chunk.begun_at(start), float(joins[first]), _APART)
+
+
+def _followed_by(
+    old: TimedTrajectory, now: float, begin: float, between: Array, new: TimedTrajectory, join: float, apart: float
+) -> TimedTrajectory:
+    """`old` up to `begin` (s), then `between` (3, N, J), states at `begin` and, where there are two, at `join`, then `new`."""
+    kept, coming = (old.time >= old.since(now - PAST).time[0]) & (old.time < begin - apart), new.time > join + apart
+    times, states = [old.time[kept]], [old.states[:, kept]]
+    if old.duration + apart < begin - apart:  # it rests until then
+        times.append(np.array([old.duration + apart]))
+        states.append(_states(old, times[-1]))
+    times += [np.array([begin, join][: between.shape[1]]), new.time[coming]]
+    states += [between, new.states[:, coming]]
     return TimedTrajectory(np.concatenate(times), *np.concatenate(states, axis=1))
 
 

@@ -21,6 +21,11 @@ class SpeedChange:
         self._times, self._states, self._jerks = times, states, jerks
         self.duration = float(times[-1].max())
 
+    @property
+    def knots(self) -> Array:
+        """The times (K,) s from 0 to its end between which the jerk of every joint is constant."""
+        return np.unique(self._times)
+
     @classmethod
     def to(cls, wanted: Array, state: Array, acceleration_limit: Array, jerk_limit: Array) -> Self:
         """To the velocities `wanted` (J,) in rad/s, from a state (3, J): position, velocity, acceleration. Limits (J,) in rad/s^2 and rad/s^3.

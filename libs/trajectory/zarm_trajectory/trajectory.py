@@ -160,6 +160,11 @@ class TimedTrajectory:
         """The same motion with `offset` s added to every time."""
         return type(self)(self.time + offset, self.position, self.velocity, self.acceleration)
 
+    def since(self, time: float) -> Self:
+        """The same motion without the samples before the last one at `time` (s) or earlier; two are left at least."""
+        first = min(max(0, int(np.searchsorted(self.time, time, side="right")) - 1), len(self.time) - 2)
+        return type(self)(self.time[first:], self.position[first:], self.velocity[first:], self.acceleration[first:])
+
     def slower(self, factor: float) -> Self:
         """The same motion, taking `factor` times as long."""
         return type(self)(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)

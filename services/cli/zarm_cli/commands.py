@@ -27,6 +27,8 @@ MODULES = {
     "cancel": "execution",
     "speed": "execution",
     "strategy": "execution",
+    "jog": "servoing",
+    "track": "servoing",
     "fk": "kinematics",
     "ik": "kinematics",
     "check": "kinematics",

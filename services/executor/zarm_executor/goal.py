@@ -12,6 +12,9 @@ from zarm_executor.monitor import Monitor, NotStopped
 from zarm_executor.strategies.base import Progress
 from zarm_trajectory.trajectory import TimedTrajectory
 
+_SHOWN_PAST = 0.5
+"""How much (s) of the past of a stream is shown with every chunk: where a robot is that is behind."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -124,13 +127,16 @@ class Goal:
         )
 
     def followed(self, joints: tuple[str, ...]) -> GoalTrajectory:
-        """Its trajectory as a message; `joints` names the columns."""
-        start = float(self.trajectory.time[0])
+        """Its trajectory as a message, of a stream with no more than `_SHOWN_PAST` before its newest chunk; `joints` names the columns."""
+        trajectory = self.trajectory
+        if self.chunk is not None:
+            trajectory = trajectory.since(self.chunk.start - _SHOWN_PAST)
+        start = float(trajectory.time[0])
         return GoalTrajectory(
             goal_id=self.goal_id,
             number=self.number,
             start=start,
-            trajectory=self.trajectory.begun_at(-start).message(joints),
+            trajectory=trajectory.begun_at(-start).message(joints),
             scene_revision=self.verified,
         )
 

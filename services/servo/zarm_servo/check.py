@@ -35,14 +35,33 @@ class Way:
     obstruction: Obstruction | None = None
 
 
+class SceneCheck:
+    """A check of motions, `motions`, in a world that is kept as the scene is. One `load` at a time."""
+
+    def __init__(self, model: RobotModel, meshes: Meshes) -> None:
+        self.model, self._meshes = model, meshes
+        self.motions = MotionCheck(model, meshes)
+        self._objects: Mapping[str, SceneObject] = {}
+        self._updates = 0
+
+    def load(self, objects: Mapping[str, SceneObject]) -> None:
+        """Have these objects in the world, by their names, and no others. Raises Unavailable where a mesh cannot be read."""
+        changed = [item for name, item in objects.items() if self._objects.get(name) != item]
+        removed = [name for name in self._objects if name not in objects]
+        self._updates += len(changed) + len(removed)
+        if self._updates > _UPDATES:
+            self.motions.set_world(World(list(objects.values()), 0.0, self._meshes))
+            self._updates = 0
+        elif changed or removed:
+            self.motions.update(changed, removed)
+        self._objects = dict(objects)
+
+
 class Checker:
     """Checks trajectories of one robot. One call at a time."""
 
     def __init__(self, model: RobotModel, meshes: Meshes) -> None:
-        self._meshes = meshes
-        self._check = MotionCheck(model, meshes)
-        self._objects: Mapping[str, SceneObject] = {}
-        self._updates = 0
+        self._scene = SceneCheck(model, meshes)
 
     def way(self, trajectory: TimedTrajectory, begin: float, seen: Seen, verified: Seen | None) -> Way:
         """How far `trajectory` is free in what is `seen`, from the path time `begin` (s) on.
@@ -58,13 +77,13 @@ class Checker:
         objects = {name: item for name, item in seen.objects.items() if before.get(name) != item}
         if (same and not objects) or begin >= trajectory.duration:
             return Way()
-        self._load(objects)
+        self._scene.load(objects)
         times = np.append(np.arange(begin, trajectory.duration, _SAMPLE), trajectory.duration)
         times = times[np.append(np.diff(times) > 1e-6, True)]
         positions = trajectory.positions(times)
 
         def first(*grown: MovingObject) -> MotionVerdict:
-            return self._check.check(
+            return self._scene.motions.check(
                 times,
                 positions,
                 margin=CONTACT,
@@ -83,15 +102,3 @@ class Checker:
             grown = MovingObject(objects[what], speed=DISTANCE / _LONG, time=begin - _LONG)
             until = first(grown).contact_time or time
         return Way(until, Obstruction(object=what, link=contact.link or "", time=time))
-
-    def _load(self, objects: Mapping[str, SceneObject]) -> None:
-        """Have these objects in the world that is checked, and no others."""
-        changed = [item for name, item in objects.items() if self._objects.get(name) != item]
-        removed = [name for name in self._objects if name not in objects]
-        self._updates += len(changed) + len(removed)
-        if self._updates > _UPDATES:
-            self._check.set_world(World(list(objects.values()), 0.0, self._meshes))
-            self._updates = 0
-        elif changed or removed:
-            self._check.update(changed, removed)
-        self._objects = dict(objects)

@@ -85,6 +85,17 @@ class Controller:
         self.state = np.array((position, np.zeros(model.dof), np.zeros(model.dof)))
         self._braking, self._braked = self._to_rest(self.state), 0.0
 
+    @property
+    def braking(self) -> SpeedChange:
+        """From its state to rest, where it has just begun or started again."""
+        return self._braking
+
+    def restart(self, state: Array) -> None:
+        """Go on from another state (3, J), in which the robot is led by something else."""
+        self.state = state.copy()
+        self.state[2] = np.clip(state[2], -self._limits.acceleration, self._limits.acceleration)
+        self._braking, self._braked = self._to_rest(self.state), 0.0
+
     def step(self, target: Target | None, age: float, around: Surroundings = Surroundings()) -> Step:
         """The next step towards `target`, which was said `age` s ago; None, or one that is STALE: to rest."""
         position = self.state[0]

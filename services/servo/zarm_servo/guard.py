@@ -15,6 +15,7 @@ from zarm_contract.messages import Authority, ExecutorState, GoalState, GoalTraj
 from zarm_runtime.bus import Latched, Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker, Way
+from zarm_servo.session import Session
 from zarm_servo.world import Mirror, Seen
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -43,7 +44,10 @@ class Followed:
 
 
 class Guard:
-    """Gives authority, in a thread of its own while it is used in `with`. `instance` is that of the service."""
+    """Gives authority, in a thread of its own while it is used in `with`. `instance` is that of the service.
+
+    A `session` that is open checks its own steps: where no other goal runs, its goal has all authority.
+    """
 
     def __init__(
         self,
@@ -56,6 +60,7 @@ class Guard:
         metrics: Metrics,
     ) -> None:
         self.mirror = Mirror(self.wake)
+        self.session: Session | None = None
         self._joints = joints
         self._checker = checker
         self._measured = measured
@@ -94,6 +99,12 @@ class Guard:
 
     def hear_trajectory(self, _key: str, message: GoalTrajectory) -> None:
         """A goal begins, or its trajectory changes."""
+        session = self.session
+        if session is not None and message.goal_id == session.goal_id:
+            session.hear_trajectory(message)
+            if message.number == 1:
+                self.wake()
+            return
         try:
             trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
         except ZarmError as error:
@@ -150,10 +161,14 @@ class Guard:
             if followed is not None and self._running != followed.message.goal_id and _old(followed):
                 followed = self._followed = None
         way: Way | ZarmError = Way()
+        session = self.session if followed is None and self.session is not None and not self.session.ended else None
         if followed is None:
             self._done = None
         else:
             way = self._way_of(followed, seen)
+        goal_id = session.goal_id if session is not None else None if followed is None else followed.message.goal_id
+        if session is not None:
+            seen = replace(seen, revision=session.revision)
         problem = way.problem if isinstance(way, ZarmError) else None
         found = Way() if isinstance(way, ZarmError) else way
         if problem is None:
@@ -162,14 +177,14 @@ class Guard:
                 Authority(
                     servo=self._instance,
                     sequence=self._sequence,
-                    goal_id=None if followed is None else followed.message.goal_id,
+                    goal_id=goal_id,
                     trajectory=1 if followed is None else followed.message.number,
                     scene_revision=seen.revision,
                     until=found.until,
                     obstruction=found.obstruction,
                 )
             )
-        self._tell(followed, seen, found, problem)
+        self._tell(goal_id, session, seen, found, problem)
 
     def _way_of(self, followed: Followed, seen: Seen) -> Way | ZarmError:
         """How far it may go; looked at again where the trajectory or the scene is another than the last time."""
@@ -198,16 +213,19 @@ class Guard:
         order = [measured.joint_names.index(name) for name in self._joints]
         return trajectory.nearest(np.array(measured.position)[order], first, max(first, last))
 
-    def _tell(self, followed: Followed | None, seen: Seen, way: Way, problem: Problem | None) -> None:
+    def _tell(
+        self, goal_id: str | None, session: Session | None, seen: Seen, way: Way, problem: Problem | None
+    ) -> None:
         state = ServoState(
-            activity="idle" if followed is None else "guarding",
-            goal_id=None if followed is None else followed.message.goal_id,
+            activity="idle" if goal_id is None else "guarding" if session is None else "following",
+            goal_id=goal_id,
             scene_revision=seen.revision,
             scene_lost=seen.lost or self._planner_gone,
             until=way.until,
             obstruction=way.obstruction,
             problem=problem,
-            check=0.0 if followed is None else self._took,
+            check=self._took if session is None and goal_id is not None else 0.0,
+            session=None if session is None else session.state(),
         )
         before = self._state
         if state == before:

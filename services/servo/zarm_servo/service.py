@@ -1,4 +1,4 @@
-"""The servo process: wires the guard and its copy of the scene to the bus."""
+"""The servo process: wires the guard, the sessions and their copy of the scene to the bus."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
+from zarm_contract.errors import Busy
 from zarm_contract.messages import (
     Authority,
     ExecutorState,
@@ -23,40 +24,51 @@ from zarm_contract.messages import (
     Message,
     Scene,
     SceneObject,
+    ServoEnd,
+    ServoStart,
     ServoState,
+    StreamChunk,
 )
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.service import Service, run_service, service_parser
-from zarm_servo.check import Checker
+from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.guard import Guard
+from zarm_servo.sessions import Sessions
 from zarm_servo.warm_up import warm_up
 
 log = logging.getLogger(__name__)
 
 PLANNER_PERIOD = 1.0
 """How often (s) the servo looks whether there is a planner."""
+SWITCH_INTERVAL = 0.0005
+"""Longest time (s) that a thread reading a message keeps the interpreter from the cycles of a session (Python's own: 0.005)."""
 _OBJECT: TypeAdapter[SceneObject] = TypeAdapter(SceneObject)
 
 
 @contextmanager
 def start(service: Service) -> Iterator[None]:
     """The servo, from its first authority to its last."""
+    sys.setswitchinterval(SWITCH_INTERVAL)
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
-    checker = Checker(model, Meshes(service.options.meshes))
+    meshes = Meshes(service.options.meshes)
+    checker, check = Checker(model, meshes), SceneCheck(model, meshes)
     service.starting("loading the check of motions")
-    warm_up(model, checker)
+    warm_up(checker, check)
     with service.open_bus() as command_bus:
+        measured = bus.latest(keys.joint_states, JointState)
         guard = Guard(
             service.robot.descriptor.joints,
             checker,
-            bus.latest(keys.joint_states, JointState),
+            measured,
             command_bus.publisher(keys.authority, Authority, realtime=True),
             bus.latched(keys.servo_state, ServoState),
             service.instance,
             service.metrics,
         )
+        chunks = command_bus.publisher(keys.stream, StreamChunk, realtime=True)
+        sessions = Sessions(service.robot, check, guard, measured, chunks)
 
         def receive(key: str, payload: bytes) -> None:
             try:
@@ -66,8 +78,10 @@ def start(service: Service) -> Iterator[None]:
 
         bus.watch(keys.scene, Scene, guard.mirror.hear_scene)
         bus.listen(keys.scene_object("*"), receive)
-        bus.watch(keys.executor_state, ExecutorState, guard.hear_state)
-        bus.watch(keys.goal("*"), GoalState, guard.hear_goal)
+        for hear_state in (guard.hear_state, sessions.hear_state):
+            bus.watch(keys.executor_state, ExecutorState, hear_state)
+        for hear_goal in (guard.hear_goal, sessions.hear_goal):
+            bus.watch(keys.goal("*"), GoalState, hear_goal)
         bus.watch(keys.goal_trajectory, GoalTrajectory, guard.hear_trajectory)
         ended = threading.Event()
 
@@ -80,10 +94,15 @@ def start(service: Service) -> Iterator[None]:
         gc.collect()
         gc.freeze()  # to look for garbage in what stays, again and again, would delay a check
         with guard:
+            bus.serve(keys.servo_start, ServoStart, sessions.start)
+            bus.serve(keys.servo_end, ServoEnd, sessions.end)
+            command_bus.listen(keys.servo_target, sessions.hear_target)
             service.ready()
             try:
                 yield
             finally:
+                with suppress(Busy):
+                    sessions.close()
                 ended.set()
                 looking.join()
 

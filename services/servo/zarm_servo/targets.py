@@ -35,7 +35,7 @@ class PoseTarget:
     @classmethod
     def moving(cls, before: Array, pose: Array, passed: float) -> Self:
         """The target that was at `before` (4, 4) `passed` s ago, is at `pose` now, and goes on like that."""
-        turn = _rotation_vector(pose[:3, :3] @ before[:3, :3].T)
+        turn = rotation_vector(pose[:3, :3] @ before[:3, :3].T)
         return cls(pose, np.concatenate((pose[:3, 3] - before[:3, 3], turn)) / passed)
 
     def after(self, passed: float) -> Array:
@@ -52,10 +52,10 @@ class PoseTarget:
 
 @dataclass(frozen=True)
 class TwistTarget:
-    """Move the tip with `twist` (6,): m/s, then rad/s, along the axes of the base or of the tip."""
+    """Move the tip with `twist` (6,): m/s, then rad/s, along the axes of the base or of the tool, which is the tip."""
 
     twist: Array
-    frame: Literal["base", "tip"] = "base"
+    frame: Literal["base", "tool"] = "base"
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,12 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
     tip, jacobian = model.fk_tip(position), model.tip_jacobian(position)
     inverse, share = _damped_inverse(jacobian)
     if isinstance(target, TwistTarget):
-        turn = tip[:3, :3] if target.frame == "tip" else np.eye(3)
+        turn = tip[:3, :3] if target.frame == "tool" else np.eye(3)
         twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
         velocity = inverse @ twist
     else:
         pose = target.after(age)
-        error = np.concatenate((pose[:3, 3] - tip[:3, 3], _rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
+        error = np.concatenate((pose[:3, 3] - tip[:3, 3], rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
         velocity = _approach(inverse @ error, acceleration) + inverse @ target.velocity
     return Wish(share * within_speed(velocity, speed), jacobian.T @ jacobian + _JOINTS_COUNT * joints, share < 1.0)
 
@@ -128,7 +128,7 @@ def _damped_inverse(jacobian: Array) -> tuple[Array, float]:
     return (v.T * (values / (values**2 + damping))) @ u.T, max(near, _SLOWEST)
 
 
-def _rotation_vector(turn: Array) -> Array:
+def rotation_vector(turn: Array) -> Array:
     """The axis times the angle (3,) of a rotation matrix (3, 3)."""
     twice_sine = np.array((turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]))
     length = float(np.linalg.norm(twice_sine))

@@ -13,22 +13,29 @@ from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.check import Checker
+from zarm_servo.check import Checker, SceneCheck
+from zarm_servo.controller import Controller
+from zarm_servo.targets import TwistTarget
 from zarm_servo.world import Seen
+from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 
-def warm_up(model: RobotModel, checker: Checker) -> None:
-    """Check a robot at rest once, with an object far away."""
-    box = Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
-    standing = TimedTrajectory.standing(np.array(model.robot.descriptor.home))
-    checker.way(standing, 0.0, Seen(objects={"far": box}), None)
+def warm_up(checker: Checker, check: SceneCheck) -> None:
+    """Check a robot at rest once, with an object far away, and take a step of a session there."""
+    model, box = check.model, Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
+    home = np.array(model.robot.descriptor.home)
+    checker.way(TimedTrajectory.standing(home), 0.0, Seen(objects={"far": box}), None)
+    check.load({"far": box})
+    controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
+    controller.step(TwistTarget(np.zeros(6)), 0.0)
+    check.load({})
 
 
 def main() -> int:
     """Compile all kernels."""
     model = RobotModel.of(load_robot("doosan_m1013"))
-    warm_up(model, Checker(model, Meshes()))
+    warm_up(Checker(model, Meshes()), SceneCheck(model, Meshes()))
     return 0
 
 

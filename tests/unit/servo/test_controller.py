@@ -131,7 +131,7 @@ def a_target(rng: np.random.Generator) -> Target | None:
     if kind == 2:
         return JointTarget(rng.uniform(LIMITS.lower, LIMITS.upper))
     if kind == 3:
-        return TwistTarget(rng.normal(0.0, 0.5, 6), rng.choice(["base", "tip"]))
+        return TwistTarget(rng.normal(0.0, 0.5, 6), rng.choice(["base", "tool"]))
     if kind == 4:
         return PoseTarget(moved(*rng.normal(0.0, 3.0, 4)))
     return PoseTarget(moved(*rng.normal(0.0, 0.2, 4)), rng.normal(0.0, 0.2, 6))

@@ -93,7 +93,19 @@ from zarm_contract.messages.scene import (
     Voxels,
 )
 from zarm_contract.messages.service import Health, Nothing, Requester
-from zarm_contract.messages.servo import Authority, ServoState
+from zarm_contract.messages.servo import (
+    Authority,
+    JointSpeedTarget,
+    JointTarget,
+    Limiting,
+    PoseTarget,
+    ServoEnd,
+    ServoSession,
+    ServoStart,
+    ServoState,
+    ServoTarget,
+    TwistTarget,
+)
 
 __all__ = [
     "MAX_ATTACHED",
@@ -135,8 +147,11 @@ __all__ = [
     "IkSolutions",
     "JointGoal",
     "JointNames",
+    "JointSpeedTarget",
     "JointState",
+    "JointTarget",
     "Joints",
+    "Limiting",
     "LoadScene",
     "Mesh",
     "Message",
@@ -155,6 +170,7 @@ __all__ = [
     "PointCloud",
     "Pose",
     "PoseGoal",
+    "PoseTarget",
     "Positive",
     "Primitive",
     "Quaternion",
@@ -167,7 +183,11 @@ __all__ = [
     "SceneEdited",
     "SceneObject",
     "SceneRevision",
+    "ServoEnd",
+    "ServoSession",
+    "ServoStart",
     "ServoState",
+    "ServoTarget",
     "SetLinkCollision",
     "SettingsChange",
     "Speed",
@@ -180,6 +200,7 @@ __all__ = [
     "StrategyRequest",
     "StreamChunk",
     "Trajectory",
+    "TwistTarget",
     "Vector3",
     "Voxels",
     "WaypointsGoal",

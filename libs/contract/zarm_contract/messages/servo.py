@@ -1,4 +1,4 @@
-"""What the servo says: how far a goal that runs may go."""
+"""The servo: how far a goal that runs may go, and sessions in which the robot follows a live target."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from zarm_contract._model import ShortMessage
+from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.executor import Obstruction
-from zarm_contract.messages.motion import Name, NonNegative
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Scale, Vector3
 from zarm_contract.messages.scene import SceneRevision
+
+Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
+"""What limits a session: nothing; what is near slows it; what is too near blocks it; a singularity; a joint limit; no fresh target."""
 
 
 class Authority(ShortMessage):
@@ -31,14 +34,115 @@ class Authority(ShortMessage):
     obstruction: Obstruction | None = None
 
 
+class ServoStart(ShortMessage):
+    """Open a session: the robot follows the targets on `servo/target`, as the goal `goal_id` (default: chosen by the servo).
+
+    The robot keeps `margin` (m) to what is in the scene and between its own links. Scales are shares of the velocity and
+    acceleration limits. While another session is open the answer is `busy`; with `take_over` that one is brought to rest and ended.
+    """
+
+    goal_id: Name | None = None
+    take_over: bool = False
+    margin: Annotated[float, Field(ge=0.005, le=0.2)] = 0.01
+    velocity_scale: Scale = 1.0
+    acceleration_scale: Scale = 1.0
+
+
+class ServoEnd(ShortMessage):
+    """Bring the robot to rest and end the session `goal_id`, or with an empty request whichever is open. No session is no error."""
+
+    goal_id: Name | None = None
+
+
+class PoseTarget(Message):
+    """Bring the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
+
+    `linear` (m/s) and `angular` (rad/s) say how the pose moves, in the base frame; both left out: as from the target before to this one.
+    """
+
+    kind: Literal["pose"]
+    frame: Literal["base"]
+    position: Vector3
+    orientation: Quaternion
+    linear: Vector3 | None = None
+    angular: Vector3 | None = None
+
+
+class TwistTarget(Message):
+    """Move the tip with `linear` (m/s) and `angular` (rad/s) velocity, along the axes of the base or of the `tool`, which is the tip."""
+
+    kind: Literal["twist"]
+    frame: Literal["base", "tool"]
+    linear: Vector3 = (0.0, 0.0, 0.0)
+    angular: Vector3 = (0.0, 0.0, 0.0)
+
+
+class JointSpeedTarget(Message):
+    """Move the joints with `velocity` (rad/s)."""
+
+    kind: Literal["joint_speed"]
+    velocity: Joints
+
+
+class JointTarget(Message):
+    """Bring the joints to `position` (rad)."""
+
+    kind: Literal["joints"]
+    position: Joints
+
+
+class ServoTarget(ShortMessage):
+    """The live target of the session `goal_id`; the newest counts. Publish it again and again: one older than 0.1 s brakes the robot.
+
+    `sequence` increases with every target of a session. `stamp` (s) is when the target was made, on a clock of the client that
+    need not agree with any other: the servo sees by it how much longer than others a target was under way. What is refused is
+    told in `ServoState.session.refused`.
+    """
+
+    goal_id: Name
+    sequence: Annotated[int, Field(ge=1)]
+    stamp: float
+    target: Annotated[PoseTarget | TwistTarget | JointSpeedTarget | JointTarget, Field(discriminator="kind")]
+
+
+class ServoSession(Message):
+    """A session that is open: the goal `goal_id` of the executor, and what limits the robot now.
+
+    `slowing` and `blocked` name the `link` and the `object`, of the scene or another link, and their `distance` (m). `clearance` (m) is
+    the least distance that there is, left out beyond 0.15 m. The errors are those of the measured robot to a target that is a
+    pose (m, rad) or joint positions (rad, the worst joint). `sequence` is that of the newest target, which came `target_age` (s)
+    ago; `refused` says why the last one that came was not taken. Of its `cycles` the `late_cycles` began more than 2 ms late;
+    `computing` (s) is how long 99 of the last 100 took at most.
+    """
+
+    goal_id: Name
+    limiting: Limiting = "target_stale"
+    link: str | None = None
+    object: str | None = None
+    distance: float | None = None
+    clearance: float | None = None
+    moving: bool = False
+    position_error: NonNegative | None = None
+    orientation_error: NonNegative | None = None
+    joint_error: NonNegative | None = None
+    sequence: Annotated[int, Field(ge=0)] = 0
+    target_age: NonNegative | None = None
+    refused: Problem | None = None
+    cycles: Annotated[int, Field(ge=0)] = 0
+    late_cycles: Annotated[int, Field(ge=0)] = 0
+    computing: NonNegative = 0.0
+
+
 class ServoState(ShortMessage):
     """What the servo does, and in which scene. `guarding`: it checks the goal `goal_id`, which may go up to `until` (s), if given.
+
+    `following`: it leads that goal, which follows the targets of the `session`.
 
     `scene_revision` is the scene that it knows, left out before the first. With `scene_lost` the planner is gone or has lost its
     scene; then what was known still counts. `problem` says why it gives no authority. `check` is how long the last check took (s).
     """
 
-    activity: Literal["idle", "guarding"]
+    activity: Literal["idle", "guarding", "following"]
     goal_id: Name | None = None
     scene_revision: SceneRevision | None = None
     scene_lost: bool = False
@@ -46,3 +150,4 @@ class ServoState(ShortMessage):
     obstruction: Obstruction | None = None
     problem: Problem | None = None
     check: NonNegative = 0.0
+    session: ServoSession | None = None

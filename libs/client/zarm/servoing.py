@@ -1,0 +1,202 @@
+"""Sessions of the servo: the robot follows a live target, and is kept away from everything on its way."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import ValidationError
+
+from zarm.connection import Connection
+from zarm.values import invalid, numbers
+from zarm_contract.errors import DeadlineExceeded, InvalidRequest, from_problem
+from zarm_contract.messages import (
+    Accepted,
+    GoalState,
+    JointSpeedTarget,
+    JointTarget,
+    Nothing,
+    Pose,
+    PoseTarget,
+    ServoEnd,
+    ServoSession,
+    ServoStart,
+    ServoState,
+    ServoTarget,
+    TwistTarget,
+    Vector3,
+)
+
+if TYPE_CHECKING:
+    from zarm.values import Numbers
+
+PERIOD = 0.02
+"""s between two targets, where this client repeats one."""
+POSITION_TOLERANCE, ANGLE_TOLERANCE, JOINT_TOLERANCE = 0.001, 0.01, 0.002
+"""m, rad, rad: so near to its target a robot has reached it."""
+_START_SECONDS, _END_SECONDS = 10.0, 8.0
+
+
+class _Session:
+    """One session, which is one goal of the executor, `goal_id`. Raises what the servo refuses it with."""
+
+    def __init__(self, connection: Connection, request: ServoStart) -> None:
+        self._connection = connection
+        self._sequence = 0
+        self._state: ServoSession | None = None
+        self._publisher = connection.publisher(connection.keys.servo_target, ServoTarget)
+        connection.interrupts.attend(connection.goals.listen)
+        started = connection.ask(connection.keys.servo_start, Accepted, request, timeout=_START_SECONDS)
+        self.goal_id = started.goal_id
+        self._unwatch = connection.interrupts.attend(
+            lambda: connection.bus.watch(connection.keys.servo_state, ServoState, self._hear)
+        )
+
+    @property
+    def state(self) -> ServoSession | None:
+        """What the servo tells of it: what limits it, the clearance, the error; None before it has told anything."""
+        return self._state
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended yet, by whoever."""
+        goal = self._goal
+        return goal is None or not goal.done
+
+    def end(self) -> None:
+        """Bring the robot to rest, and wait for it. Raises the problem with which the goal ended."""
+        try:
+            if self.running:
+                request = ServoEnd(goal_id=self.goal_id)
+                self._connection.ask(self._connection.keys.servo_end, Nothing, request, timeout=_END_SECONDS)
+        finally:
+            self._unwatch()
+        self._raise()
+
+    def _send(self, make: Callable[[], PoseTarget | TwistTarget | JointSpeedTarget | JointTarget]) -> None:
+        self._raise()
+        self._sequence += 1
+        try:
+            target = ServoTarget(goal_id=self.goal_id, sequence=self._sequence, stamp=time.monotonic(), target=make())
+        except ValidationError as error:
+            raise invalid("the target", error) from None
+        self._publisher.put(target)
+
+    @property
+    def _goal(self) -> GoalState | None:
+        return self._connection.goals.known(self.goal_id)
+
+    def _raise(self) -> None:
+        goal = self._goal
+        if goal is not None and goal.problem is not None:
+            raise from_problem(goal.problem)
+
+    def _hear(self, _: str, state: ServoState) -> None:
+        if state.session is not None and state.session.goal_id == self.goal_id:
+            self._state = state.session
+
+
+class Tracking(_Session):
+    """The robot follows a pose of its tip, or joint positions; `Robot.track` makes it."""
+
+    def to(self, goal: Pose | Numbers, *, linear: Numbers | None = None, angular: Numbers | None = None) -> None:
+        """Where the robot is to be now: a `zarm.Pose` of the tip in the base frame, or joint positions (rad).
+
+        Call it again and again, 20 times a second at least: a target that is older than 0.1 s brakes the robot. `linear` (m/s) and
+        `angular` (rad/s) say how a pose moves, in the base frame; left out, that is seen from pose to pose. Raises the problem that
+        the session has ended with.
+        """
+        if isinstance(goal, Pose):
+            self._send(
+                lambda: PoseTarget(
+                    kind="pose",
+                    frame="base",
+                    position=goal.position,
+                    orientation=goal.orientation,
+                    linear=_vector(linear, "linear"),
+                    angular=_vector(angular, "angular"),
+                )
+            )
+        else:
+            self._send(lambda: JointTarget(kind="joints", position=numbers(goal, "goal")))
+
+    def reach(
+        self,
+        goal: Pose | Numbers,
+        *,
+        timeout: float,
+        on_progress: Callable[[ServoSession], object] | None = None,
+    ) -> None:
+        """Lead the robot to a pose or joint positions that stay where they are, until it rests there: to 1 mm and 0.01 rad.
+
+        `on_progress` is told what the servo tells on the way. Raises DeadlineExceeded, which says what is in the way, where it is
+        not there after `timeout` s.
+        """
+        deadline, before = time.monotonic() + timeout, self._state
+        first = self._sequence + 1
+        while time.monotonic() < deadline:
+            self.to(goal)
+            self._connection.interrupts.attend(lambda: time.sleep(PERIOD))
+            state = self._state
+            if state is None or state is before or state.sequence < first:
+                continue
+            before = state
+            if on_progress is not None:
+                on_progress(state)
+            if not state.moving and _near(state):
+                return
+        raise DeadlineExceeded(f"the robot has not reached it after {timeout:g} s: {limited(self._state)}")
+
+
+class Jogging(_Session):
+    """The robot moves as long as it is told to; `Robot.jog` makes it."""
+
+    def twist(
+        self,
+        linear: Numbers = (0.0, 0.0, 0.0),
+        angular: Numbers = (0.0, 0.0, 0.0),
+        *,
+        frame: Literal["base", "tool"] = "base",
+    ) -> None:
+        """Move the tip with these velocities (m/s, rad/s) along the axes of the base or of the tool, for the next 0.1 s at most.
+
+        Raises the problem that the session has ended with.
+        """
+        self._send(
+            lambda: TwistTarget(
+                kind="twist",
+                frame=frame,
+                linear=_vector(linear, "linear") or (0.0, 0.0, 0.0),
+                angular=_vector(angular, "angular") or (0.0, 0.0, 0.0),
+            )
+        )
+
+    def joint_speed(self, velocity: Numbers) -> None:
+        """Move the joints with these speeds (rad/s), for the next 0.1 s at most. Raises as `twist` does."""
+        self._send(lambda: JointSpeedTarget(kind="joint_speed", velocity=numbers(velocity, "velocity")))
+
+
+def limited(state: ServoSession | None) -> str:
+    """What limits a session, in a few words."""
+    if state is None:
+        return "the servo has not told anything"
+    pair = "" if state.link is None else f" by {state.object}, {1e3 * (state.distance or 0.0):.0f} mm from {state.link}"
+    return state.limiting.replace("_", " ") + pair
+
+
+def _near(state: ServoSession) -> bool:
+    if state.joint_error is not None:
+        return state.joint_error < JOINT_TOLERANCE
+    if state.position_error is None or state.orientation_error is None:
+        return False
+    return state.position_error < POSITION_TOLERANCE and state.orientation_error < ANGLE_TOLERANCE
+
+
+def _vector(values: Numbers | None, field: str) -> Vector3 | None:
+    if values is None:
+        return None
+    found = numbers(values, field)
+    if len(found) != 3:
+        raise InvalidRequest(f"three numbers are needed, not {len(found)}", field=field)
+    return found[0], found[1], found[2]

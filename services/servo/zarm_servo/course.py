@@ -1,0 +1,59 @@
+"""What a session streams: the steps that were made since the last chunk, and the braking from the end of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zarm_servo.controller import PERIOD, Step
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.speed_change import SpeedChange
+from zarm_trajectory.trajectory import TimedTrajectory
+
+REST = 0.5
+"""A chunk ends with so much rest (s): the time of a stream stands still at its end."""
+_APART = 1e-5
+"""Samples are at least this far apart (s)."""
+
+
+class Course:
+    """Begins in `state` (3, J), from which `braking` leads to rest, at `start` (s) of a stream."""
+
+    def __init__(self, start: float, state: Array, braking: SpeedChange) -> None:
+        self._begun, self._steps = start, 0
+        self._states = [state]
+        self._brake(braking, 0.0)
+
+    @property
+    def time(self) -> float:
+        """The time (s) of the stream up to which there are steps."""
+        return self._begun + (self._steps + self.pending) * PERIOD
+
+    @property
+    def pending(self) -> int:
+        """How many steps no chunk has held yet."""
+        return len(self._states) - 1
+
+    def add(self, step: Step) -> None:
+        """Go one step further."""
+        self._states.append(step.state)
+        self._brake(step.braking, step.braked)
+
+    def _brake(self, braking: SpeedChange, braked: float) -> None:
+        times = braking.knots
+        times = times[times > braked + _APART]
+        times = times[np.append(True, np.diff(times) > _APART)] if len(times) else times
+        self._braking = times - braked, braking.sample(times)
+
+    def chunk(self) -> tuple[float, TimedTrajectory]:
+        """The time (s) of the stream at which the next chunk starts, and its trajectory, to rest. It begins exactly where the steps of
+        the chunk before it ended.
+        """
+        start, times = self._begun + self._steps * PERIOD, PERIOD * np.arange(len(self._states))
+        after, braking = self._braking
+        states = np.concatenate((np.stack(self._states, axis=1), braking), axis=1)
+        rest = states[:, -1:].copy()
+        rest[1:] = 0.0
+        times = np.concatenate((times, times[-1] + after))
+        self._steps += self.pending
+        self._states = self._states[-1:]
+        return start, TimedTrajectory(np.append(times, times[-1] + REST), *np.concatenate((states, rest), axis=1))

@@ -1,0 +1,119 @@
+"""The live target of a session: the newest one that came, how old it is, and why others were refused."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from zarm_contract import messages as m
+from zarm_contract.errors import InvalidRequest, Problem, ZarmError
+from zarm_geometry.frames import matrix
+from zarm_servo.controller import STALE
+from zarm_servo.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
+from zarm_trajectory.quintic import Array
+
+_DRIFT = 1e-3
+"""Two clocks drift by less (s per s): NTP slews by 0.5e-3 at most."""
+_JUMP = 2.0, 6.0
+"""A pose that moves faster (m/s, rad/s) from one target to the next has jumped."""
+
+
+class Inbox:
+    """Takes the targets of one session of a robot with `joints` joints. `now` is on the monotonic clock. Safe from any thread."""
+
+    def __init__(self, joints: int) -> None:
+        self._joints = joints
+        self._lock = threading.Lock()
+        self._target: Target | None = None
+        self._message: m.ServoTarget | None = None
+        self._arrived = self._under_way = 0.0
+        self._least: float | None = None
+        self.refused: Problem | None = None
+
+    @property
+    def sequence(self) -> int:
+        """That of the newest target, 0 before the first."""
+        return 0 if self._message is None else self._message.sequence
+
+    def newest(self, now: float) -> tuple[Target | None, float | None]:
+        """The newest target and its age (s); None before the first."""
+        with self._lock:
+            if self._target is None:
+                return None, None
+            return self._target, now - self._arrived + self._under_way
+
+    def hear(self, message: m.ServoTarget, now: float) -> None:
+        """Take a target, unless it is refused."""
+        with self._lock:
+            try:
+                self._take(message, now)
+            except ZarmError as error:
+                self.refused = error.problem
+
+    def refuse(self, problem: Problem) -> None:
+        """Note why something that came was no target."""
+        self.refused = problem
+
+    def _take(self, message: m.ServoTarget, now: float) -> None:
+        before = self._message
+        if message.sequence <= self.sequence:
+            raise InvalidRequest(
+                f"target {message.sequence} came after target {self.sequence}; number them upwards from 1",
+                field="sequence",
+            )
+        if before is not None and message.stamp <= before.stamp:
+            raise InvalidRequest(
+                f"target {message.sequence} was made {before.stamp - message.stamp:.3f} s before target {before.sequence}; "
+                "do not set the clock of the client while a session is open",
+                field="stamp",
+            )
+        offset = now - message.stamp
+        least = offset if self._least is None else min(self._least + _DRIFT * (now - self._arrived), offset)
+        under_way = offset - least
+        if under_way > STALE:
+            raise InvalidRequest(
+                f"target {message.sequence} came {under_way:.3f} s later than others that were made before it (at most "
+                f"{STALE:g} s); see what holds it up, or start a new session where the clock of the client was set back",
+                field="stamp",
+            )
+        target = self._read(message)
+        passed = None if before is None else message.stamp - before.stamp
+        told = message.target
+        if isinstance(target, PoseTarget) and isinstance(told, m.PoseTarget) and told.linear is told.angular is None:
+            target = _moving(self._target, target, passed)
+        self._message, self._target, self._least = message, target, least
+        self._arrived, self._under_way = now, under_way
+
+    def _read(self, message: m.ServoTarget) -> Target:
+        match message.target:
+            case m.PoseTarget() as told:
+                still = (0.0, 0.0, 0.0)
+                velocity = np.array((*(told.linear or still), *(told.angular or still)))
+                return PoseTarget(matrix(told.position, told.orientation), velocity)
+            case m.TwistTarget() as told:
+                return TwistTarget(np.array((*told.linear, *told.angular)), told.frame)
+            case m.JointSpeedTarget() as told:
+                return JointSpeedTarget(self._of_joints(told.velocity, "target.velocity"))
+            case m.JointTarget() as told:
+                return JointTarget(self._of_joints(told.position, "target.position"))
+
+    def _of_joints(self, values: tuple[float, ...], field: str) -> Array:
+        if len(values) != self._joints:
+            raise InvalidRequest(f"{len(values)} values, and this robot has {self._joints} joints", field=field)
+        return np.array(values)
+
+
+def _moving(before: Target | None, target: PoseTarget, passed: float | None) -> PoseTarget:
+    """A pose that goes on as it did from the target before, unless it has jumped."""
+    if passed is None or passed > STALE or not isinstance(before, PoseTarget):
+        return target
+    moving = PoseTarget.moving(before.pose, target.pose, passed)
+    speeds = np.linalg.norm(moving.velocity[:3]), np.linalg.norm(moving.velocity[3:])
+    return target if speeds[0] > _JUMP[0] or speeds[1] > _JUMP[1] else moving
+
+
+def ahead(target: Target, seconds: float) -> Target:
+    """What a target is so much later."""
+    return replace(target, pose=target.after(seconds)) if isinstance(target, PoseTarget) else target

@@ -1,0 +1,352 @@
+"""A session: in cycles of 4 ms the robot goes one step towards a live target, and what that makes is streamed to the executor."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from zarm_contract.errors import Busy, Unavailable, from_problem
+from zarm_contract.messages import (
+    ExecutorState,
+    GoalState,
+    GoalTrajectory,
+    JointState,
+    SceneRevision,
+    ServoSession,
+    ServoStart,
+    StreamChunk,
+)
+from zarm_contract.robot import RobotDescription
+from zarm_geometry.robot_model import RobotModel
+from zarm_runtime.bus import Latest, Publisher
+from zarm_runtime.realtime import ask_for_realtime
+from zarm_servo.check import SceneCheck
+from zarm_servo.clock import StreamClock
+from zarm_servo.controller import PERIOD, RANGE, STALE, Controller, Limitation, Surroundings
+from zarm_servo.course import Course
+from zarm_servo.inbox import Inbox, ahead
+from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
+from zarm_servo.world import Mirror, Seen
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+log = logging.getLogger(__name__)
+
+CHUNK = 5
+"""Steps in a chunk: 50 chunks a second leave the executor time for other things."""
+LEAD = 0.06
+"""Steps are made for so long (s) after what the executor commands now: a chunk has its way to go, and waits for a tick there."""
+DEADLINE = 0.3
+"""The executor brakes where no chunk has come for so long (s)."""
+_ASTRAY = 1e-4
+"""An executor that follows something further (rad) from the steps has had a chunk too late, and blends."""
+_ON_ITS_WAY = 0.1
+"""After so long (s) the executor has taken every chunk, or dropped it."""
+_REMEMBERED = 50
+"""So many chunks are remembered."""
+_REPEATED = 0.08
+"""A chunk is sent at least so often (s), however slowly the robot moves."""
+_CAUGHT_UP = 2
+"""Steps in one cycle at most, where cycles were missed."""
+_LATE = 0.002
+"""A cycle that begins later (s) is counted as late."""
+_SOFT = 0.02
+"""Seconds that an acceleration takes to its limit: what the quintics of a chunk add between its samples stays small."""
+_SHARE = 0.98
+"""Share of the acceleration limit that is used, for the same reason."""
+_STARTS = 3.0
+"""The executor takes a stream within so long (s), or refuses it."""
+_RESTS = 5.0
+"""A robot rests within so long (s)."""
+_UNUSED = 10.0
+"""A session without a fresh target for so long (s) is ended."""
+_SILENT = 2.0
+"""An executor that has told nothing of the stream for so long (s) is gone."""
+_TELLS = 0.05
+"""What limits a session is told so often (s) at most."""
+_MOVES = 1e-3
+"""Joint speed (rad/s) from which a robot is said to move."""
+_PRIORITY = 15
+"""Real-time priority of the cycles, below that of the executor's."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What the last cycle found."""
+
+    limitation: Limitation = field(default_factory=lambda: Limitation("target_stale"))
+    target: Target | None = None
+    age: float | None = None
+    moving: bool = False
+
+
+class Session:
+    """Leads the goal `goal_id`, from rest at `position` (J,).
+
+    `check` is its own while it is open. `changed()` is called where what limits it has changed.
+    """
+
+    def __init__(
+        self,
+        goal_id: str,
+        request: ServoStart,
+        robot: RobotDescription,
+        check: SceneCheck,
+        mirror: Mirror,
+        measured: Latest[JointState],
+        chunks: Publisher[StreamChunk],
+        position: Array,
+        delay: float,
+        changed: Callable[[], None],
+    ) -> None:
+        self.goal_id = goal_id
+        self.inbox = Inbox(len(position))
+        self._joints = robot.descriptor.joints
+        self._model: RobotModel = check.model
+        self._check, self._mirror, self._measured = check, mirror, measured
+        self._chunks, self._changed = chunks, changed
+        self._load(mirror.seen(time.monotonic()))
+        limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
+        self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
+        self._course = Course(0.0, self._controller.state, self._controller.braking)
+        self._joins: OrderedDict[int, tuple[float, Array]] = OrderedDict()
+        self._followed: tuple[int, TimedTrajectory] | None = None
+        self._astray = False
+        self._clock = StreamClock(delay)
+        self._sequence, self._sent_at = 0, 0.0
+        self._used = time.monotonic()
+        self._snapshot = Snapshot()
+        self._goal: GoalState | None = None
+        self._heard_at = self._told_at = self._used
+        self._told = threading.Event()
+        self._done = threading.Event()
+        self._closing = self._held = False
+        self._cycles = self._late = 0
+        self._took: deque[float] = deque(maxlen=100)
+        self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+
+    # -- from any thread --
+
+    @property
+    def revision(self) -> SceneRevision | None:
+        """The scene that its steps are checked in."""
+        return self._seen.revision
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is over."""
+        return self._done.is_set()
+
+    def open(self) -> None:
+        """Begin. Raises what the executor refuses it with, and Unavailable where that says nothing."""
+        try:
+            standing = TimedTrajectory.standing(self._controller.state[0], 1.0)
+            self._put(0.0, standing, deadline=1.0)
+            if not self._told.wait(_STARTS):
+                raise Unavailable(
+                    f"the executor did not take the stream within {_STARTS:g} s; `zarm status` shows whether it runs"
+                )
+            if self._goal is not None and self._goal.problem is not None:
+                raise from_problem(self._goal.problem)
+        except BaseException:
+            self._done.set()
+            raise
+        self._thread.start()
+
+    def close(self) -> None:
+        """Bring the robot to rest and end; returns once that is done. Raises Busy where it takes too long."""
+        self._closing = True
+        if not self._done.wait(_RESTS):
+            raise Busy(f"the session {self.goal_id} is not at its end yet; see where the robot is, then try again")
+
+    def hear_goal(self, goal: GoalState) -> None:
+        """What the executor tells of its stream."""
+        self._heard_at = time.monotonic()
+        self._clock.hear(goal, self._heard_at)
+        self._goal = goal
+        self._held = goal.status == "paused"
+        if goal.status != "accepted":
+            self._told.set()
+
+    def hear_trajectory(self, message: GoalTrajectory) -> None:
+        """What the executor follows, after every chunk: whether that is what was checked."""
+        trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
+        start, state = self._joins.get(message.number, (-1.0, np.empty(0)))
+        if start >= trajectory.time[0]:
+            self._astray = float(np.abs(trajectory.at(start) - state)[0].max()) > _ASTRAY
+        self._followed = message.number, trajectory
+
+    def hear_speed(self, state: ExecutorState) -> None:
+        """At which share of the planned speed the robot moves."""
+        self._clock.set_speed(state.speed_scale, time.monotonic())
+
+    def state(self) -> ServoSession:
+        """What it does now."""
+        snapshot, around = self._snapshot, self._around
+        limitation = snapshot.limitation
+        position = self._measured_position()
+        nearest = self._check.motions.nearby(
+            position, within=RANGE, attached=around.attached, ignored_links=around.ignored_links
+        )
+        link, other = limitation.pair or (None, None)
+        took = list(self._took)
+        return ServoSession(
+            goal_id=self.goal_id,
+            limiting=limitation.kind,
+            link=link,
+            object=other,
+            distance=limitation.distance,
+            clearance=nearest[0].distance if nearest else None,
+            moving=snapshot.moving,
+            sequence=self.inbox.sequence,
+            target_age=snapshot.age,
+            refused=self.inbox.refused,
+            cycles=self._cycles,
+            late_cycles=self._late,
+            computing=float(np.percentile(took, 99)) if took else 0.0,
+            **self._errors(snapshot, position),
+        )
+
+    def _errors(self, snapshot: Snapshot, position: Array) -> dict[str, float]:
+        target = snapshot.target
+        if isinstance(target, JointTarget):
+            return {"joint_error": float(np.abs(target.position - position).max())}
+        if not isinstance(target, PoseTarget):
+            return {}
+        tip, pose = self._model.fk_tip(position), target.after(snapshot.age or 0.0)
+        return {
+            "position_error": float(np.linalg.norm(pose[:3, 3] - tip[:3, 3])),
+            "orientation_error": float(np.linalg.norm(rotation_vector(pose[:3, :3] @ tip[:3, :3].T))),
+        }
+
+    def _measured_position(self) -> Array:
+        measured = self._measured.get()
+        if measured is None or set(measured.joint_names) != set(self._joints):
+            return np.asarray(self._controller.state[0])
+        return np.array([measured.position[measured.joint_names.index(joint)] for joint in self._joints])
+
+    # -- the thread --
+
+    def _run(self) -> None:
+        ask_for_realtime(_PRIORITY)
+        try:
+            due = time.monotonic()
+            while self._goes_on():
+                time.sleep(max(0.0, due - time.monotonic()))
+                now = time.monotonic()
+                self._cycles += 1
+                self._late += now - due > _LATE
+                self._cycle(now)
+                self._took.append(time.monotonic() - now)
+                due += PERIOD * (1.0 + (time.monotonic() - due) // PERIOD)
+        except Exception:
+            log.exception("the session failed; the robot is brought to rest goal_id=%s", self.goal_id)
+        finally:
+            self._end()
+
+    def _goes_on(self) -> bool:
+        goal = self._goal
+        if self._held or (goal is not None and goal.done):
+            return False
+        if time.monotonic() - self._heard_at > _SILENT:
+            log.warning("the executor tells nothing of the session goal_id=%s", self.goal_id)
+            return False
+        return not self._closing or self._snapshot.moving
+
+    def _cycle(self, now: float) -> None:
+        seen = self._mirror.seen(now)
+        if seen is not self._seen:
+            self._load(seen)
+        target, age = self.inbox.newest(now)
+        if target is not None and age is not None and age <= STALE:
+            self._used = now
+        elif now - self._used > _UNUSED:
+            log.info("the session ends, no target has come seconds=%g goal_id=%s", _UNUSED, self.goal_id)
+            self._closing = True
+        commanded = self._clock.time(now)
+        if self._astray and not self._found(commanded, now):
+            return
+        for _ in range(_CAUGHT_UP):
+            coming = self._course.time + PERIOD - commanded
+            if coming > LEAD:
+                break
+            self._step(None if self._closing else target, age, max(coming, 0.0))
+        if self._course.pending >= CHUNK or now - self._sent_at > _REPEATED:
+            self._put(*self._course.chunk())
+
+    def _found(self, commanded: float, now: float) -> bool:
+        """Go on from what the executor follows, once it has taken all chunks; whether that is done."""
+        followed = self._followed
+        if followed is None or (followed[0] < self._sequence and now - self._sent_at < _ON_ITS_WAY):
+            return False
+        time_there = commanded + LEAD
+        state = followed[1].at(time_there)
+        if time_there >= followed[1].duration:
+            state[1:] = 0.0
+        self._controller.restart(state)
+        self._course = Course(time_there, self._controller.state, self._controller.braking)
+        self._astray = False
+        return True
+
+    def _step(self, target: Target | None, age: float | None, coming: float) -> None:
+        wanted = None if target is None else ahead(target, coming)
+        step = self._controller.step(wanted, age or 0.0, self._around)
+        self._course.add(step)
+        before = self._snapshot.limitation
+        moving = bool(np.abs(step.state[1]).max() > _MOVES)
+        self._snapshot = Snapshot(step.limitation, target, age, moving)
+        now = time.monotonic()
+        if (before.kind, before.pair) != (step.limitation.kind, step.limitation.pair) and now - self._told_at > _TELLS:
+            self._told_at = now
+            self._changed()
+
+    def _load(self, seen: Seen) -> None:
+        self._check.load(seen.objects)
+        self._seen, self._around = seen, Surroundings(seen.attached, seen.ignored_links)
+
+    def _put(
+        self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False
+    ) -> None:
+        self._sequence += 1
+        self._sent_at = time.monotonic()
+        self._joins[self._sequence] = start, trajectory.states[:, 0]
+        if len(self._joins) > _REMEMBERED:
+            self._joins.popitem(last=False)
+        self._chunks.put(
+            StreamChunk(
+                goal_id=self.goal_id,
+                sequence=self._sequence,
+                start=start,
+                trajectory=trajectory.message(self._joints),
+                deadline=deadline,
+                last=last,
+            )
+        )
+
+    def _end(self) -> None:
+        """Have the executor end the goal where the robot rests; a goal that is paused is left as it is."""
+        goal = self._goal
+        if not self._held and not (goal is not None and goal.done):
+            self._put(*self._course.chunk(), last=True)
+            deadline = time.monotonic() + _RESTS
+            while not (self._goal is not None and self._goal.done) and time.monotonic() < deadline:
+                self._told.clear()
+                self._told.wait(0.1)
+        goal = self._goal
+        problem = None if goal is None else goal.problem
+        log.info("session ended goal_id=%s reason=%s", self.goal_id, "" if problem is None else problem.message)
+        self._done.set()
+        self._changed()
+
+
+def soft(limits: Limits) -> Limits:
+    """The limits that steps are made with, so that the quintics of a chunk are inside `limits` between its samples too."""
+    acceleration = _SHARE * limits.acceleration
+    return replace(limits, acceleration=acceleration, jerk=np.minimum(limits.jerk, acceleration / _SOFT))

@@ -1,0 +1,159 @@
+"""Who may lead the robot: one session at a time, opened and ended by requests."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import threading
+import time
+from collections import deque
+
+import numpy as np
+
+from zarm_contract.codec import decode
+from zarm_contract.errors import Busy, ExecutionRefused, InvalidRequest, Unavailable
+from zarm_contract.messages import (
+    Accepted,
+    ExecutorState,
+    GoalState,
+    JointState,
+    Nothing,
+    ServoEnd,
+    ServoStart,
+    ServoTarget,
+    StreamChunk,
+)
+from zarm_contract.robot import RobotDescription
+from zarm_runtime.bus import Latest, Publisher
+from zarm_servo.check import SceneCheck
+from zarm_servo.guard import Guard
+from zarm_servo.session import Session
+from zarm_trajectory.quintic import Array
+
+log = logging.getLogger(__name__)
+
+_FRESH = 0.5
+"""Joints that were measured longer ago (s) are not where a session begins."""
+
+
+class Sessions:
+    """The sessions of one robot, one after the other."""
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        check: SceneCheck,
+        guard: Guard,
+        measured: Latest[JointState],
+        chunks: Publisher[StreamChunk],
+    ) -> None:
+        self._robot, self._check, self._guard = robot, check, guard
+        self._measured, self._chunks = measured, chunks
+        self._executor: ExecutorState | None = None
+        self._session: Session | None = None
+        self._ended: deque[str] = deque(maxlen=32)
+        self._lock = threading.Lock()
+
+    def start(self, request: ServoStart) -> Accepted:
+        """Open a session.
+
+        Raises Busy, ExecutionRefused (`no_joint_state`), Unavailable without an executor or a scene, and what the executor refuses
+        the stream with.
+        """
+        with self._lock:
+            before = self._open()
+            if before is not None:
+                if not request.take_over:
+                    raise Busy(
+                        f"the session {before.goal_id} is open; end it (servo/end), or take over (take_over), which brings the "
+                        "robot to rest first"
+                    )
+                log.info("session taken over goal_id=%s", before.goal_id)
+                before.close()
+            executor = self._executor
+            if executor is None:
+                raise Unavailable(
+                    "the executor is not heard; start it (`zarm status` shows it), then start the session again"
+                )
+            if executor.goal_id is not None and executor.goal_id not in self._ended:
+                raise Busy(f"{executor.goal_id} is not at its end; cancel it or wait, then start the session again")
+            if self._guard.mirror.seen(time.monotonic()).revision is None:
+                raise Unavailable(
+                    "the scene is not known, so nothing could be kept away from; start the planner, then start the session again"
+                )
+            goal_id = request.goal_id or f"servo-{secrets.token_hex(8)}"
+            session = Session(
+                goal_id,
+                request,
+                self._robot,
+                self._check,
+                self._guard.mirror,
+                self._measured,
+                self._chunks,
+                self._position(),
+                self._delay(executor),
+                self._guard.wake,
+            )
+            session.hear_speed(executor)
+            self._session = self._guard.session = session
+            session.open()
+            log.info("session open goal_id=%s margin=%g", goal_id, request.margin)
+            return Accepted(goal_id=goal_id)
+
+    def end(self, request: ServoEnd) -> Nothing:
+        """End a session; nothing where there is none of that name. Raises Busy where the robot does not come to rest."""
+        session = self._open()
+        if session is not None and request.goal_id in (None, session.goal_id):
+            session.close()
+        return Nothing()
+
+    def hear_target(self, _key: str, payload: bytes) -> None:
+        """A live target; those of other sessions are passed over."""
+        now, session = time.monotonic(), self._open()
+        if session is None:
+            return
+        try:
+            message = decode(ServoTarget, payload)
+        except InvalidRequest as error:
+            session.inbox.refuse(error.problem)
+            return
+        if message.goal_id == session.goal_id:
+            session.inbox.hear(message, now)
+
+    def hear_goal(self, _key: str, goal: GoalState) -> None:
+        """What the executor tells of a goal; its state, which comes after that, may still be on its way."""
+        if goal.done:
+            self._ended.append(goal.goal_id)
+        session = self._session
+        if session is not None and session.goal_id == goal.goal_id:
+            session.hear_goal(goal)
+
+    def hear_state(self, _key: str, state: ExecutorState) -> None:
+        """What the executor does."""
+        self._executor = state
+        session = self._open()
+        if session is not None:
+            session.hear_speed(state)
+
+    def close(self) -> None:
+        """End the session that there is."""
+        self.end(ServoEnd())
+
+    def _open(self) -> Session | None:
+        session = self._session
+        return None if session is None or session.ended else session
+
+    def _position(self) -> Array:
+        """Where the robot is (J,)."""
+        joints, measured = self._robot.descriptor.joints, self._measured.get(max_age=_FRESH)
+        if measured is None or set(measured.joint_names) != set(joints):
+            raise ExecutionRefused(
+                f"the robot has not reported its joints for {_FRESH:g} s; check that its driver runs",
+                code="no_joint_state",
+            )
+        return np.array([measured.position[measured.joint_names.index(joint)] for joint in joints])
+
+    def _delay(self, executor: ExecutorState) -> float:
+        """How far (s) behind what is commanded the executor expects the robot."""
+        params = self._robot.descriptor.strategy_params
+        return 0.0 if params is None or executor.strategy == "emulator" else params.delay

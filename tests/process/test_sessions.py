@@ -1,0 +1,306 @@
+"""The robot follows a live target: planner, executor and servo in their own processes, led by Python clients and commands."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import zarm
+from support.command_line import ZARM, environment
+from support.command_line import zarm as run_zarm
+from support.executor.client import Client
+from support.harness import PATIENCE, ServiceProcess, eventually, router
+from support.planner.client import load
+from support.trajectories import HOME, KEYS, ROBOT
+from zarm.servoing import PERIOD, Jogging
+from zarm_contract.errors import Busy, DeadlineExceeded
+from zarm_contract.messages import Accepted, Cuboid, SceneObject, ServoSession, ServoStart, Sphere
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_runtime.bus import Bus
+from zarm_runtime.session import open_client
+
+MODEL = RobotModel.of(ROBOT)
+MARGIN = 0.01
+PRECISION = 2e-3
+"""What blending and the executor's ticks may add (m)."""
+TIP = MODEL.fk_tip(HOME)[:3, 3]
+WALL = Cuboid(kind="cuboid", name="wall", position=(float(TIP[0]) + 0.2, 0.0, 0.5), size=(0.1, 4.0, 3.0))
+
+
+class Cell:
+    """One robot with its processes, a client of Python and one that sees everything."""
+
+    def __init__(self, stack: ExitStack, folder: Path) -> None:
+        self.endpoint = stack.enter_context(router())
+        self.bus = stack.enter_context(Bus(self.endpoint))
+        self.services = {
+            service: stack.enter_context(ServiceProcess(service, self.endpoint, folder))
+            for service in ("planner", "leeloo_sim", "executor", "servo")
+        }
+        for process in self.services.values():
+            process.wait_ready(self.bus, KEYS)
+        self.client = Client(self.bus)
+        self.robot = stack.enter_context(zarm.connect(self.endpoint))
+
+    def home(self) -> None:
+        """At rest where it began, in an empty scene."""
+        self.client.cancel()
+        self.client.mode("idle")
+        load(self.bus)
+        self.robot.execute(self.robot.plan(HOME))
+        self.client.measured.clear()
+        self.client.goals.clear()
+
+    def assert_sound(self, *objects: SceneObject) -> None:
+        """What was measured kept the limits of acceleration, and the margin to these objects."""
+        assert self.client.greatest_acceleration() < 1.05
+        positions = np.array([state.position for state in self.client.measured])
+        nearest = ExactScene(MODEL, World(objects, 0.0)).nearest(positions).distance
+        assert nearest >= MARGIN - PRECISION
+
+    def repeat(
+        self, jogging: Jogging, until: str, *, linear: tuple[float, float, float], within: float = np.inf
+    ) -> ServoSession:
+        """Jog, with a target every PERIOD, until this limits the robot, which has less clearance (m); what the servo tells then."""
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
+            jogging.twist(linear)
+            state = jogging.state
+            if (
+                state is not None
+                and state.limiting == until
+                and (within == np.inf or (state.clearance or 0.0) < within)
+            ):
+                return state
+            time.sleep(PERIOD)
+        raise AssertionError(f"waited in vain until the robot is limited: {until}; last {jogging.state}")
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with ExitStack() as stack:
+        yield Cell(stack, tmp_path_factory.mktemp("cell"))
+
+
+@pytest.fixture
+def cell(shared: Cell) -> Cell:
+    shared.home()
+    return shared
+
+
+def test_a_pose_is_reached_to_a_millimetre_beside_a_wall_and_one_behind_it_says_what_is_in_the_way(cell: Cell) -> None:
+    load(cell.bus, WALL)
+    here = cell.robot.tip()
+    with cell.robot.track() as tracking:
+        there = zarm.Pose(np.add(here.position, (0.03, 0.1, -0.05)), here.orientation)
+        tracking.reach(there, timeout=PATIENCE)
+        assert np.linalg.norm(np.subtract(cell.robot.tip().position, there.position)) < 0.0015
+        behind = zarm.Pose(np.add(here.position, (0.5, 0.1, 0.0)), here.orientation)
+        with pytest.raises(DeadlineExceeded, match="wall"):
+            tracking.reach(behind, timeout=3.0)
+        tracking.reach(HOME, timeout=PATIENCE)
+    assert cell.client.ended(tracking.goal_id).status == "succeeded"
+    cell.assert_sound(WALL)
+
+
+def test_jogging_slows_before_a_wall_and_slides_along_it_and_stops_when_nobody_says_more(cell: Cell) -> None:
+    load(cell.bus, WALL)
+    with cell.robot.jog() as jogging:
+        slowed = cell.repeat(jogging, "slowing", linear=(0.2, 0.1, 0.0))
+        assert slowed.object == "wall"
+        assert slowed.clearance is not None
+        eventually(lambda: jogging.state is not None and jogging.state.limiting == "target_stale", "it is stale")
+        eventually(lambda: not any(cell.client.measured[-1].velocity), "the robot rests")
+        assert cell.client.stands()
+    cell.assert_sound(WALL)
+
+
+def test_what_is_put_in_the_way_while_the_robot_is_led_is_kept_away_from(cell: Cell) -> None:
+    x, y, z = (TIP + (0.0, 0.35, 0.0)).tolist()
+    ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08)
+    with cell.robot.jog() as jogging:
+        cell.repeat(jogging, "free", linear=(0.0, 0.1, 0.0))
+        load(cell.bus, ball)
+        slowed = cell.repeat(jogging, "slowing", linear=(0.0, 0.2, 0.0))
+        assert slowed.object == "ball"
+    cell.assert_sound(ball)
+
+
+def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
+    x, y, z = TIP.tolist()
+    table = Cuboid(kind="cuboid", name="table", position=(x, y, z - 0.3), size=(0.4, 0.4, 0.1))
+    load(cell.bus, table)
+    cell.robot.scene.add(zarm.Cuboid("tool", size=(0.04, 0.04, 0.1), position=(x, y, z - 0.06)))
+    cell.robot.scene.attach("tool")
+    with cell.robot.jog() as jogging:
+        slowed = cell.repeat(jogging, "slowing", linear=(0.0, 0.0, -0.1))
+        assert slowed.object == "table"
+        cell.repeat(jogging, "slowing", linear=(0.0, 0.0, -0.1), within=2 * MARGIN)
+    holding = MODEL.with_attached(tuple(cell.robot.scene.attached().values()), ())
+    positions = np.array([state.position for state in cell.client.measured])
+    assert ExactScene(holding, World([table], 0.0)).nearest(positions).distance >= MARGIN - PRECISION
+
+
+def test_a_second_client_is_refused_unless_it_takes_over_and_then_the_first_has_lost_the_robot(cell: Cell) -> None:
+    with cell.robot.jog() as first:
+        with pytest.raises(Busy, match=first.goal_id), cell.robot.jog():
+            pass
+        with cell.robot.jog(take_over=True) as second:
+            eventually(lambda: not first.running, "the first session has ended")
+            cell.repeat(second, "free", linear=(0.0, 0.05, 0.0))
+    cell.client.mode("idle")
+
+
+def test_a_session_beside_a_goal_is_refused_and_a_stop_ends_a_session(cell: Cell) -> None:
+    goal = cell.robot.start(cell.robot.plan((1.0, *HOME[1:])))
+    eventually(lambda: cell.client.state().goal_id == goal, "the goal runs")
+    with pytest.raises(Busy, match=goal), cell.robot.jog():
+        pass
+    cell.robot.cancel(goal)
+    cell.client.mode("idle")
+
+    def led_until_stopped() -> None:
+        with cell.robot.jog() as jogging:
+            cell.repeat(jogging, "free", linear=(0.0, 0.05, 0.0))
+            cell.robot.stop()
+            eventually(lambda: not jogging.running, "the session has ended")
+
+    with pytest.raises(zarm.Cancelled):
+        led_until_stopped()
+    assert cell.client.mode("idle").problem is None
+
+
+@pytest.mark.parametrize(
+    ("target", "field"),
+    [
+        ('{"kind": "twist", "linear": [0.1, 0, 0]}', "target.frame"),
+        ('{"kind": "twist", "frame": "base", "linear": [NaN, 0, 0]}', "target.linear.0"),
+        ('{"kind": "joint_speed", "velocity": [0.1]}', "target.velocity"),
+    ],
+)
+def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cell, target: str, field: str) -> None:
+    with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
+        text = f'{{"goal_id": "{jogging.goal_id}", "sequence": 1, "stamp": 1.0, "target": {target}}}'
+
+        def refused() -> str | None:
+            session.put(KEYS.servo_target, text)
+            state = jogging.state
+            return None if state is None or state.refused is None else state.refused.field
+
+        assert eventually(refused, "the target is refused") == field
+    assert cell.client.stands()
+
+
+def test_a_pause_ends_a_session_and_leaves_its_goal_paused(cell: Cell) -> None:
+    session = cell.bus.call(KEYS.servo_start, ServoStart(), Accepted, timeout=PATIENCE)
+    cell.client.mode("running")
+    cell.robot.pause()
+    cell.client.mode("paused")
+    with pytest.raises(Busy, match=session.goal_id), cell.robot.jog(take_over=True):
+        pass
+    cell.robot.cancel(session.goal_id)
+    assert cell.client.ended(session.goal_id).status == "cancelled"
+
+
+def test_an_executor_that_was_held_up_is_led_on_from_where_the_robot_is(cell: Cell) -> None:
+    chunks: list[bytes] = []
+    cell.bus.listen(KEYS.stream, lambda _, payload: chunks.append(payload))
+    here, executor = cell.robot.tip(), cell.services["executor"].process
+    with cell.robot.jog() as jogging:
+        cell.repeat(jogging, "free", linear=(0.0, 0.1, 0.0))
+        executor.send_signal(signal.SIGSTOP)
+        try:
+            seen = len(chunks)
+            eventually(lambda: len(chunks) >= seen + 5, "chunks wait for the executor")
+        finally:
+            executor.send_signal(signal.SIGCONT)
+        cell.repeat(jogging, "free", linear=(0.0, 0.1, 0.0))
+    with cell.robot.track() as tracking:
+        tracking.reach(here, timeout=PATIENCE)
+    assert cell.client.ended(tracking.goal_id).status == "succeeded"
+    cell.assert_sound()
+
+
+@pytest.fixture
+def driven(cell: Cell) -> Iterator[Callable[[str], None]]:
+    """Have a driver move the robot, by another strategy, and then the emulator again."""
+
+    def switch(strategy: str) -> None:
+        cell.client.strategy(strategy)
+        eventually(cell.client.stands, "the arm of the driver is told, which is elsewhere than the emulated one was")
+
+    yield switch
+    cell.client.strategy("emulator")
+
+
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose"])
+def test_a_driver_is_led_as_well(cell: Cell, driven: Callable[[str], None], strategy: str) -> None:
+    driven(strategy)
+    at = cell.client.position()
+    there = at + (0.1, 0.05, -0.05, 0.0, 0.0, 0.1)
+    with cell.robot.track() as tracking:
+        tracking.reach(there, timeout=PATIENCE)
+    assert cell.client.ended(tracking.goal_id).status == "succeeded"
+    np.testing.assert_allclose(cell.client.position(), there, atol=0.005)
+
+
+def test_a_strategy_that_hands_motions_over_as_a_whole_leads_nobody(cell: Cell, driven: Callable[[str], None]) -> None:
+    driven("joint_trajectory")
+    with pytest.raises(zarm.Unavailable, match="switch to another strategy"), cell.robot.jog():
+        pass
+    assert cell.client.stands()
+
+
+def test_keys_in_a_terminal_move_the_robot(cell: Cell) -> None:
+    above, below = pty.openpty()
+    command = [ZARM, "jog", "--connect", cell.endpoint]
+    with subprocess.Popen(command, stdin=below, stdout=below, stderr=below, env=environment()) as jog:
+        os.close(below)
+
+        def moves() -> bool:
+            os.write(above, b"f")
+            return bool(cell.client.measured) and any(cell.client.measured[-1].velocity)
+
+        eventually(moves, "the robot moves")
+        os.write(above, b"q")
+        assert drained(above, jog) == 0
+    os.close(above)
+    cell.client.mode("idle")
+    cell.assert_sound()
+
+
+def drained(terminal: int, process: subprocess.Popen[bytes]) -> int:
+    """What the process ends with; what it shows on its terminal is read, so that it never waits for that."""
+
+    def ended() -> bool:
+        while select.select([terminal], [], [], 0.05)[0]:
+            try:
+                if not os.read(terminal, 65536):
+                    break
+            except OSError:  # nobody is at the other end any more
+                break
+        return process.poll() is not None
+
+    eventually(ended, "the command has ended")
+    return process.returncode
+
+
+def test_a_command_leads_the_robot_to_joint_positions_without_a_plan(cell: Cell) -> None:
+    goal = (0.1, 0.05, *HOME[2:])
+    led = run_zarm("track", "--joints", ",".join(map(str, goal)), "--connect", cell.endpoint)
+    assert led.returncode == 0, led.stderr
+    assert led.stdout.startswith("reached to")
+    np.testing.assert_allclose(cell.client.position(), goal, atol=0.003)
+    cell.assert_sound()
