@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from zarm_robot_import.report import Report
 
 _SUFFIXES = (".urdf", ".xacro", ".xml")
+_MESHES = (".stl", ".dae", ".obj", ".xacro")
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zarm" / "robots"
 
 
@@ -46,7 +48,9 @@ def descriptor_of(robot: str) -> str:
         return robot
     # The meshes count by the time of their last change; they lie beside the file, or in its package.
     digest = hashlib.sha256(file.read_bytes() + f"{file.resolve()}{version()}".encode())
-    for mesh in sorted(path for path in file.resolve().parent.parent.rglob("*") if path.suffix.lower() in _MESHES)[:1000]:
+    for mesh in sorted(path for path in file.resolve().parent.parent.rglob("*") if path.suffix.lower() in _MESHES)[
+        :1000
+    ]:
         digest.update(f"{mesh}{mesh.stat().st_mtime_ns}".encode())
     folder = _CACHE / digest.hexdigest()[:16]
     if not (made := next(iter(folder.glob("*.yaml")), None)):
@@ -55,10 +59,7 @@ def descriptor_of(robot: str) -> str:
     return str(made)
 
 
-_MESHES = (".stl", ".dae", ".obj", ".xacro")
-
-
-def _importing():  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _importing() -> ModuleType:
     try:
         from zarm_robot_import import importing
     except ImportError as error:

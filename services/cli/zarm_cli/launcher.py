@@ -167,7 +167,10 @@ def _refuse_second(bus: Bus, keys: Keys, endpoint: str) -> None:
 
 def up(
     robot: Annotated[
-        str, typer.Option(envvar="ZARM_ROBOT", help="A robot that comes with zarm, a descriptor (.yaml), or a URDF or xacro.")
+        str,
+        typer.Option(
+            envvar="ZARM_ROBOT", help="A robot that comes with zarm, a descriptor (.yaml), or a URDF or xacro."
+        ),
     ] = ("doosan_m1013"),
     name: Annotated[
         str | None,

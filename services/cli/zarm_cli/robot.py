@@ -96,7 +96,9 @@ def _position(text: str) -> tuple[str, float]:
     try:
         return joint, float(value)
     except ValueError:
-        raise InvalidRequest(f"{text!r} is no position of a joint; write --fix finger_joint=0.04", field="--fix") from None
+        raise InvalidRequest(
+            f"{text!r} is no position of a joint; write --fix finger_joint=0.04", field="--fix"
+        ) from None
 
 
 def _millimetres(mean: float, most: float) -> str:

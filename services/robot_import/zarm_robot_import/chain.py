@@ -62,7 +62,9 @@ def choose_chain(
     tip = _known(robot, tip, "--tip") if tip else _tip(robot, base)
     path = robot.path(base, tip)
     if path is None:
-        raise InvalidRequest(f"{robot.source.path}: {tip} does not hang on {base}; choose --base and --tip on one branch")
+        raise InvalidRequest(
+            f"{robot.source.path}: {tip} does not hang on {base}; choose --base and --tip on one branch"
+        )
     if (base == robot.root) and (start := next((j for j in path if j.type in ("floating", "planar")), None)):
         # A base that floats, as simulators write it: the arm stands on what floats.
         base, path = start.child, path[path.index(start) + 1 :]
@@ -70,11 +72,13 @@ def choose_chain(
     for joint in joints:
         if joint.type in ("floating", "planar"):
             raise robot.source.fault(
-                joint.element, f"joint {joint.name} is {joint.type}, which no arm's joint is; start behind it: --base {joint.child}"
+                joint.element,
+                f"joint {joint.name} is {joint.type}, which no arm's joint is; start behind it: --base {joint.child}",
             )
         if joint.mimic:
             raise robot.source.fault(
-                joint.element, f"joint {joint.name} mimics {joint.mimic[0]} within the chain; give it type=\"fixed\" or drop <mimic>"
+                joint.element,
+                f'joint {joint.name} mimics {joint.mimic[0]} within the chain; give it type="fixed" or drop <mimic>',
             )
     if not joints:
         raise InvalidRequest(f"{robot.source.path}: no joint moves between {base} and {tip}; choose another --tip")
@@ -127,9 +131,7 @@ def _tip(robot: Description, base: str) -> str:
 
 def _moving_below(robot: Description, link: str) -> list[Joint]:
     """The moving joints of what is rigid with a link."""
-    return [
-        joint for one in _rigid(robot, link) for joint in robot.children.get(one, ()) if joint.type != "fixed"
-    ]
+    return [joint for one in _rigid(robot, link) for joint in robot.children.get(one, ()) if joint.type != "fixed"]
 
 
 def _rigid(robot: Description, link: str) -> list[str]:
@@ -160,7 +162,9 @@ def _assembled(
     for name in positions:
         if name not in every or name in moving:
             why = "moves with the arm" if name in moving else "is not in the file"
-            raise InvalidRequest(f"{robot.source.path}: the joint {name} {why}; --fix is for the joints beside the chain")
+            raise InvalidRequest(
+                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints beside the chain"
+            )
 
     stands: dict[str, float] = {}
 
@@ -201,7 +205,9 @@ def _assembled(
     origins = tuple(np.linalg.inv(pose[carriers[i]]) @ pose[joint.child] for i, joint in enumerate(joints))
     fixed = tuple((name, value) for name, value in stands.items())
     others = tuple(
-        joint.name for joint in robot.joint_of_child.values() if joint.type in ("floating", "planar") and joint not in path
+        joint.name
+        for joint in robot.joint_of_child.values()
+        if joint.type in ("floating", "planar") and joint not in path
     )
     return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, others)
 
@@ -209,4 +215,8 @@ def _assembled(
 def _outwards(robot: Description, base: str, order: Sequence[str]) -> list[str]:
     """Links with the base first, then what hangs on it, then what it stands on."""
     below = set(robot.below(base))
-    return [base, *(link for link in order if link in below and link != base), *(link for link in order if link not in below)]
+    return [
+        base,
+        *(link for link in order if link in below and link != base),
+        *(link for link in order if link not in below),
+    ]

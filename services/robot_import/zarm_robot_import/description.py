@@ -115,10 +115,14 @@ def describe(source: Source) -> Description:
             raise source.fault(element, f"two joints are named {joint.name}; rename one")
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise source.fault(element, f"joint {joint.name} names the link {end}, which is not in the file; add it")
+                raise source.fault(
+                    element, f"joint {joint.name} names the link {end}, which is not in the file; add it"
+                )
         if joint.child in carried:
             other = carried[joint.child].name
-            raise source.fault(element, f"the link {joint.child} has two parent joints, {other} and {joint.name}; keep one")
+            raise source.fault(
+                element, f"the link {joint.child} has two parent joints, {other} and {joint.name}; keep one"
+            )
         joints[joint.name] = carried[joint.child] = joint
         children.setdefault(joint.parent, []).append(joint)
     for joint in joints.values():
@@ -126,7 +130,8 @@ def describe(source: Source) -> Description:
         while above in carried:
             if above in seen:
                 raise source.fault(
-                    joint.element, f"joint {joint.name} closes a loop over the link {above}; a URDF is a tree, so cut it there"
+                    joint.element,
+                    f"joint {joint.name} closes a loop over the link {above}; a URDF is a tree, so cut it there",
                 )
             seen.add(above)
             above = carried[above].parent
@@ -138,7 +143,8 @@ def describe(source: Source) -> Description:
         roots = [name for name in roots if children.get(name)] or roots
     if len(roots) > 1:
         raise source.fault(
-            links[roots[1]].element, f"{' and '.join(roots)} hang on nothing; a URDF has one root, so join them with a joint"
+            links[roots[1]].element,
+            f"{' and '.join(roots)} hang on nothing; a URDF has one root, so join them with a joint",
         )
     kept = {roots[0]}
     description = Description(source, root.get("name") or source.path.stem, roots[0], links, carried, children)
@@ -173,7 +179,9 @@ def _geometries(source: Source, link: ET.Element, tag: str, name: str) -> Iterat
             case "sphere":
                 yield Geometry("sphere", pose, shape, size=_numbers(source, shape, "radius", 1, f"link {name}"))
             case _:
-                raise source.fault(shape, f"link {name} has the geometry <{shape.tag}>; use mesh, box, cylinder or sphere")
+                raise source.fault(
+                    shape, f"link {name} has the geometry <{shape.tag}>; use mesh, box, cylinder or sphere"
+                )
 
 
 def _joint(source: Source, element: ET.Element) -> Joint:
@@ -232,7 +240,12 @@ def _attribute(source: Source, element: ET.Element, name: str) -> str:
 
 
 def _numbers(
-    source: Source, element: ET.Element | None, name: str, count: int, owner: str, default: tuple[float, ...] | None = None
+    source: Source,
+    element: ET.Element | None,
+    name: str,
+    count: int,
+    owner: str,
+    default: tuple[float, ...] | None = None,
 ) -> tuple[float, ...]:
     text = element.get(name) if element is not None else None
     if element is None or text is None:

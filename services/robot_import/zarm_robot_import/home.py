@@ -58,5 +58,3 @@ def _twist(one: Array, other: Array) -> Array:
     turn = other[:, :3, :3] @ one[:, :3, :3].transpose(0, 2, 1)
     rotation = [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]]
     return np.column_stack([other[:, :3, 3] - one[:, :3, 3], *(half / 2 for half in rotation)])
-
-

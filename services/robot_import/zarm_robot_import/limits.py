@@ -43,11 +43,14 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
         lower, upper = -2 * math.pi, 2 * math.pi
     elif lower is not None and upper is not None and lower > upper:
         raise robot.source.fault(
-            joint.element, f"joint {joint.name} has its lower limit {lower:g} above its upper limit {upper:g}; swap them"
+            joint.element,
+            f"joint {joint.name} has its lower limit {lower:g} above its upper limit {upper:g}; swap them",
         )
     elif lower is None or upper is None or lower == upper:
         if joint.type == "prismatic":
-            raise robot.source.fault(joint.element, f"joint {joint.name} slides without limits; write <limit lower= upper=>")
+            raise robot.source.fault(
+                joint.element, f"joint {joint.name} slides without limits; write <limit lower= upper=>"
+            )
         lower, upper = -math.pi, math.pi
         assumed.append("range")
     velocity = joint.velocity

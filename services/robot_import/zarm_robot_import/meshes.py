@@ -125,7 +125,9 @@ def sticks_out(inner: Array, outer: Array) -> float:
 
 
 def _areas(triangles: Array) -> Array:
-    found: Array = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
+    found: Array = (
+        np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
+    )
     return found
 
 
@@ -138,9 +140,9 @@ def _size(triangles: Array) -> float:
 
 
 def _cleaned(triangles: Array) -> Array:
-    """Without those that are not finite, and each once."""
-    triangles = triangles[np.isfinite(triangles).all(axis=(1, 2))]
-    return triangles
+    """Without those that are not finite."""
+    kept: Array = triangles[np.isfinite(triangles).all(axis=(1, 2))]
+    return kept
 
 
 def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Path | None]:

@@ -18,7 +18,9 @@ _POINTS = 60_000
 _VIEW = np.array([0.75, -0.6, 0.35])
 
 
-def draw(path: Path, model: RobotModel, home: Sequence[float], meshes: Mapping[str, Array], fitted: Sequence[Fitted]) -> None:
+def draw(
+    path: Path, model: RobotModel, home: Sequence[float], meshes: Mapping[str, Array], fitted: Sequence[Fitted]
+) -> None:
     """Write a PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -52,7 +54,9 @@ def draw(path: Path, model: RobotModel, home: Sequence[float], meshes: Mapping[s
     figure.savefig(path)
 
 
-_COLOURS = np.array([(0.55, 0.6, 0.68), (0.95, 0.6, 0.3), (0.4, 0.7, 0.95), (0.6, 0.8, 0.45), (0.9, 0.75, 0.3), (0.7, 0.6, 0.9)])
+_COLOURS = np.array(
+    [(0.55, 0.6, 0.68), (0.95, 0.6, 0.3), (0.4, 0.7, 0.95), (0.6, 0.8, 0.45), (0.9, 0.75, 0.3), (0.7, 0.6, 0.9)]
+)
 
 
 def _of_mesh(triangles: Array) -> tuple[Array, Array]:

@@ -33,8 +33,12 @@ class Report:
         for limit in self.limits:
             for what in ("range", "velocity"):
                 if what in limit.assumed:
-                    found.append(f"{limit.joint}: the URDF gives no {what}; assumed, correct it in the descriptor or URDF")
-        found += [f"the joint {name} is {kind} and was fixed" for name, kind in ((name, "free") for name in self.chain.others)]
+                    found.append(
+                        f"{limit.joint}: the URDF gives no {what}; assumed, correct it in the descriptor or URDF"
+                    )
+        found += [
+            f"the joint {name} is {kind} and was fixed" for name, kind in ((name, "free") for name in self.chain.others)
+        ]
         return found
 
     @property
@@ -56,7 +60,12 @@ class Report:
             f"{', '.join(f'{value:.2f}' for value in self.home)} rad.",
         ]
         if chain.fixed:
-            lines += ["", "Joints beside the chain, fixed: " + ", ".join(f"`{name}` at {value:g}" for name, value in chain.fixed) + "."]
+            lines += [
+                "",
+                "Joints beside the chain, fixed: "
+                + ", ".join(f"`{name}` at {value:g}" for name, value in chain.fixed)
+                + ".",
+            ]
         if self.warnings:
             lines += ["", "## Look at this", "", *(f"- {warning}" for warning in self.warnings)]
         lines += [
@@ -89,6 +98,7 @@ class Report:
             lines.append(f"| {limit.joint} | {shown} | {', '.join(limit.assumed)} |")
         lines += ["", "## Self-collision", "", "| pair | checked | reason |", "|---|---|---|"]
         lines += [
-            f"| {pair.first}, {pair.second} | {'no' if pair.ignored else 'yes'} | {pair.reason} |" for pair in self.pairs
+            f"| {pair.first}, {pair.second} | {'no' if pair.ignored else 'yes'} | {pair.reason} |"
+            for pair in self.pairs
         ]
         return "\n".join(lines) + "\n"

@@ -73,7 +73,9 @@ class Pairs:
         gaps = self.gaps(i, j, self._poses)
         near = np.flatnonzero(gaps < 0.0)
         if not len(near):
-            return Pair(first, second, False, f"its covers met in none of {SAMPLES} configurations; checking it costs nothing")
+            return Pair(
+                first, second, False, f"its covers met in none of {SAMPLES} configurations; checking it costs nothing"
+            )
         near = near[np.argsort(gaps[near])]
         touching = [self._touch(i, j, self._poses[k]) for k in (near if len(near) == SAMPLES else ())]
         if touching and all(touching):
@@ -88,7 +90,10 @@ class Pairs:
             return Pair(first, second, True, f"{share}, and come no nearer than {1e3 * least:.0f} mm")
         if least > 0.0 and len(near) > 0.99 * SAMPLES:
             return Pair(
-                first, second, True, f"{share}; they come as near as {1e3 * least:.1f} mm, but the covers always overlap"
+                first,
+                second,
+                True,
+                f"{share}; they come as near as {1e3 * least:.1f} mm, but the covers always overlap",
             )
         return Pair(first, second, False, f"{share}, but come as near as {1e3 * max(least, 0.0):.1f} mm")
 

@@ -77,7 +77,9 @@ class _Problem:
         return cls(points, places, (cdist(places[:, :3], points) - places[:, 3:]).astype(np.float32), surface)
 
 
-def fit(surfaces: Sequence[Surface], budget: int = BUDGET, done: Callable[[str], None] = lambda link: None) -> list[Fitted]:
+def fit(
+    surfaces: Sequence[Surface], budget: int = BUDGET, done: Callable[[str], None] = lambda link: None
+) -> list[Fitted]:
     """Exact geometry and covers of all links; `budget` balls in all covers, at least one each."""
     exact: list[Array] = []
     problems: list[_Problem] = []
@@ -88,7 +90,11 @@ def fit(surfaces: Sequence[Surface], budget: int = BUDGET, done: Callable[[str],
             chosen = _at_most([problem], MOST_EXACT)[0]
         # Large triangles first: they leave less for the small ones to cut.
         sides = np.linalg.norm(np.diff(surface.triangles, axis=1), axis=2).max(axis=1)
-        exact.append(_written(around_triangles(_rounded(_placed(problem, chosen)), surface.triangles[np.argsort(-sides)], _FINEST)[0]))
+        exact.append(
+            _written(
+                around_triangles(_rounded(_placed(problem, chosen)), surface.triangles[np.argsort(-sides)], _FINEST)[0]
+            )
+        )
         problems.append(_around(problem, exact[-1]))
         done(surface.link)
     covers = [

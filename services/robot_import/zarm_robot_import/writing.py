@@ -98,7 +98,10 @@ def descriptor_text(
         "",
         f"# Assumed, because the URDF does not say it: {', '.join(assumed)}. Replace it by what the arm's manual says.",
         "cspace:",
-        *(f"  {key}: {_list([getattr(limit, key) for limit in limits])}" for key in ("velocity", "acceleration", "jerk")),
+        *(
+            f"  {key}: {_list([getattr(limit, key) for limit in limits])}"
+            for key in ("velocity", "acceleration", "jerk")
+        ),
         "",
         "strategy: emulator",
         "",

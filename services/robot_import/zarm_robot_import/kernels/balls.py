@@ -11,6 +11,7 @@ from zarm_geometry.kernels.compiled import kernel
 
 Array = NDArray[np.float64]
 
+
 @kernel
 def around_triangles(balls: Array, triangles: Array, finest: float) -> tuple[Array, float]:
     """Balls (k, 4) with radii so large that they contain all of the triangles (n, 3, 3), and the most that one grew (m).
