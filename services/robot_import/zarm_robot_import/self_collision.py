@@ -81,8 +81,8 @@ class Pairs:
         if touching and all(touching):
             return Pair(first, second, True, f"they touch in all of {SAMPLES} configurations")
         if any(touching) or any(self._touch(i, j, self._poses[k]) for k in near):
-            share = len(near) / SAMPLES
-            much = f"; their covers overlap in {share:.0%} of all configurations" if share > 0.5 else ""
+            part = len(near) / SAMPLES
+            much = f"; their covers overlap in {part:.0%} of all configurations" if part > 0.2 else ""
             return Pair(first, second, False, f"their meshes can collide{much}")
         least = self._nearest(i, j, near)
         share = f"their meshes met in none of {SAMPLES} configurations (less than {300 / SAMPLES:.2g} % of all, with 95 % confidence)"

@@ -91,8 +91,8 @@ def find_package(name: str, path: Path, packages: Sequence[Path]) -> Path | None
     """The folder of a ROS package: in `packages`, in what ROS's environment names, else around the file `path`."""
     stated = [*packages]
     for variable in _PATHS:
-        for folder in filter(None, os.environ.get(variable, "").split(os.pathsep)):
-            stated += [Path(folder), Path(folder) / "share"]
+        for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            stated += [Path(entry), Path(entry) / "share"]
     for folder in stated:
         if folder.name == name or _named(folder) == name:
             return folder

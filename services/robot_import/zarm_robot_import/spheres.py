@@ -85,14 +85,14 @@ def fit(
     problems: list[_Problem] = []
     for surface in surfaces:
         problem = _of_surface(surface.triangles)
-        chosen = _fewest(problem, EXACT)
-        if len(chosen) > MOST_EXACT:
-            chosen = _at_most([problem], MOST_EXACT)[0]
+        places = _fewest(problem, EXACT)
+        if len(places) > MOST_EXACT:
+            places = _at_most([problem], MOST_EXACT)[0]
         # Large triangles first: they leave less for the small ones to cut.
         sides = np.linalg.norm(np.diff(surface.triangles, axis=1), axis=2).max(axis=1)
         exact.append(
             _written(
-                around_triangles(_rounded(_placed(problem, chosen)), surface.triangles[np.argsort(-sides)], _FINEST)[0]
+                around_triangles(_rounded(_placed(problem, places)), surface.triangles[np.argsort(-sides)], _FINEST)[0]
             )
         )
         problems.append(_around(problem, exact[-1]))
@@ -226,14 +226,16 @@ def _grid(points: Array) -> Array:
     size = np.maximum(high - low, 1e-3)
     step = float((size.prod() / _CELLS) ** (1 / 3))
     axes = [np.linspace(a, b, max(3, round((b - a) / step))) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    found: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return found
 
 
 def _extremes(triangles: Array) -> Array:
     """The corners that lie furthest out in many directions."""
     directions = np.random.default_rng(1).normal(size=(100, 3))
     corners = triangles.reshape(-1, 3)
-    return corners[np.unique(np.argmax(corners @ directions.T, axis=0))]
+    furthest: Array = corners[np.unique(np.argmax(corners @ directions.T, axis=0))]
+    return furthest
 
 
 def boundary(balls: Array, count: int) -> tuple[Array, Array, Array]:

