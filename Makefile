@@ -6,19 +6,23 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 PINNED := pyproject.toml constraints.txt
 BRIDGE := services/ros_bridge
-MESSAGES := $(wildcard $(BRIDGE)/*.py $(BRIDGE)/*.cmake $(addprefix $(BRIDGE)/curobo_msgs/,*.* srv/*.srv action/*.action))
+MESSAGES ?= b
 
 REQUIREMENTS := deploy/requirements
+
+# Where Python is told not to keep what it compiles, each of the many processes of the tests would compile all of zarm again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-all test-deploy ros lint docs bench requirements licences audit clean
 
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
 
-# Every promise once. What is timed runs alone. Without the ROS bridge its tests are skipped, and say so.
+# Every promise once. Tests mostly wait for robots, so that three at once are none too many for two cores; what is timed runs
+# alone. Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest --ignore=tests/deploy --numprocesses=2 -m "not slow and not timed"
+	@$(BIN)/pytest --ignore=tests/deploy --numprocesses=3 -m "not slow and not timed"
 	@$(BIN)/pytest --ignore=tests/deploy -m "timed and not slow"
 
 # What `make test` runs, what it leaves out as repetition, and more examples of each property.
@@ -36,7 +40,9 @@ test-deploy: $(VENV)/.dev
 	@docker image ls --filter reference='zarm-*:test'
 	@$(BIN)/pytest tests/deploy
 
-ros: $(VENV)/.ros
+# The bridge with a generation of its messages, `make ros MESSAGES=a`; what was built before is taken from a cache.
+ros: $(VENV)/.ros_packages | $(VENV)/.planner
+	@$(BIN)/python $(BRIDGE)/build_messages.py $(MESSAGES)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check
@@ -97,16 +103,11 @@ $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
 	@touch $@
 
-# The messages take minutes to build, so pyproject.toml, which often changes, is no reason to.
-$(VENV)/.ros: constraints.txt $(MESSAGES) | $(VENV)/.ros_packages
-	@echo "building the messages of the ROS bridge, once; takes minutes ..."
-	@$(BIN)/python $(BRIDGE)/build_messages.py
-	@touch $@
-
-# The planner's compiled kernels are kept between runs; this is the one time that they are waited for.
+# The compiled kernels of planner and servo are kept between runs; this is the one time that they are waited for.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
-	@echo "compiling the planner's kernels, once ..."
+	@echo "compiling the kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up
+	@$(BIN)/python -m zarm_servo.warm_up
 	@touch $@
 
 $(BIN)/python:

@@ -21,7 +21,18 @@ from zarm_contract import messages as every_message
 from zarm_contract.access import ROLES, SERVICE_ROLES, TABLE, Rights, rights
 from zarm_contract.errors import MEANINGS, Problem, ZarmError
 from zarm_contract.keys import Keys
-from zarm_contract.messages import Message, Name, SceneRevision, driver, executor, motion, planner, scene, service
+from zarm_contract.messages import (
+    Message,
+    Name,
+    SceneRevision,
+    driver,
+    executor,
+    motion,
+    planner,
+    scene,
+    service,
+    servo,
+)
 from zarm_contract.robot import (
     CollisionCapsule,
     CollisionCuboid,
@@ -70,6 +81,7 @@ def keys() -> Iterator[str]:
         "Scene": ("scene",),
         "Executor": ("executor",),
         "Robot and preview": ("joint_states", "preview"),
+        "Servo": ("servo",),
         "Driver": ("driver", "leeloo_sim"),
         "Every service": ("<service>",),
     }
@@ -144,6 +156,7 @@ def messages() -> Iterator[str]:
         "Planning": planner,
         "The scene": scene,
         "Execution": executor,
+        "The servo": servo,
         "Drivers": driver,
         "Trajectories, joints and poses": motion,
         "Every service": service,

@@ -1,21 +1,20 @@
-"""Builds curobo_msgs into this interpreter's virtual environment, against the ROS packages that pip installed there.
+"""Builds a generation of curobo_msgs into this interpreter's virtual environment, against the ROS packages that pip installed.
 
-`make ros` runs this. Where ROS itself is installed, `colcon build` does the same from the same directory.
+`make ros` runs this. Where ROS itself is installed, `colcon build` builds the same definitions.
 """
 
 from __future__ import annotations
 
-import os
+import argparse
 import shutil
 import subprocess
 import sys
 import sysconfig
-import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
-HERE = Path(__file__).parent
-PREFIX = Path(sys.prefix)
-CMAKE = PREFIX / "bin" / "cmake"
+PACKAGE = "curobo_msgs"
+DEFINITIONS = Path(__file__).parent / "zarm_ros_bridge" / "generations" / PACKAGE
 PYTHON_HEADER = Path(sysconfig.get_path("include"), "Python.h")
 
 
@@ -24,45 +23,68 @@ def missing_tools() -> list[str]:
     found = {
         "a C compiler (cc)": shutil.which("cc"),
         "a C++ compiler (c++)": shutil.which("c++"),
-        "make": shutil.which("make"),
         f"the headers of Python ({PYTHON_HEADER})": PYTHON_HEADER.exists(),
-        f"{CMAKE} and the ROS packages (pip install 'zarm[ros,ros-messages]')": CMAKE.exists(),
+        "the ROS packages (pip install 'zarm[ros,ros-messages]')": find_spec("rosidl_generator_py"),
     }
     return [tool for tool, there in found.items() if not there]
 
 
-def build(directory: str) -> None:
-    """Build in `directory` and install into the environment; raises CalledProcessError."""
-    options = {
-        "CMAKE_BUILD_TYPE": "Release",
-        "CMAKE_INSTALL_MESSAGE": "NEVER",
-        "CMAKE_INSTALL_PREFIX": PREFIX,
-        "CMAKE_PREFIX_PATH": PREFIX,
-        "CMAKE_PROJECT_INCLUDE": HERE / "pypi_wheels.cmake",
-        "Python3_EXECUTABLE": sys.executable,
-    }
-    for command in (
-        [CMAKE, "-S", HERE / "curobo_msgs", "-B", directory, *(f"-D{name}={value}" for name, value in options.items())],
-        [CMAKE, "--build", directory, "--parallel", str(os.cpu_count())],
-        [CMAKE, "--install", directory],
-    ):
-        subprocess.run(  # noqa: S603  our own words alone
-            command, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("generation", nargs="?", default="b", choices=("a", "b", "c"), help="default: b")
+    parser.add_argument("--into", type=Path, default=Path(sys.prefix), help="the prefix to install into")
+    parser.add_argument("--cache", type=Path, default=Path(sys.prefix, ".messages"), help="what was built before")
+    parser.add_argument(
+        "--with",
+        dest="others",
+        metavar="PACKAGE",
+        type=Path,
+        nargs="*",
+        default=(),
+        help="folders of other packages with definitions, as nav2_msgs, to be built as well",
+    )
+    return parser.parse_args()
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
 
 
 def main() -> None:
     """Build, or end with one sentence that says why not."""
+    arguments = _arguments()
     if missing := missing_tools():
         sys.exit(
             f"The ROS bridge is left out: building its messages needs {', '.join(missing)}. All else works without; "
             "for the bridge install it (on Debian: apt-get install build-essential python3-dev) and run `make ros`."
         )
-    with tempfile.TemporaryDirectory(prefix="curobo_msgs-") as directory:
-        try:
-            build(directory)
-        except subprocess.CalledProcessError as failed:
-            sys.exit(f"{failed.stdout[-6000:]}\nThe ROS bridge is left out: its messages did not build; see above.")
+    from interface_package import KINDS, Definition, build, install  # needs the ROS packages
+
+    generation: str = arguments.generation
+    sources = [(PACKAGE, folder) for folder in DEFINITIONS.iterdir() if folder.is_dir() and generation in folder.name]
+    sources += [(folder.resolve().name, folder.resolve()) for folder in arguments.others]
+    definitions = [
+        Definition(package, path)
+        for package, folder in sources
+        for path in sorted(folder.glob("*/*"))
+        if path.suffix in KINDS
+    ]
+    title = f"{PACKAGE}, generation {generation.upper()}"
+    try:
+        tree, left_out = build(
+            definitions,
+            arguments.cache,
+            lambda done, total, name: _say(f"{title}: built {done} of {total} ({name.removeprefix(f'{PACKAGE}/')})"),
+        )
+    except subprocess.CalledProcessError as failed:
+        sys.exit(f"{failed.stdout[-6000:]}\nThe ROS bridge is left out: its messages did not build; see above.")
+    for name, lacking in left_out.items():
+        _say(f"{title}: {name} is left out, because {lacking} is not installed here")
+    for package in dict.fromkeys(package for package, _ in sources):
+        if (tree / "share" / package).exists():
+            install(package, tree, arguments.into)
+    _say(f"{title}: installed into {arguments.into}")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ OWN = {
     "router": set(),
     "executor": set(),
     "planner": {"numba", "fcl"},
+    "servo": {"numba", "fcl"},
     "ros_bridge": {"rclpy", "curobo_msgs"},
     "leeloo_sim": {"rclpy", "curobo_msgs"},
 }

@@ -17,7 +17,7 @@ from support.paths import ROOT
 
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 TAG = os.environ.get("ZARM_TAG", VERSION)
-IMAGES = [f"zarm-{service}:{TAG}" for service in ("router", "planner", "executor", "ros-bridge", "leeloo-sim")]
+IMAGES = [f"zarm-{service}:{TAG}" for service in ("router", "planner", "servo", "executor", "ros-bridge", "leeloo-sim")]
 
 
 def docker(*words: str, check: bool = True) -> int:

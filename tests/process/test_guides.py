@@ -15,6 +15,7 @@ import typer
 from support.command_line import Up, zarm
 from support.harness import PATIENCE, free_endpoint
 from support.markdown import PAGES, ROOT, commands, section
+from support.tiers import sampled
 from zarm_cli.commands import command_line
 
 DOCS = ROOT / "docs"
@@ -53,7 +54,7 @@ def test_one_that_cannot_be_read_is_noticed(words: list[str]) -> None:
         parse(words)
 
 
-@pytest.mark.parametrize("guide", FOLLOWED)
+@pytest.mark.parametrize("guide", sampled(*FOLLOWED))
 def test_the_simulated_robot_moves_by_the_commands_as_written(guide: str, tmp_path: Path) -> None:
     up, *others = commands(FOLLOWED[guide], "zarm", "zenoh")
     assert up[:2] == ["zarm", "up"]

@@ -55,6 +55,7 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Arm]]:
         yield found
 
 
+@pytest.mark.slow
 def test_each_moves_only_itself_and_a_cancel_stops_one_alone(arms: list[Arm]) -> None:
     left, right, third = arms
     goals = [(arm, arm.start()) for arm in (left, third)]

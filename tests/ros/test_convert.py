@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from zarm_contract.messages import (
     JointState,
     Mesh,
     Occupancy,
+    PathConstraint,
     Pose,
     PoseGoal,
     Sphere,
@@ -35,11 +37,12 @@ from zarm_contract.messages import (
 from zarm_ros_bridge.convert.colours import colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
 from zarm_ros_bridge.convert.joints import is_empty, positions_of, ros_joint_state, ros_positions
-from zarm_ros_bridge.convert.plans import goal_of, path_constraint_of, target_of
+from zarm_ros_bridge.convert.motions import MotionRequest, path_constraint_of
 from zarm_ros_bridge.convert.poses import is_given, pose_of, ros_pose
-from zarm_ros_bridge.convert.scene import object_of, ros_cloud
+from zarm_ros_bridge.convert.scene import fill_grid, object_of
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.convert.trajectories import ros_joint_states
+from zarm_ros_bridge.generations.b import GenerationB
 from zarm_trajectory.trajectory import TimedTrajectory
 
 
@@ -190,6 +193,15 @@ def request(**fields: Any) -> TrajectoryGeneration.Request:
     return TrajectoryGeneration.Request(**fields)
 
 
+def motion(asked: TrajectoryGeneration.Request, planner: str = "classic") -> MotionRequest:
+    return GenerationB({}, ()).motion(asked, planner, JOINTS)
+
+
+def constraint(asked: TrajectoryGeneration.Request, target: str) -> PathConstraint | None:
+    each, count = asked.trajectories_contraints, len(asked.target_poses)
+    return path_constraint_of(asked.trajectory_constraints, each, target, {"target_poses": count})
+
+
 THERE = placed((0.5, 0.2, 0.3))
 FILLED = {"target_pose": THERE, "target_poses": [THERE, THERE], "target_joint_positions": [0.1, 0.2, 0.3]}
 READS = {
@@ -203,21 +215,22 @@ READS = {
 
 @pytest.mark.parametrize("planner", READS)
 def test_a_planner_reads_its_goal_and_the_only_one_there_is(planner: str) -> None:
-    assert target_of(request(**FILLED), planner) == READS[planner]
+    assert motion(request(**FILLED), planner).field == READS[planner]
     for field, value in FILLED.items():
-        assert target_of(request(**{field: value}), planner) == field
-    assert fault(target_of, request(), planner) == READS[planner]
+        assert motion(request(**{field: value}), planner).field == field
+    assert fault(motion, request(), planner) == READS[planner]
     others = {field: value for field, value in FILLED.items() if field != READS[planner]}
-    assert fault(target_of, request(**others), planner) in others
+    assert fault(motion, request(**others), planner) in others
 
 
 def test_a_goal_is_what_its_field_says() -> None:
     pose = PoseGoal(kind="pose", position=(0.5, 0.2, 0.3))
-    assert goal_of(request(**FILLED), "target_pose", JOINTS) == pose
-    assert goal_of(request(**FILLED), "target_poses", JOINTS) == WaypointsGoal(kind="waypoints", through=(pose, pose))
-    assert goal_of(request(**FILLED), "target_joint_positions", JOINTS) == JointGoal(
-        kind="joints", position=(0.1, 0.2, 0.3)
+    assert motion(request(**FILLED)).goal == pose
+    assert motion(request(**FILLED), "multipoint").goal == WaypointsGoal(kind="waypoints", through=(pose, pose))
+    assert motion(request(**FILLED), "batch").goal == pose.model_copy(
+        update={"alternatives": (Pose(position=(0.5, 0.2, 0.3)),)}
     )
+    assert motion(request(**FILLED), "joint_space").goal == JointGoal(kind="joints", position=(0.1, 0.2, 0.3))
 
 
 @pytest.mark.parametrize(
@@ -231,14 +244,14 @@ def test_a_goal_is_what_its_field_says() -> None:
     ],
 )
 def test_a_goal_that_cannot_be_is_named(fields: dict[str, Any], target: str, field: str) -> None:
-    assert fault(goal_of, request(**fields), target, JOINTS) == field
+    assert fault(motion, request(**fields)) == field
 
 
 @promised(st.lists(st.integers(0, 1), min_size=6, max_size=6))
 def test_the_axes_of_a_constraint_are_held_in_their_order(axes: list[int]) -> None:
-    held = path_constraint_of(request(trajectory_constraints=axes), "target_pose")
+    held = constraint(request(trajectory_constraints=axes), "target_pose")
     assert (held.axes if held else (False,) * 6) == tuple(map(bool, axes))
-    same = path_constraint_of(request(target_poses=[THERE] * 3, trajectories_contraints=axes * 3), "target_poses")
+    same = constraint(request(target_poses=[THERE] * 3, trajectories_contraints=axes * 3), "target_poses")
     assert same == held
 
 
@@ -263,13 +276,13 @@ def test_constraints_that_no_motion_can_keep_are_refused(
     whole: list[int], each: list[int], target: str, field: str
 ) -> None:
     asked = request(target_poses=[THERE] * 2, trajectory_constraints=whole, trajectories_contraints=each)
-    assert fault(path_constraint_of, asked, target) == field
+    assert fault(constraint, asked, target) == field
 
 
 def test_constraints_of_zeros_hold_nothing() -> None:
     asked = request(target_poses=[THERE] * 2, trajectory_constraints=FREE, trajectories_contraints=FREE * 2)
-    assert path_constraint_of(asked, "target_poses") is None
-    assert path_constraint_of(asked, "target_pose") is None
+    assert constraint(asked, "target_poses") is None
+    assert constraint(asked, "target_pose") is None
 
 
 def test_an_error_names_the_field_of_the_request() -> None:
@@ -374,12 +387,28 @@ def test_a_colour_is_kept_only_where_it_is_one() -> None:
     assert colour_of(Object(color=ColorRGBA(r=255.0, a=1.0))) is None
 
 
-@promised(st.lists(st.tuples(*[st.integers(-1000, 1000)] * 3), max_size=50), st.sampled_from([0.002, 0.05, 1.0]))
-def test_a_cloud_has_the_centres_of_the_voxels(cells: list[tuple[int, int, int]], resolution: float) -> None:
-    cloud = ros_cloud(
-        Occupancy(scene_revision="1-5be0c1d2f3a4", resolution=resolution, cells=tuple(cells)), "base_link"
-    )
-    assert (cloud.header.frame_id, cloud.height, cloud.width) == ("base_link", 1, len(cells))
-    assert [(field.name, field.offset) for field in cloud.fields] == [("x", 0), ("y", 4), ("z", 8)]
-    points = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)
-    np.testing.assert_allclose(points, np.array(cells).reshape(-1, 3) * resolution, rtol=1e-6, atol=1e-9)
+def grid_of(cells: list[tuple[int, int, int]], resolution: float, *box: tuple[float, float, float]) -> Any:
+    grid = SimpleNamespace(header=SimpleNamespace(), origin=SimpleNamespace())
+    occupancy = Occupancy(scene_revision="1-5be0c1d2f3a4", resolution=resolution, cells=tuple(cells))
+    fill_grid(grid, occupancy, "base_link", box or None)
+    return grid
+
+
+def occupied(grid: Any) -> np.ndarray:
+    """Centres (n, 3) of the occupied voxels of a grid."""
+    cells = np.argwhere(np.reshape(grid.data, (grid.size_x, grid.size_y, grid.size_z)))
+    return (cells + 0.5) * grid.resolutions.x + (grid.origin.x, grid.origin.y, grid.origin.z)
+
+
+@promised(st.sets(st.tuples(*[st.integers(-20, 20)] * 3), max_size=50), st.sampled_from([0.002, 0.05, 1.0]))
+def test_a_grid_has_the_voxels_at_their_places(cells: set[tuple[int, int, int]], resolution: float) -> None:
+    grid = grid_of(list(cells), resolution)
+    assert grid.header.frame_id == "base_link"
+    assert len(occupied(grid)) == len(cells)
+    np.testing.assert_allclose(occupied(grid), np.array(sorted(cells)).reshape(-1, 3) * resolution, atol=1e-9)
+
+
+def test_a_box_has_the_voxels_inside_and_must_not_be_too_large() -> None:
+    grid = grid_of([(0, 0, 0), (3, 0, 0), (9, 0, 0)], 0.1, (-0.2, -0.2, -0.2), (0.4, 0.2, 0.2))
+    np.testing.assert_allclose(occupied(grid), [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0)], atol=1e-9)
+    assert fault(grid_of, [], 0.005, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)) == "voxel_size"

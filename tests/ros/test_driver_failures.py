@@ -34,6 +34,11 @@ NONSENSE = {
 }
 
 
+def on_ros(message: str) -> str:
+    """What the executor says as a client on ROS is told it."""
+    return message.replace("executor/reset", "/unified_planner/reset_fault")
+
+
 class Lab:
     """A robot with a driver on ROS, and who moves it: `ros` and `actions` on ROS, `client` on the bus."""
 
@@ -83,18 +88,24 @@ class Lab:
         problem = self.client.mode("fault").problem
         assert problem is not None
         assert (status, result.success, problem.code) == (ABORTED, False, "driver_stalled")
-        assert result.message == problem.message
+        assert problem.message.endswith(", then reset (executor/reset)")
+        assert result.message == on_ros(problem.message)
 
     def goes_on(self) -> None:
         """Until somebody resets the fault nothing moves the robot; then the next goal does."""
-        why = self.client.state().problem
-        assert why is not None
+        problem = self.client.state().problem
+        assert problem is not None
+        why = on_ros(problem.message)
         self.robot.plan()
         status, result = self.actions.send().ended()
-        assert status == ABORTED
-        assert "the executor is in fault" in result.message
+        assert (status, result.message) == (ABORTED, f"the executor is in fault: {why}")
+        told = self.ros.call(Trigger, "get_robot_strategy")
+        switched = self.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy=self.client.state().strategy)
+        for answered in (told, switched):
+            assert answered.success
+            assert answered.message.endswith(f"; the robot is in fault: {why}")
         reset = self.ros.call(Trigger, "reset_fault")
-        assert (reset.success, reset.message) == (True, f"reset; what was wrong: {why.message}")
+        assert (reset.success, reset.message) == (True, f"reset; what was wrong: {why}")
         plan = self.robot.plan()
         status, result = self.actions.send().ended()
         assert status == SUCCEEDED, result.message

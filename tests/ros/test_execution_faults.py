@@ -103,7 +103,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Zarm]:
 
 @pytest.fixture
 def zarm(planned: Zarm, node: Node) -> Iterator[Zarm]:
-    """With a node of the test's own: one that knew a bridge that was killed goes on asking it for 20 s."""
+    """With a node of the test's own: one that knew a bridge that was killed goes on asking it for 5 s."""
     with closing(Zarm(planned.bus, node, planned.folder, planned.endpoint)) as one:
         yield one
 
@@ -117,19 +117,19 @@ def test_without_a_planner_a_target_is_refused_and_says_who_is_missing(tmp_path:
             status, result = goal.ended()
             assert (status, result.message) == (
                 ABORTED,
-                "there is no plan to execute yet; plan first (planner/plan), or send a trajectory",
+                "there is no plan to execute yet; plan first (/unified_planner/generate_trajectory), or send a trajectory",
             )
             goal = Actions(node).send(target_pose=TARGET)
             status, result = goal.ended()
             assert (status, result.success) == (ABORTED, False)
-            assert KEYS.plan in result.message
+            assert "the planner of arm has not answered; " in result.message
 
 
 def test_without_an_executor_a_goal_is_refused_and_says_who_is_missing(zarm: Zarm) -> None:
     zarm.start("ros_bridge")
     status, result = Actions(zarm.node).send().ended()
     assert (status, result.success) == (ABORTED, False)
-    assert KEYS.execute in result.message
+    assert "the executor of arm has not answered" in result.message
 
 
 def test_a_goal_whose_executor_is_killed_is_aborted(zarm: Zarm) -> None:
@@ -165,7 +165,7 @@ def test_a_goal_whose_executor_stands_still_is_aborted_and_what_it_asked_for_is_
     status, result = Actions(zarm.node).send().ended()
     os.kill(executor.process.pid, signal.SIGCONT)
     assert status == ABORTED
-    assert KEYS.execute in result.message
+    assert "the executor of arm has not answered" in result.message
     zarm.robot.wait_rest()
     assert max(abs(a - b) for a, b in zip(zarm.robot.joints(), before, strict=True)) < 0.05
 
@@ -192,7 +192,7 @@ def test_a_bridge_that_is_killed_leaves_the_robot_to_its_motion_and_the_next_one
     zarm.start("ros_bridge")
     assert zarm.outcome(executor_goal).status == "succeeded"
     zarm.robot.plan()
-    with running_node("later") as node:  # DDS tells those that knew the dead one of its end 20 s later
+    with running_node("later") as node:  # DDS tells those that knew the dead one of its end 5 s later
         assert Actions(node).send().ended()[0] == SUCCEEDED
 
 
@@ -202,7 +202,7 @@ def test_a_goal_whose_client_is_killed_goes_on_and_anybody_can_cancel_it(zarm: Z
     zarm.robot.plan(speed=0.15)
     with subprocess.Popen([sys.executable, "-c", CLIENT], stdout=subprocess.PIPE, text=True) as client:
         assert client.stdout is not None
-        assert any(line.strip() == "running" for line in client.stdout)
+        assert any(line.strip() == "EXECUTING" for line in client.stdout)
         client.kill()
     executor_goal = zarm.executor_goal()
     cancel = zarm.node.create_client(CancelGoal, "/unified_planner/execute_trajectory/_action/cancel_goal")
@@ -233,7 +233,7 @@ def test_without_an_executor_version_1_fails_and_robot_type_is_as_before(zarm: Z
     assert answer(change, "the parameter is set").results[0].successful
     answered = RosClient(zarm.node).call(Trigger, "set_robot_strategy")
     assert not answered.success
-    assert KEYS.strategy in answered.message
+    assert "the executor of arm has not answered; " in answered.message
     value = answer(parameters.get_parameters(["robot_type"]), "the parameter is told").values[0]
     assert value.string_value == "emulator"
 

@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 
 from support.paths import PROGRAMS
 from support.ros.goals import ABORTED, SUCCEEDED, Actions, Robot
-from support.ros.stack import KEYS, stack
+from support.ros.stack import KEYS, Stack, stack
+
+pytestmark = pytest.mark.slow
 
 SLOW = PROGRAMS / "slow_bridge.py"
 
 
-@pytest.mark.parametrize(
-    "names",
-    [("execute_trajectory",) * 2, pytest.param(("send_trajectory", "execute_trajectory"), marks=pytest.mark.slow)],
-)
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    with stack(tmp_path_factory.mktemp("order"), bridge=SLOW) as started:
+        started.ros.configure(preempt=True)
+        yield started
+
+
+@pytest.mark.parametrize("names", [("execute_trajectory",) * 2, ("send_trajectory", "execute_trajectory")])
 def test_the_one_that_was_sent_last_moves_the_robot_where_the_thread_of_the_first_is_slower(
-    tmp_path: Path, names: tuple[str, str]
+    running: Stack, names: tuple[str, str]
 ) -> None:
-    with stack(tmp_path, bridge=SLOW) as running:
-        running.ros.configure(preempt=True)
-        Robot(running.bus, KEYS).plan()
-        actions = {name: Actions(running.ros.node, name) for name in names}
-        first = actions[names[0]].send()
-        assert first.accepted
-        last = actions[names[1]].send()
-        assert last.ended()[0] == SUCCEEDED
-        status, result = first.ended()
-        assert status == ABORTED
-        assert "another goal took the place of this one" in result.message
+    Robot(running.bus, KEYS).plan()
+    actions = {name: Actions(running.ros.node, name) for name in names}
+    first = actions[names[0]].send()
+    assert first.accepted
+    last = actions[names[1]].send()
+    assert last.ended()[0] == SUCCEEDED
+    status, result = first.ended()
+    assert status == ABORTED
+    assert "another goal took the place of this one" in result.message

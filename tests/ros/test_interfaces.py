@@ -70,11 +70,7 @@ SERVICES: dict[str, tuple[Fields, Fields]] = {
         ANSWER,
     ),
     "RemoveObject": ({"name": "string"}, ANSWER),
-    "GetVoxelGrid": ({}, ANSWER | {"voxel_grid": "sensor_msgs/PointCloud2"}),
-    "GetCollisionDistance": (
-        {"joint_state": JOINTS},
-        ANSWER | {"distances": "sequence<double>", "in_collision": "boolean"},
-    ),
+    "GetCollisionDistance": ({}, {"data": "sequence<float>", "nb_sphere": "int8"}),
     "SetCollisionCache": (
         {"obb": "int32", "mesh": "int32", "blox": "int32"},
         ANSWER | {"obb_cache": "int32", "mesh_cache": "int32", "blox_cache": "int32"},
@@ -83,24 +79,27 @@ SERVICES: dict[str, tuple[Fields, Fields]] = {
         {"link_names": "sequence<string>", "enabled": "boolean"},
         ANSWER | {"applied_links": "sequence<string>", "unknown_links": "sequence<string>"},
     ),
+    "SceneGenerator": ({"nb_object": "int8", "max_reach": "float"}, ANSWER),
+    "GenerateRM": ({"resolution": "double", "batch_size": "int32"}, ANSWER),
+    "Collisions": ({"collision_path": "string", "pose": POSE}, {"success": "boolean"}),
     "WarmupIK": ({"batch_size": "int32"}, ANSWER),
     "WarmupFK": ({"batch_size": "int32"}, ANSWER),
     "Ik": (
         {"pose": POSE},
         {
-            "success": "boolean",
             "joint_states": JOINTS,
             "joint_states_valid": "std_msgs/Bool",
             "error_msg": "std_msgs/String",
+            "success": "boolean",
         },
     ),
     "IkBatch": (
         {"poses": f"sequence<{POSE}>"},
         {
-            "success": "boolean",
             "joint_states": f"sequence<{JOINTS}>",
             "joint_states_valid": "sequence<std_msgs/Bool>",
             "error_msg": "std_msgs/String",
+            "success": "boolean",
         },
     ),
     "Fk": (
@@ -115,9 +114,30 @@ SERVICES: dict[str, tuple[Fields, Fields]] = {
 
 ACTIONS: dict[str, tuple[Fields, Fields, Fields]] = {
     "SendTrajectory": (
-        {"target_pose": POSE},
+        {
+            "start_pose": JOINTS,
+            "target_pose": POSE,
+            "target_poses": f"sequence<{POSE}>",
+            "target_joint_positions": "sequence<double>",
+            "allow_cached": "boolean",
+        },
         ANSWER,
-        {"state": "string", "step_progression": "float", "joint_command": JOINTS},
+        {
+            "state": "string",
+            "step_progression": "float",
+            "position_error": "double",
+            "on_target": "boolean",
+            "joint_command": JOINTS,
+            "orientation_error": "double",
+            "hold_count": "int32",
+            "controller_position_error": "double",
+            "controller_orientation_error": "double",
+        },
+    ),
+    "DataGeneration": (
+        {"resolution": "double", "batch_size": "int32"},
+        ANSWER,
+        {"batch_id": "int32", "batch_nb": "int32"},
     ),
     "MpcMove": ({"target_pose": POSE}, ANSWER, {"joint_command": JOINTS, "step_progression": "float"}),
 }
@@ -154,8 +174,8 @@ def test_an_action_has_these_fields_in_this_order(name: str) -> None:
 
 
 def test_planners_and_shapes_have_their_numbers() -> None:
-    names = ("CLASSIC", "MPC", "BATCH", "CONSTRAINED", "MULTIPOINT", "JOINT_SPACE")
-    assert [getattr(srv.SetPlanner.Request, name) for name in names] == [0, 1, 2, 3, 4, 5]
+    names = ("CLASSIC", "MPC", "BATCH", "CONSTRAINED", "MULTIPOINT", "JOINT_SPACE", "RETARGET")
+    assert [getattr(srv.SetPlanner.Request, name) for name in names] == [0, 1, 2, 3, 4, 5, 6]
     shapes = ("CUBOID", "SPHERE", "CAPSULE", "CYLINDER", "MESH")
     assert [getattr(srv.AddObject.Request, name) for name in shapes] == [0, 1, 2, 3, 4]
 

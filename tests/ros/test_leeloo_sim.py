@@ -169,11 +169,21 @@ def test_a_point_with_too_few_velocities_repeats_the_one_before(arm: Arm) -> Non
     assert "points that lack what is played repeat the one before points=25" in arm.driver.output()
 
 
+def aside(began: np.ndarray) -> np.ndarray:
+    """50 points from where the arm stands to 0.1 rad beside, (50, J) rad."""
+    u = np.linspace(0.0, 1.0, 50)[:, None]
+    return began + 0.1 * (10 * u**3 - 15 * u**4 + 6 * u**5)
+
+
+def test_it_plays_the_positions_of_a_trajectory_that_has_no_velocities(arm: Arm) -> None:
+    there = aside(arm.at_rest())
+    arm.command(trajectory(positions=there.tolist()))
+    eventually(lambda: np.allclose(arm.position(arm.states[-1]), there[-1], atol=1e-3), "the arm arrives")
+
+
 def test_it_plays_positions_for_a_robot_whose_driver_does_and_tells_no_progress(node: Node, tmp_path: Path) -> None:
     with driven(node, tmp_path, "--plays", "position", robot="ur5e") as arm:
-        began = arm.at_rest()
-        u = np.linspace(0.0, 1.0, 50)[:, None]
-        there = began + 0.1 * (10 * u**3 - 15 * u**4 + 6 * u**5)
+        there = aside(arm.at_rest())
         arm.command(trajectory(positions=there.tolist()))
         eventually(lambda: np.allclose(arm.position(arm.states[-1]), there[-1], atol=1e-3), "the arm arrives")
         np.testing.assert_allclose(arm.at_rest(), there[-1], atol=1e-3)

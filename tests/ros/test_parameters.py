@@ -43,6 +43,11 @@ DEFAULTS: dict[str, Any] = {
     "mesh_cache_size": 100,
     "blox_cache_size": 10,
     "preempt": False,
+    "convergence_threshold_rad": 0.05,
+    "convergence_hold_steps": 1,
+    "mpc_step_dt": 0.03,
+    "mpc_horizon_steps": 30,
+    "node_is_available": True,
 }
 
 
@@ -75,7 +80,9 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 def parameters(running: Stack) -> Node:
     client = AsyncParameterClient(running.ros.node, "/unified_planner")
     assert client.wait_for_services(PATIENCE)
-    return Node(client)
+    node = Node(client)
+    node.becomes("node_is_available", True)
+    return node
 
 
 def switch(running: Stack, strategy: str) -> None:
@@ -137,6 +144,7 @@ def test_what_the_robot_is_cannot_be_changed(parameters: Node, name: str) -> Non
         ("mesh_cache_size", -2),
         ("blox_cache_size", -2),
         ("planner_type", "fastest"),
+        ("node_is_available", False),
         ("robot_type", ""),
         ("robot_type", "ur5e"),
         ("control_strategy", ""),

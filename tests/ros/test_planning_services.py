@@ -163,7 +163,7 @@ def test_of_a_batch_the_nearest_pose_that_can_be_planned_to_is_taken(arm: Stack)
     assert "target_poses[2]" in response.message
     nothing = generate(arm, target_poses=[FAR, FAR])
     assert not nothing.success
-    assert "none of the 2 target_poses" in nothing.message
+    assert "(target_poses" in nothing.message
 
 
 @pytest.mark.parametrize("planner", ["classic", "constrained", "joint_space"])

@@ -15,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from curobo_msgs.action import SendTrajectory
 from support.harness import PATIENCE, ServiceProcess, eventually
+from support.ros.client import RosClient
 from support.ros.goals import SUCCEEDED, Actions, Robot
 from support.ros.stack import KEYS, Stack, stack
 from zarm_ros_bridge.replies import insistent
@@ -61,6 +62,7 @@ def test_a_client_that_cannot_be_found_is_given_up_and_the_log_says_what_it_lack
     running: Stack, bridge: ServiceProcess, node: Node
 ) -> None:
     lost = node.create_client(Trigger, "/unified_planner/get_robot_strategy", qos_profile=NOT_FOUND)
+    assert RosClient(node).call(Trigger, "get_robot_strategy").success  # so DDS has told the bridge of the lost one too
     sentence = "a client of /unified_planner/get_robot_strategy has no reply"
     eventually(partial(asked_for, lambda: lost.call_async(Trigger.Request()), bridge, sentence), "the log tells of it")
     assert "default QoS of services" in bridge.output()

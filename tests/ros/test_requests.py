@@ -56,7 +56,6 @@ GOOD: dict[str, tuple[Any, Any]] = {
         ),
     ),
     "remove_object": (srv.RemoveObject, srv.RemoveObject.Request(name="box")),
-    "get_collision_distance": (srv.GetCollisionDistance, srv.GetCollisionDistance.Request(joint_state=THERE)),
     "set_collision_cache": (srv.SetCollisionCache, srv.SetCollisionCache.Request(obb=1, mesh=1, blox=1)),
     "set_link_collision": (
         srv.SetLinkCollision,

@@ -15,13 +15,26 @@ from support.harness import PATIENCE, eventually
 from support.ros.node import answer
 from zarm_ros_bridge.ros import Ros
 
-ALONE = ("unshare", "--net")
+ALONE = ("unshare", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
 """In a network of its own, for what would be heard by all the machine's."""
-MEMORY = """
+BRIDGE = """
 from zarm_ros_bridge.ros import Ros
 
-with Ros("alone", workers=1) as ros, open("/proc/self/maps") as maps:
-    print("fastrtps_port" in maps.read())
+joined = Ros("alone", workers=1)
+"""
+DRIVER = """
+from zarm_contract.robot import load_robot
+from zarm_leeloo_sim.axes import Axes
+from zarm_leeloo_sim.ros_side import ros_side
+
+robot = load_robot("doosan_m1013").descriptor
+joined = ros_side("alone", robot.strategy_params, Axes.of(robot))
+"""
+REACH = """
+with joined, open("/proc/self/maps") as maps, open("/proc/net/udp") as sockets:
+    listens = {line.split()[1].partition(":")[0] for line in sockets if ":" in line}
+    print("shared memory" if "fastrtps_port" in maps.read() else "no shared memory", end=", ")
+    print("every interface" if "00000000" in listens else "the loopback" if "0100007F" in listens else "nothing")
 """
 
 
@@ -60,12 +73,56 @@ def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
     subprocess.run([*ALONE, "true"], capture_output=True).returncode != 0,
     reason="needs the right to a network namespace",
 )
-@pytest.mark.parametrize(("said", "shared"), [({}, "False"), ({"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}, "True")])
-def test_it_shares_no_memory_that_a_killed_process_could_hold_up_unless_that_is_asked_for(
-    said: dict[str, str], shared: str
+@pytest.mark.parametrize("who", [BRIDGE, DRIVER], ids=["bridge", "simulated driver"])
+@pytest.mark.parametrize(
+    ("said", "reach"),
+    [
+        ({}, "no shared memory, every interface"),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "no shared memory, the loopback"),
+        ({"ROS_LOCALHOST_ONLY": "1"}, "no shared memory, the loopback"),
+        ({"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}, "shared memory, every interface"),
+    ],
+    ids=["unsaid", "this machine", "this machine, as before Jazzy", "with shared memory"],
+)
+def test_it_reaches_whom_the_user_says_warns_where_nobody_did_and_shares_no_memory_unasked(
+    who: str, said: dict[str, str], reach: str
 ) -> None:
-    usual = {name: value for name, value in os.environ.items() if not name.startswith(("FASTRTPS_", "FASTDDS_"))}
-    environment = {**usual, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", **said}
-    command = [*ALONE, sys.executable, "-c", MEMORY]
-    told = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE)
-    assert told.stdout.strip() == shared, told.stderr
+    usual = {
+        name: value for name, value in os.environ.items() if not name.startswith(("FASTRTPS_", "FASTDDS_", "ROS_"))
+    }
+    command = [*ALONE, sys.executable, "-c", who + REACH]
+    told = subprocess.run(command, env={**usual, **said}, capture_output=True, text=True, timeout=PATIENCE)
+    assert told.stdout.strip() == reach, told.stderr
+    assert ("whoever reaches it can move the robot" in told.stderr) == (reach.endswith("every interface"))
+
+
+SERVER = """
+import sys
+from std_srvs.srv import Trigger
+from zarm_ros_bridge.ros import Ros
+
+with Ros("short_lived", workers=1) as ros:
+    ros.serve(Trigger, "~/work", lambda _, response: response)
+    ros.spin()
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.timed
+def test_a_client_sees_a_bridge_that_was_killed_as_gone_after_a_lease_of_5_s_instead_of_20(node: Node) -> None:
+    client = node.create_client(Trigger, "/short_lived/work")
+    server = subprocess.Popen([sys.executable, "-c", SERVER], stdin=subprocess.PIPE)
+    try:
+        assert client.wait_for_service(PATIENCE)
+    finally:
+        server.kill()
+        server.communicate()
+    eventually(lambda: not client.service_is_ready(), "the client knows", patience=12.0)
+
+
+def test_tools_that_ask_every_node_see_the_one_whose_parameters_are_answered(node: Node) -> None:
+    with Ros("seen", workers=1, parameters=True) as ros:
+        ros.spin()
+        eventually(lambda: "seen" in node.get_node_names(), "the node is found")
+        others = {name for name in node.get_node_names() if "seen" in name} - {"seen"}
+        assert all(name.startswith("_") for name in others)  # which `ros2 node list` and `ros2 param list` leave out

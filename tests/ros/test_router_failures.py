@@ -105,11 +105,11 @@ def test_while_the_router_is_away_services_and_goals_say_so_and_then_everything_
     ):
         response = place.ros.call(kind, name, **request)
         assert not response.success, name
-        assert "nobody answered on" in response.message
+        assert "has not answered" in response.message
     for goal in ({}, {"target_pose": TARGET}):
         status, result = place.actions.send(**goal).ended()
         assert status == ABORTED
-        assert "nobody answered on" in result.message
+        assert "has not answered" in result.message
 
     place.start_router()
     place.joined()

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-import ast
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import pytest
 import yaml
 
 from support.paths import ROOT
@@ -30,6 +36,53 @@ def test_the_view_shows_robot_ghost_obstacles_and_spheres_from_the_topics_of_the
     assert next(display for display in displays if display["Name"] == "ghost")["TF Prefix"] == "preview"
 
 
-def test_the_launch_file_is_python_that_defines_what_launch_asks_for() -> None:
-    module = ast.parse((ROS / "view.launch.py").read_text())
-    assert "generate_launch_description" in {node.name for node in module.body if isinstance(node, ast.FunctionDef)}
+class Made:
+    """Whatever a launch file makes, and with what: `launch` itself is on no index of Python packages."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self.arguments, self.options = arguments, options
+
+
+@pytest.fixture
+def launched(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Made]]:
+    """What the launch file starts, for these arguments of the launch."""
+
+    class Configuration(Made):
+        def perform(self, context: dict[str, str]) -> str:
+            return context[self.arguments[0]]
+
+    for name, content in {
+        "launch": {"LaunchDescription": Made},
+        "launch.actions": {"DeclareLaunchArgument": Made, "OpaqueFunction": Made},
+        "launch.substitutions": {"LaunchConfiguration": Configuration},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": Made},
+    }.items():
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace(**content))
+    file = runpy.run_path(str(ROS / "view.launch.py"))
+
+    def launch(**given: str) -> list[Made]:
+        *declared, started = file["generate_launch_description"]().arguments[0]
+        defaults = {one.arguments[0]: one.options["default_value"] for one in declared}
+        assert set(given) <= set(defaults)
+        nodes: list[Made] = started.options["function"](defaults | given)
+        return nodes
+
+    return launch
+
+
+def test_the_launch_file_starts_what_shows_robot_and_ghost(launched: Callable[..., list[Made]]) -> None:
+    robot, ghost, between, rviz = (node.options for node in launched())
+    assert [node["executable"] for node in (robot, ghost)] == ["robot_state_publisher"] * 2
+    assert (robot["namespace"], ghost["namespace"]) == ("", "/preview")
+    for node in (robot, ghost):
+        assert "<robot" in node["parameters"][0]["robot_description"]
+    assert ghost["parameters"][0]["frame_prefix"] == "preview/"
+    assert between["arguments"] == ["--frame-id", "base_link", "--child-frame-id", "preview/base_link"]
+    assert Path(rviz["arguments"][1]).is_file()
+
+
+def test_the_launch_file_shows_one_of_several_robots_by_its_namespace(launched: Callable[..., list[Made]]) -> None:
+    robot, ghost, _, rviz = (node.options for node in launched(namespace="left"))
+    assert (robot["namespace"], ghost["namespace"]) == ("left", "left/preview")
+    assert all(shown == f"/left{topic}" for topic, shown in rviz["remappings"])

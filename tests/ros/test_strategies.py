@@ -102,4 +102,4 @@ def test_the_strategies_are_listed_with_the_active_one(running: Stack, first: Ro
     assert list(told.strategy_ids) == list(range(5))
     assert told.current_strategy_name == told.strategy_names[told.current_strategy_id] == "emulator"
     answered = running.ros.call(Trigger, "get_robot_strategy")
-    assert (answered.success, answered.message) == (True, "Active strategy: 'emulator'")
+    assert (answered.success, answered.message) == (True, "emulator")

@@ -159,7 +159,7 @@ def test_version_2(bus: Bus) -> None:
     assert "emulator" in ros2(ACTIVE)
     told = ros2(EXECUTE_TARGET)
     assert_executed(told)
-    for name in ("state: running", "step_progression: ", "joint_command:"):
+    for name in ("state: EXECUTING", "step_progression: ", "joint_command:"):
         assert name in told
 
 

@@ -24,7 +24,7 @@ ZARM = str(Path(sys.executable).with_name("zarm"))
 ROBOT = "doosan_m1013"
 KEYS = Keys(ROBOT)
 HOME = (0.0, 0.0, 1.5707963, 0.0, 1.5707963, 0.0)
-SERVICES = ("planner", "executor")
+SERVICES = ("planner", "servo", "executor")
 _MARK = "ZARM_TEST_MARK"
 
 

@@ -24,6 +24,8 @@ T = TypeVar("T")
 
 PATIENCE = 60.0
 """Seconds until a test gives up waiting for an event; no promise about speed."""
+SOON, LATE = 0.005, 0.05
+"""Seconds between two looks at whether an event has come, at first and after a second."""
 
 
 def free_endpoint() -> str:
@@ -45,12 +47,16 @@ def router() -> Iterator[str]:
 
 
 def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIENCE) -> T:
-    """The first truthy value of `probe()`; fails the test when there is none in time."""
-    deadline = time.monotonic() + patience
+    """The first truthy value of `probe()`; fails the test when there is none in time.
+
+    The longer it has waited, the less often it looks: a probe may ask the very service that is to do something meanwhile.
+    """
+    began = time.monotonic()
     while not (value := probe()):
-        if time.monotonic() > deadline:
+        waited = time.monotonic() - began
+        if waited > patience:
             raise AssertionError(f"waited {patience:g} s in vain until {what}")
-        time.sleep(0.01)
+        time.sleep(min(SOON + 0.05 * waited, LATE))
     return value
 
 

@@ -78,13 +78,17 @@ _REVISION = "12-5be0c1d2f3a4"
 _CLEAR = m.ClearScene(op="clear")
 _LOAD = m.LoadScene(op="load", objects=(_SPHERE,))
 _POSE_GOAL = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), orientation=(0.0, 0.6, 0.0, 0.8))
+_GOAL_SET = m.PoseGoal(kind="pose", position=(0.4, -0.1, 0.25), alternatives=(_POSE, _POSE))
 _JOINT_GOAL = m.JointGoal(kind="joints", position=(0.3, -0.4))
 _WAYPOINTS = m.WaypointsGoal(
     kind="waypoints", through=(_POSE_GOAL, _JOINT_GOAL), position_tolerance=0.01, angle_tolerance=0.05
 )
+_START_STATE = m.StartState(position=(0.1, -0.2), velocity=(0.3, -0.5), acceleration=(0.25, -0.125))
 _PATH_CONSTRAINT = m.PathConstraint(
     axes=(True, True, False, False, False, True), frame="tool", position_tolerance=0.002, angle_tolerance=0.01
 )
+_OBSTRUCTION = m.Obstruction(object="table", link="link_5", time=1.1, avoidable=False)
+_HOLD = m.Hold(reason="obstruction", obstruction=_OBSTRUCTION)
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
 _CHECKED = m.CheckResult(
     in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"), spheres=(-0.004, 0.5)
@@ -98,6 +102,7 @@ EXAMPLES: tuple[Message, ...] = (
     _TRAJECTORY,
     # planner
     _POSE_GOAL,
+    _GOAL_SET,
     _JOINT_GOAL,
     _WAYPOINTS,
     _PATH_CONSTRAINT,
@@ -115,7 +120,9 @@ EXAMPLES: tuple[Message, ...] = (
         margin=0.03,
         seed=7,
     ),
+    _START_STATE,
     m.PlanRequest(goal=_JOINT_GOAL),
+    m.PlanRequest(goal=_JOINT_GOAL, start_state=_START_STATE),
     m.PlanRequest(goal=_WAYPOINTS),
     _TIMINGS,
     m.Plan(
@@ -125,6 +132,7 @@ EXAMPLES: tuple[Message, ...] = (
         scene_revision=_REVISION,
         trajectory=_TRAJECTORY,
         tip=_POSE,
+        selected_goal_index=1,
         clearance=0.021,
         resolution=0.005,
         waypoint_times=(0.5, 1.25),
@@ -193,7 +201,12 @@ EXAMPLES: tuple[Message, ...] = (
         duration=1.25,
         joint_command=(0.1, -0.2),
         problem=_PROBLEM,
+        hold=_HOLD,
     ),
+    m.GoalTrajectory(goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION),
+    _HOLD,
+    m.Hold(reason="no_guard"),
+    _OBSTRUCTION,
     m.CancelRequest(goal_id="goal-1"),
     m.ExecutorState(
         mode="fault",
@@ -201,6 +214,7 @@ EXAMPLES: tuple[Message, ...] = (
         goal_id="goal-1",
         problem=_PROBLEM,
         scene_changed=True,
+        guarded=True,
         speed_scale=0.5,
         missed_ticks=2,
     ),
@@ -210,6 +224,27 @@ EXAMPLES: tuple[Message, ...] = (
     m.SpeedRequest(speed_scale=0.25),
     m.Speed(speed_scale=0.25),
     m.StreamChunk(goal_id="follow.1", sequence=2, start=0.4, trajectory=_TRAJECTORY, deadline=0.2, last=True),
+    # servo
+    m.Authority(
+        servo="0a1b2c3d",
+        sequence=7,
+        goal_id="goal-1",
+        trajectory=3,
+        scene_revision=_REVISION,
+        until=0.9,
+        obstruction=_OBSTRUCTION,
+    ),
+    m.Authority(servo="0a1b2c3d", sequence=8, scene_revision=_REVISION),
+    m.ServoState(
+        activity="guarding",
+        goal_id="goal-1",
+        scene_revision=_REVISION,
+        scene_lost=True,
+        until=0.9,
+        obstruction=_OBSTRUCTION,
+        problem=_PROBLEM,
+        check=0.0008,
+    ),
     # driver
     m.DriverCommand(
         sequence=7,

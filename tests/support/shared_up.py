@@ -1,4 +1,4 @@
-"""A `zarm up` for all tests of a folder that only use one."""
+"""A `zarm up` for all tests of a package that only use one. The folder needs an `__init__.py`: else `up` runs on to the end."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ import pytest
 
 from support.command_line import KEYS, Up
 from support.harness import free_endpoint
+from support.paths import ROOT
 from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
 from zarm_runtime.bus import Bus
 
 
 @pytest.fixture(scope="package")
 def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """`zarm up`, which all of these tests share: none of them stops it or changes its files."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
+    """`zarm up` with the meshes of the examples, which all of these tests share: none of them stops it or changes its files."""
+    meshes = ROOT / "examples" / "meshes"
+    with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--meshes", str(meshes)) as stack:
         yield stack
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture
 def observer(up: Up) -> Iterator[Bus]:
-    """A client on its bus."""
+    """A client on its bus, whose subscriptions end with the test."""
     with Bus(up.endpoint) as session:
         yield session
 

@@ -11,6 +11,7 @@ import numpy as np
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Plan, PlanTimings, Pose, Trajectory
 from zarm_contract.robot import RobotDescription, find_robot, load_robot
+from zarm_trajectory.trajectory import TimedTrajectory
 
 ROBOT = load_robot("doosan_m1013")
 """The robot that tests move."""
@@ -48,6 +49,26 @@ def rest_to_rest(
         velocity=rows(distance * (30 * u**2 - 60 * u**3 + 30 * u**4) / duration),
         acceleration=rows(distance * (60 * u - 180 * u**2 + 120 * u**3) / duration**2),
     )
+
+
+def curved_path(seed: int, samples: int = 200) -> TimedTrajectory:
+    """Joints that swing to and fro on their way from rest to rest, one of them at its limit at least once."""
+    random = np.random.default_rng(seed)
+    u = np.polynomial.Polynomial([0.0, 1.0])
+    bell = 64 * u**3 * (1 - u) ** 3
+    line = 10 * u**3 - 15 * u**4 + 6 * u**5
+    curves = []
+    for start in HOME:
+        wave = np.polynomial.Chebyshev(random.uniform(-1.0, 1.0, 6), domain=[0.0, 1.0]).convert(
+            kind=np.polynomial.Polynomial
+        )
+        curves.append(start + random.uniform(-1.0, 1.0) * line + bell * wave)
+    grid = np.linspace(0.0, 1.0, samples)
+    position, velocity, acceleration = (
+        np.array([curve.deriv(order)(grid) if order else curve(grid) for curve in curves]).T for order in range(3)
+    )
+    duration = float(np.sqrt(np.max(np.abs(acceleration) / ROBOT.descriptor.cspace.acceleration)))
+    return TimedTrajectory(grid * duration, position, velocity / duration, acceleration / duration**2)
 
 
 def trapezoid(
@@ -92,16 +113,22 @@ def trapezoid(
 
 def descriptor_at(control_rate: float, folder: Path) -> Path:
     """The descriptor of the tests' robot with another rate (Hz) of the control loop, in a folder of its own."""
-    return _descriptor(folder, ROBOT, f"control_rate: {control_rate}")
+    return with_execution(folder, f"control_rate: {control_rate}")
 
 
 def patient(folder: Path, robot: RobotDescription = ROBOT) -> Path:
     """The descriptor of a robot that is given 1 s to tell its joints, in a folder of its own: for tests that move it through a
     driver on a machine that is busy, and say nothing of how soon its silence is noticed."""
-    return _descriptor(folder, robot, "joint_state_timeout: 1.0")
+    return with_execution(folder, "joint_state_timeout: 1.0", robot)
 
 
-def _descriptor(folder: Path, robot: RobotDescription, execution: str) -> Path:
+def forgiving(folder: Path) -> RobotDescription:
+    """The same robot, and the next goal leaves its faults."""
+    return load_robot(str(with_execution(folder, "faults: clear_at_rest")))
+
+
+def with_execution(folder: Path, execution: str, robot: RobotDescription = ROBOT) -> Path:
+    """The descriptor of a robot with these settings under `execution`, in a folder of its own."""
     folder.mkdir(parents=True)
     name = robot.descriptor.name
     descriptor = folder / f"{name}.yaml"

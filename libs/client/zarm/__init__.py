@@ -28,6 +28,7 @@ from zarm.robot import Robot
 from zarm.scene import Scene
 from zarm.streaming import Stream
 from zarm.values import (
+    AnyOf,
     Axis,
     Capsule,
     Cuboid,
@@ -38,6 +39,7 @@ from zarm.values import (
     PointCloud,
     Pose,
     Sphere,
+    StartState,
     Trajectory,
     Voxels,
     Waypoints,
@@ -72,6 +74,7 @@ if TYPE_CHECKING:
     from zarm import aio
 
 __all__ = [
+    "AnyOf",
     "Axis",
     "Busy",
     "Cancelled",
@@ -103,6 +106,7 @@ __all__ = [
     "Scene",
     "SceneObject",
     "Sphere",
+    "StartState",
     "Story",
     "Strategies",
     "Stream",

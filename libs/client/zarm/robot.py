@@ -41,6 +41,7 @@ from zarm_contract.messages import (
     SettingsChange,
     Speed,
     SpeedRequest,
+    StartState,
     Strategies,
     StrategyRequest,
     Trajectory,
@@ -98,7 +99,7 @@ class Robot:
         self,
         goal: Goal,
         *,
-        start: Numbers | None = None,
+        start: Numbers | StartState | None = None,
         path_constraint: PathConstraint | None = None,
         planner: PlannerKind | None = None,
         timeout: float | None = None,
@@ -109,9 +110,11 @@ class Robot:
         margin: float | None = None,
         seed: int = 0,
     ) -> Plan:
-        """A verified motion to a `zarm.Pose`, to joint positions (rad), or through `zarm.Waypoints`. Nothing moves.
+        """A verified motion to a `zarm.Pose`, to joint positions (rad), to `zarm.AnyOf` several poses, or through
+        `zarm.Waypoints`. Nothing moves.
 
-        `start` are joint positions (rad), left out: the measured ones. `timeout` (s) is the deadline of the planning, and
+        `start` are joint positions (rad), left out: the measured ones; or a `zarm.StartState` in motion, with which the plan is
+        continuous in position, velocity and acceleration. `timeout` (s) is the deadline of the planning, and
         `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is found
         the planner looks for faster ones. The scales (above 0, up to 1) are fractions of the joint limits; `margin` (m) is kept
         to objects on the way. What is left out comes from `settings`. The same request, seed, scene and `optimize_s` 0 give
@@ -123,7 +126,8 @@ class Robot:
             _made(
                 PlanRequest,
                 goal=goal_of(goal),
-                start=_joints(start, "start"),
+                start=None if isinstance(start, StartState) else _joints(start, "start"),
+                start_state=start if isinstance(start, StartState) else None,
                 path_constraint=path_constraint,
                 planner=planner,
                 timeout=timeout,

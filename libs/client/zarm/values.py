@@ -78,16 +78,33 @@ class Pose(_Checked, messages.Pose):
         )
 
 
+class AnyOf(_Checked, messages.PoseGoal):
+    """Whichever of several poses of the tip is reached in the shortest time, a goal set: `AnyOf(a, b, c)`, up to 64 poses.
+
+    `plan.selected_goal_index` says which one it is, from 0.
+    """
+
+    def __init__(self, pose: messages.Pose, *alternatives: messages.Pose) -> None:
+        super().__init__(
+            kind="pose",
+            position=pose.position,
+            orientation=pose.orientation,
+            alternatives=tuple(
+                messages.Pose(position=other.position, orientation=other.orientation) for other in alternatives
+            ),
+        )
+
+
 class Waypoints(_Checked, messages.WaypointsGoal):
     """A motion through poses of the tip and joint positions (rad), in this order and without stopping: `Waypoints(a, b, c)`.
 
-    Each is passed within `position_tolerance` (m) and `angle_tolerance` (rad) of the tip's pose there. The robot rests at
+    A waypoint may be `AnyOf` several poses. Each is passed within `position_tolerance` (m) and `angle_tolerance` (rad) of the tip's pose there. The robot rests at
     the last.
     """
 
     def __init__(
         self,
-        *through: messages.Pose | Numbers,
+        *through: messages.Pose | AnyOf | Numbers,
         position_tolerance: float = 0.005,
         angle_tolerance: float = 0.02,
     ) -> None:
@@ -96,6 +113,18 @@ class Waypoints(_Checked, messages.WaypointsGoal):
             through=tuple(map(_stop, through)),
             position_tolerance=position_tolerance,
             angle_tolerance=angle_tolerance,
+        )
+
+
+class StartState(_Checked, messages.StartState):
+    """Where a motion begins in motion: joint positions (rad), velocities (rad/s) and accelerations (rad/s^2, left out: none)."""
+
+    def __init__(self, position: Numbers, velocity: Numbers, acceleration: Numbers | None = None) -> None:
+        at = numbers(position, "position")
+        super().__init__(
+            position=at,
+            velocity=numbers(velocity, "velocity"),
+            acceleration=(0.0,) * len(at) if acceleration is None else numbers(acceleration, "acceleration"),
         )
 
 
@@ -235,8 +264,8 @@ class Trajectory(_Checked, messages.Trajectory):
         )
 
 
-Goal: TypeAlias = "messages.Pose | Waypoints | Numbers"
-"""Where a motion leads: a pose of the tip, joint positions (rad), or waypoints."""
+Goal: TypeAlias = "messages.Pose | AnyOf | Waypoints | Numbers"
+"""Where a motion leads: a pose of the tip, whichever of several is quickest to reach, joint positions (rad), or waypoints."""
 
 
 def goal_of(goal: Goal) -> messages.Goal:
@@ -257,7 +286,9 @@ def object_of(item: messages.SceneObject) -> messages.SceneObject:
     return made
 
 
-def _stop(goal: messages.Pose | Numbers) -> messages.PoseGoal | messages.JointGoal:
+def _stop(goal: messages.Pose | AnyOf | Numbers) -> messages.PoseGoal | messages.JointGoal:
+    if isinstance(goal, messages.PoseGoal):
+        return goal
     try:
         if isinstance(goal, messages.Pose):
             return messages.PoseGoal(kind="pose", position=goal.position, orientation=goal.orientation)

@@ -17,13 +17,14 @@ import zenoh
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import ALL_ALIVE, ALL_CLIENTS, Keys
 
-Role = Literal["router", "planner", "executor", "bridge", "driver", "operator", "viewer"]
+Role = Literal["router", "planner", "executor", "servo", "bridge", "driver", "operator", "viewer"]
 """What a process is on the bus; the common name of its certificate."""
 
 ROLES: tuple[Role, ...] = get_args(Role)
 SERVICE_ROLES: Mapping[str, Role] = {
     "planner": "planner",
     "executor": "executor",
+    "servo": "servo",
     "ros_bridge": "bridge",
     "leeloo_sim": "driver",
 }
@@ -88,7 +89,10 @@ TABLE: Mapping[str, Rights] = {
     "strategy": _value("executor", changed_by=_DRIVES),
     "speed": _value("executor", changed_by=_DRIVES),
     "stream": _published("operator", "bridge"),
+    "authority": _published("servo"),
+    "goal_trajectory": _value("executor"),
     "executor_state": _value("executor"),
+    "servo_state": _value("servo"),
     "driver_command": _published("executor"),
     "driver_progress": _published("driver", "bridge"),
     "driver_joint_states": _published("driver", "bridge"),

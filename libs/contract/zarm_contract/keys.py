@@ -135,9 +135,25 @@ class Keys:
         return self._key("executor", "stream")
 
     @property
+    def authority(self) -> str:
+        """Authority. Up to where the running goal may go, from the servo."""
+        return self._key("executor", "authority")
+
+    @property
+    def goal_trajectory(self) -> str:
+        """GoalTrajectory. The trajectory that is followed, from the last goal on."""
+        return self._key("executor", "trajectory")
+
+    @property
     def executor_state(self) -> str:
         """ExecutorState. Mode, active goal and problem of the executor."""
         return self._key("executor", "state")
+
+    # servo
+    @property
+    def servo_state(self) -> str:
+        """ServoState. What the servo does, and in which scene."""
+        return self._key("servo", "state")
 
     # driver: what a robot's driver takes from the executor, and tells it
     @property

@@ -91,6 +91,9 @@ class CSpace(_Section):
     """Maximum joint jerks (rad/s³)."""
 
 
+FaultPolicy = Literal["latch", "clear_at_rest"]
+
+
 class ExecutionSettings(_Section):
     """What the executor checks before and during motion.
 
@@ -124,6 +127,16 @@ class ExecutionSettings(_Section):
     """... and this much more (s)."""
     progress_timeout: Positive = 1.0
     """How long the driver of a moving robot may stay at one point of its path (s)."""
+    faults: FaultPolicy = "latch"
+    """How a fault is left. `latch`: by `reset` alone. `clear_at_rest`: also by the next goal, once the robot rests and reports its joints. A robot that did not stop when it was told to needs a `reset` either way."""
+
+    guard: Literal["optional", "required"] = "optional"
+    """Whether a servo must guard every motion. `required`: without one none starts, and one that runs is held. `optional`: it moves
+    unguarded."""
+    guard_timeout: Annotated[float, Field(ge=0.2)] = 0.5
+    """How long the servo may be silent before it is taken to be gone (s)."""
+    obstruction_timeout: NonNegative = 30.0
+    """How long a goal that is held waits before it is given up (s)."""
 
     @property
     def control_period(self) -> float:

@@ -53,13 +53,9 @@ class ExactScene:
 
     def __init__(self, model: RobotModel, world: World) -> None:
         self.model, self._world = model, world
-        self._body, self.reach = _body(model)
-        arrays = world.arrays
-        error = _SINGLE * float(np.abs(arrays.boxes).max(initial=0.0))
-        self._obstacles = Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, world.margin - error)
-
-        there = np.diff(self._body.first) > 0
-        self._asked = np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
+        self._body, self.reach = robot_parts(model)
+        self._obstacles = obstacles(world)
+        self._asked = subjects(model, self._body)
         self._asked_of_world = self._asked & (np.arange(len(self._asked)) < len(model.links))
 
     def nearest(self, q: ArrayLike, check: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
@@ -110,8 +106,21 @@ class ExactScene:
         return (shape.name, other_shape.name), measured
 
 
-def _body(model: RobotModel) -> tuple[RobotParts, Array]:
-    """The model's parts for the kernel, and `ExactScene.reach`."""
+def obstacles(world: World) -> Obstacles:
+    """The world for kernels that compute with the shapes as they are."""
+    arrays = world.arrays
+    error = _SINGLE * float(np.abs(arrays.boxes).max(initial=0.0))
+    return Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, world.margin - error)
+
+
+def subjects(model: RobotModel, body: RobotParts) -> NDArray[np.bool_]:
+    """Which (subjects,) of `RobotParts.reach` are to be looked at: links that move, against the world, and pairs of links."""
+    there = np.diff(body.first) > 0
+    return np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
+
+
+def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
+    """The model's parts for such kernels, and `ExactScene.reach`."""
     link = np.array([link for link, _ in model.parts], np.intp)
     first = np.searchsorted(link, np.arange(len(model.links) + 1)).astype(np.int32)
     shapes = [shape for _, shape in model.parts]

@@ -29,7 +29,7 @@ class World:
     """
 
     def __init__(self, objects: Sequence[SceneObject], margin: float, meshes: Meshes | None = None) -> None:
-        shapes, owner = _shapes(objects, meshes or Meshes())
+        shapes, owner = convex_shapes(objects, meshes or Meshes())
         lower, upper = rows.bounds(shapes)
         order = _along_a_curve((lower + upper) / 2)
         self.names = tuple(item.name for item in objects)
@@ -39,7 +39,7 @@ class World:
         self.arrays = _packed(grown, lower[order] - margin, upper[order] + margin)
 
 
-def _shapes(objects: Sequence[SceneObject], meshes: Meshes) -> tuple[Array, NDArray[np.intp]]:
+def convex_shapes(objects: Sequence[SceneObject], meshes: Meshes) -> tuple[Array, NDArray[np.intp]]:
     """The shapes (n, 17) of objects, and the index (n,) of the object that each belongs to."""
     single: list[Primitive] = []
     indices: list[int] = []

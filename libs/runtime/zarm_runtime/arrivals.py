@@ -10,8 +10,9 @@ from typing import Any
 
 log = logging.getLogger(__name__)
 
-PERIOD = 0.002
-"""How often (s) it is looked whether something has come."""
+PERIOD, UNHURRIED = 0.002, 0.01
+"""How often (s) it is looked whether something has come, and how often where that need not be known at once. A look takes 60 us of
+CPU, most of it to wake up: 3 % of a core at the first, 0.6 % at the second."""
 
 MOST = 1024
 """So many messages of one key are taken in one look."""
@@ -22,10 +23,11 @@ class Arrivals:
 
     Zenoh fills the channels without Python, so that nothing that keeps the interpreter busy holds up the network. In each look
     the keys that overtake others come first and get the larger numbers: what came on another key before a stop is found in the same
-    look at the latest, and numbered before it.
+    look at the latest, and numbered before it. `hurried` says how often to look.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, hurried: Callable[[], bool]) -> None:
+        self._hurried = hurried
         self._overtaking: list[tuple[Any, Callable[[Any, int], None]]] = []
         self._overtaken: list[tuple[Any, Callable[[Any, int], None]]] = []
         self._numbers = itertools.count(1)
@@ -44,7 +46,7 @@ class Arrivals:
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._closed.wait(PERIOD):
+        while not self._closed.wait(PERIOD if self._hurried() else UNHURRIED):
             last = self._drained(self._overtaking)
             for message, take in (*self._drained(self._overtaken), *last):
                 try:

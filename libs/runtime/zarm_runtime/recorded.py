@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
+    Authority,
     DriverCommand,
     DriverProgress,
     ExecutorState,
@@ -12,6 +13,7 @@ from zarm_contract.messages import (
     Message,
     Plan,
     SceneEdited,
+    ServoState,
     Speed,
     Strategies,
     StreamChunk,
@@ -19,7 +21,7 @@ from zarm_contract.messages import (
 
 
 class Recorded:
-    """The recorded keys of one robot. The preview is left out: it moves nothing and follows from the plans.
+    """The recorded keys of one robot. The preview and the trajectories of goals are left out: they follow from plans and streams.
 
     `models` are the classes by key expression (goals are the family `executor/goal/*`); `present` are the keys that answer
     with their present value, so that a record can begin with what held before it.
@@ -31,6 +33,8 @@ class Recorded:
             keys.scene_revision: SceneEdited,
             keys.executor_state: ExecutorState,
             keys.goal("*"): GoalState,
+            keys.authority: Authority,
+            keys.servo_state: ServoState,
             keys.strategy: Strategies,
             keys.speed: Speed,
             keys.stream: StreamChunk,

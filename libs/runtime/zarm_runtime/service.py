@@ -62,6 +62,8 @@ class Service:
     """Ends the process in order."""
     outdated: bool = False
     """Whether the robot's file has changed, and the process starts anew to take it."""
+    note: str = ""
+    """What else there is to know of it, in `health`."""
     _activity: str = "starting"
     _ready: bool = False
     _started: float = field(default_factory=time.monotonic)
@@ -96,6 +98,7 @@ class Service:
             robot_hash=self.robot.hash,
             uptime=time.monotonic() - self._started,
             pid=os.getpid(),
+            note=self.note,
         )
 
     def reread(self, _: Nothing) -> Health:

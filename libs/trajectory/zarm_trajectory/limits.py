@@ -19,8 +19,15 @@ LIMIT_TOLERANCE = 1.01
 samples."""
 POSITION_TOLERANCE = 1e-4
 """Positions may be outside their limits by this much, rad: rounding, and interpolation between samples."""
-_LOOKS = np.arange(8) / 8
+_LOOKS, _POWERS = np.arange(8)[:, None] / 8, np.arange(6)
 """Where `load` looks at each segment."""
+_DERIVATIVES = np.concatenate(
+    (
+        _POWERS * _LOOKS ** np.maximum(_POWERS - 1, 0),
+        _POWERS * (_POWERS - 1) * _LOOKS ** np.maximum(_POWERS - 2, 0),
+    )
+)
+"""From the coefficients of a quintic to its slope at each of `_LOOKS`, then to its second derivative there."""
 
 _Values = Callable[[Array], Array]
 """Of polynomials (D+1, ...) on [0, 1], lowest power first, values between which all of each polynomial lies."""
@@ -78,10 +85,10 @@ class Limits:
         """
         step = trajectory.steps[:, None]
         with np.errstate(all="ignore"):
-            slope = quintic.derivative(trajectory.coefficients)
-            velocity = _largest(slope) / step
-            acceleration = _largest(quintic.derivative(slope)) / step**2
             jerk = np.abs(np.diff(trajectory.acceleration, axis=0)) / step
+            looked = np.abs(_DERIVATIVES @ trajectory.coefficients.reshape(len(_POWERS), -1))
+            slope, bend = looked.reshape(2, len(_LOOKS), *jerk.shape).max(axis=1)
+            velocity, acceleration = slope / step, bend / step**2
             uses = (
                 np.max(velocity / self.velocity),
                 np.sqrt(np.max(acceleration / self.acceleration)),
@@ -135,13 +142,6 @@ class Limits:
         yield _Curve("position", "rad", values(position), middle, reach)
         yield _Curve("velocity", "rad/s", values(velocity), none, self.velocity * LIMIT_TOLERANCE)
         yield _Curve("acceleration", "rad/s^2", values(acceleration), none, self.acceleration * LIMIT_TOLERANCE)
-
-
-def _largest(polynomials: Array) -> Array:
-    """The largest absolute values (N, J) of polynomials (D+1, N, J) at `_LOOKS`."""
-    powers = np.vander(_LOOKS, len(polynomials), increasing=True)
-    found: Array = np.abs(powers @ polynomials.reshape(len(polynomials), -1)).max(axis=0)
-    return found.reshape(polynomials.shape[1:])
 
 
 def _inside(curves: Iterable[_Curve]) -> Array:

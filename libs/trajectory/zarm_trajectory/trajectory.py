@@ -156,6 +156,10 @@ class TimedTrajectory:
         """The same motion with `offset` (J,) rad added to every position."""
         return type(self)(self.time, self.position + offset, self.velocity, self.acceleration)
 
+    def begun_at(self, offset: float) -> Self:
+        """The same motion with `offset` s added to every time."""
+        return type(self)(self.time + offset, self.position, self.velocity, self.acceleration)
+
     def slower(self, factor: float) -> Self:
         """The same motion, taking `factor` times as long."""
         return type(self)(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)

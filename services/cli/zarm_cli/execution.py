@@ -11,8 +11,8 @@ import typer
 
 from zarm.robot import REST_SECONDS, Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
-from zarm_cli.output import SCENE_CHANGED, err, facts, out, print_json
-from zarm_cli.planning import JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
+from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json
+from zarm_cli.planning import AnyOf, JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Speed
 from zarm_runtime.session import DEFAULT_ENDPOINT
@@ -20,6 +20,7 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 
 def execute(
     to: To = None,
+    any_of: AnyOf = False,
     joints_goal: JointsGoal = None,
     plan: Annotated[Path | None, typer.Option(help="A plan saved by `zarm plan --save`.")] = None,
     plan_id: Annotated[str | None, typer.Option(help="Id of a plan published on this bus.")] = None,
@@ -32,7 +33,7 @@ def execute(
     name: Name = None,
 ) -> None:
     """Move the robot along the last plan, a given one, or a new one (--to, --joints). Ctrl-C stops the robot."""
-    goal = None if not to and joints_goal is None else typed_goal(to, joints_goal)
+    goal = None if not to and joints_goal is None and not any_of else typed_goal(to, joints_goal, any_of)
     if [plan, plan_id, goal].count(None) < 2:
         raise typer.BadParameter("give one of them at most", param_hint="--plan / --plan-id / --to / --joints")
     if velocity_scale is not None and goal is None:
@@ -108,15 +109,23 @@ def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False) ->
 
 
 def _warn_of_edits(robot: Robot, goal_id: str) -> None:
-    """Say it, once, when the scene becomes another than the one that the goal was begun in."""
+    """Say, once, that the scene becomes another than the one that the goal was begun in, unguarded; and each time what holds the goal."""
     said = threading.Event()
+    held = False
 
     def look(_: str, state: ExecutorState) -> None:
         if state.scene_changed and state.goal_id == goal_id and not said.is_set():
             said.set()
             err.print(f"zarm: {SCENE_CHANGED}", soft_wrap=True)
 
+    def look_at_goal(_: str, goal: GoalState) -> None:
+        nonlocal held
+        if goal.hold is not None and not held:
+            err.print(f"zarm: the robot waits: {held_by(goal.hold)}", soft_wrap=True)
+        held = goal.hold is not None
+
     robot.connection.bus.watch(robot.connection.keys.executor_state, ExecutorState, look)
+    robot.connection.bus.watch(robot.connection.keys.goal(goal_id), GoalState, look_at_goal)
 
 
 def _order(give: Callable[[Robot], ExecutorState], doc: str) -> Callable[[bool, str, str | None], None]:

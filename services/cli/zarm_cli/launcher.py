@@ -1,7 +1,8 @@
-"""`zarm up`: a router, a planner and an executor for one robot, started together and stopped together."""
+"""`zarm up`: a router, a planner, a servo and an executor for one robot, started together and stopped together."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -18,21 +19,23 @@ from zarm.robot import Robot
 from zarm_cli.client import SIGNALS, keys_of
 from zarm_cli.imported import descriptor_of
 from zarm_cli.interrupts import pause
-from zarm_cli.output import facts, numbers, out
+from zarm_cli.output import err, facts, numbers, out
 from zarm_cli.supervision import Supervisor
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health
 from zarm_contract.robot import RobotDescription, find_robot, load_robot
 from zarm_runtime.bus import Bus
+from zarm_runtime.dds import RANGE, REACH
 from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
 
-SERVICES = ("planner", "executor")
+SERVICES = ("planner", "servo", "executor")
 """What every robot needs, in the order in which they start; they stop the other way round, so that the robot comes to rest
 first."""
-METERED = (*SERVICES, "ros_bridge", "leeloo_sim")
+METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo")
 """Whose metrics are read at the address that `up` is given, at the next port, and so on."""
+_PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 
@@ -69,8 +72,10 @@ class Stack:
             pause(0.1)
 
     def wait(self) -> None:
-        """Wait for ever; raises InternalError when a service ends again and again."""
+        """Wait for ever, and say which service is started again; raises InternalError when one ends again and again."""
         while not (fallen := self.supervisor.given_up()):
+            for service, how in self.supervisor.ended():
+                err.print(f"zarm: the {service} has ended ({how}) and is started again", soft_wrap=True)
             pause(1.0)
         raise InternalError(
             f"the {fallen[0]} ends again and again, at last with: {self.supervisor.last_words(fallen[0])}"
@@ -95,10 +100,15 @@ def launch(
     """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
 
     Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
-    is already up on that bus, Unavailable where the port is taken, no router answers, or ROS is asked for and not installed.
+    is already up on that bus, Unavailable where the port is taken, no router answers, or packages are not installed.
     """
+    _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
     if ros:
-        _require_ros()
+        _require(
+            "ROS 2 cannot be bridged to",
+            _ROS_PACKAGES,
+            "`make ros` installs what is needed, and all else works without --ros",
+        )
     robot = descriptor_of(robot)
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
@@ -112,12 +122,15 @@ def launch(
         **simulated,  # this and the bridge before the executor, which may wait for a driver and brakes through it at the end
         **bridge,
         "planner": ("zarm_planner.service", [*arguments, *folders]),
+        "servo": ("zarm_servo.service", [*arguments, *folders]),
         "executor": ("zarm_executor.service", [*arguments, *choice]),
     }
     if metrics is not None:
         for service, (_, words) in programs.items():
             words += ["--metrics", _next_port(metrics, METERED.index(service))]
     environment = {"ZARM_METRICS": ""}  # of one address there is but one
+    if ros and not any(map(os.environ.get, REACH)):
+        environment[RANGE] = "LOCALHOST"  # whoever reaches DDS can move the robot
     if sys.stderr.isatty():
         environment["ZARM_COLOUR"] = "1"
     if log_level is not None:
@@ -140,12 +153,9 @@ def _next_port(address: str, step: int) -> str:
     return f"{host}:{int(port) + step}"
 
 
-def _require_ros() -> None:
-    if missing := [package for package in _ROS_PACKAGES if find_spec(package) is None]:
-        raise Unavailable(
-            f"ROS 2 cannot be bridged to, because {' and '.join(missing)} cannot be imported here; `make ros` installs what is "
-            "needed, and all else works without --ros"
-        )
+def _require(what: str, packages: Sequence[str], remedy: str) -> None:
+    if missing := [package for package in packages if find_spec(package) is None]:
+        raise Unavailable(f"{what}, because {' and '.join(missing)} cannot be imported here; {remedy}")
 
 
 def _router(listen: str, keys: Keys) -> AbstractContextManager[object]:
@@ -196,7 +206,7 @@ def up(
         typer.Option(
             envvar="ZARM_METRICS",
             metavar="HOST:PORT",
-            help="Serve the planner's metrics for Prometheus there, and those of executor, bridge and driver at the ports "
+            help="Serve the planner's metrics for Prometheus there, and those of executor, bridge, driver and servo at the ports "
             "that follow.",
         ),
     ] = None,
@@ -207,7 +217,7 @@ def up(
         ),
     ] = None,
 ) -> None:
-    """Start router, planner and executor of one robot; Ctrl-C stops them, the robot first."""
+    """Start router, planner, servo and executor of one robot; Ctrl-C stops them, the robot first."""
     if connect is not None and listen is not None:
         raise typer.BadParameter(
             "one joins a router, the other runs one (ZARM_CONNECT and ZARM_LISTEN count)",

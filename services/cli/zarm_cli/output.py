@@ -14,7 +14,7 @@ from rich.table import Table
 
 from zarm_contract.codec import encode
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import Message, Pose
+from zarm_contract.messages import Hold, Message, Pose
 
 
 def _width() -> int | None:
@@ -33,6 +33,15 @@ err = Console(highlight=False, markup=False, stderr=True)
 SCENE_CHANGED = (
     "the scene has changed since this motion was checked: stop it, and plan again, if something is in its way"
 )
+
+
+def held_by(hold: Hold) -> str:
+    """Why a goal is held, in a sentence without its full stop."""
+    found = hold.obstruction
+    if found is None:
+        return "no servo guards it, and the descriptor demands one"
+    late = "" if found.avoidable else ", and contact could not be avoided any more"
+    return f"{found.object} is in the way of {found.link} at {found.time:.2f} s of the trajectory{late}"
 
 
 def print_json(value: Message | Mapping[str, object]) -> None:

@@ -26,6 +26,9 @@ To = Annotated[
         "Given several times: one motion through all of them in this order, without stopping.",
     ),
 ]
+AnyOf = Annotated[
+    bool, typer.Option("--any", help="Of several --to, go to the one that is reached in the shortest time.")
+]
 JointsGoal = Annotated[
     str | None, typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad), in the descriptor's order.")
 ]
@@ -36,6 +39,7 @@ VelocityScale = Annotated[
 
 def plan(
     to: To = None,
+    any_of: AnyOf = False,
     joints_goal: JointsGoal = None,
     start: Annotated[
         str | None,
@@ -61,7 +65,7 @@ def plan(
     name: Name = None,
 ) -> None:
     """Plan a motion around the scene; nothing moves."""
-    goal, at, constraint = typed_goal(to, joints_goal), joints(start, "--start"), _constraint(hold, hold_frame)
+    goal, at, constraint = typed_goal(to, joints_goal, any_of), joints(start, "--start"), _constraint(hold, hold_frame)
     with connected(connect, name) as robot:
         found = request_plan(
             robot,
@@ -78,22 +82,31 @@ def plan(
     if as_json:
         print_json(found)
     else:
-        out.print(plan_table(found))
+        table = plan_table(found)
+        if any_of:
+            table.add_row("goal", f"--to number {found.selected_goal_index} of {len(goal.poses)}, from 0")
+        out.print(table)
 
 
 @dataclass(frozen=True)
 class TypedGoal:
-    """What a person typed: joints (rad), or poses of the tip of which the orientation may be left out."""
+    """What a person typed: joints (rad), or poses of the tip of which the orientation may be left out.
+
+    `any_of` asks for one of the poses, else the motion passes all of them.
+    """
 
     joints: list[float] | None
     poses: list[list[float]]
+    any_of: bool
 
 
-def typed_goal(to: list[str] | None, joints_goal: str | None) -> TypedGoal:
-    """Read --to and --joints, of which one must be given; usage error else."""
+def typed_goal(to: list[str] | None, joints_goal: str | None, any_of: bool) -> TypedGoal:
+    """Read --to and --joints, of which one must be given, and --any; usage error else."""
     if bool(to) == (joints_goal is not None):
         raise typer.BadParameter("give exactly one of them", param_hint="--to / --joints")
-    return TypedGoal(joints(joints_goal, "--joints"), [floats(pose, "--to", 3, 7) for pose in to or []])
+    if any_of and not to:
+        raise typer.BadParameter("belongs to --to", param_hint="--any")
+    return TypedGoal(joints(joints_goal, "--joints"), [floats(pose, "--to", 3, 7) for pose in to or []], any_of)
 
 
 def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None:
@@ -119,8 +132,10 @@ def request_plan(robot: Robot, goal: TypedGoal, *, start: list[float] | None = N
 def _goal(robot: Robot, typed: TypedGoal, start: list[float] | None) -> dict[str, object]:
     if typed.joints is not None:
         return {"kind": "joints", "position": typed.joints}
-    poses: list[dict[str, object]] = [{"kind": "pose", **full_pose(robot, pose, start)} for pose in typed.poses]
-    return poses[0] if len(poses) == 1 else {"kind": "waypoints", "through": poses}
+    poses = [full_pose(robot, pose, start) for pose in typed.poses]
+    if typed.any_of or len(poses) == 1:
+        return {"kind": "pose", **poses[0], "alternatives": poses[1:]}
+    return {"kind": "waypoints", "through": [{"kind": "pose", **pose} for pose in poses]}
 
 
 def full_pose(robot: Robot, typed: list[float], at: list[float] | None = None) -> dict[str, list[float]]:

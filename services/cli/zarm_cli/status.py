@@ -13,7 +13,7 @@ from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected
 from zarm_cli.compatibility import mismatches
 from zarm_cli.interrupts import pause
-from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, out, pose_text, print_json, records
+from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, held_by, out, pose_text, print_json, records
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
@@ -49,6 +49,8 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
         found = {service for _, service, _ in bus.alive(keys.alive("*", "*"))}
         services = {one: _told(partial(robot.health, one)) for one in sorted(found | {*_NEEDED})}
         state, scene = _told(robot.state), _told(robot.scene.read)
+        goal_id = None if state is None else state.goal_id
+        goal = None if goal_id is None else _told(partial(bus.read, keys.goal(goal_id), GoalState, timeout=1.0))
     faults = list(mismatches({one: health for one, health in services.items() if health is not None}))
     if as_json:
         print_json(
@@ -58,11 +60,12 @@ def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: N
                 "services": services,
                 "mismatches": [vars(fault) for fault in faults],
                 "executor": state,
+                "goal": goal,
                 "scene": scene,
             }
         )
     else:
-        _print_status(robot, services, state, scene)
+        _print_status(robot, services, state, goal, scene)
         for fault in faults:
             out.print(f"\n{fault.kind}: {fault.message}.", style="yellow" if fault.harmless else "bold red")
     if missing := [one for one in _NEEDED if (health := services[one]) is None or not health.ready]:
@@ -85,14 +88,21 @@ def _told(ask: Callable[[], M]) -> M | None:
 
 
 def _print_status(
-    robot: Robot, services: Mapping[str, Health | None], state: ExecutorState | None, scene: Scene | None
+    robot: Robot,
+    services: Mapping[str, Health | None],
+    state: ExecutorState | None,
+    goal: GoalState | None,
+    scene: Scene | None,
 ) -> None:
     columns = ("service", "state", "uptime (s)", "pid", "instance", "version", "contract", "robot")
     rows = [("robot", f"{robot.name} at {robot.connection.bus.endpoint}")]
     if state is not None:
         rows += _state_rows(state)
+    if goal is not None:
+        rows += _hold_rows(goal)
     if scene is not None:
         rows.append(("scene", f"{counted(len(scene.objects), 'object')}, revision {scene.revision}"))
+    rows += [(service, health.note) for service, health in services.items() if health is not None and health.note]
     table = records(columns, [_service_row(service, health) for service, health in services.items()])
     out.print(facts(*rows), "", table, sep="\n")
 
@@ -109,11 +119,17 @@ def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
     rows = [("mode", state.mode + (f", goal {state.goal_id}" if state.goal_id else "")), ("strategy", state.strategy)]
     if state.speed_scale != 1.0:
         rows.append(("speed", f"{state.speed_scale:g} of the planned speed"))
+    if state.goal_id is not None or state.guarded:
+        rows.append(("guard", "guarded by the servo" if state.guarded else "unguarded: no servo watches this motion"))
     if state.scene_changed:
         rows.append(("warning", SCENE_CHANGED))
     if state.problem is not None:
         rows.append(("problem", f"{state.problem.code}: {state.problem.message}"))
     return rows
+
+
+def _hold_rows(goal: GoalState) -> list[tuple[str, str]]:
+    return [] if goal.hold is None else [("held", held_by(goal.hold))]
 
 
 def health(
@@ -194,6 +210,7 @@ def _picture(robot: Robot, look: _Look) -> Table:
     rows += [("mode", "the executor does not answer")] if state is None else _state_rows(state)
     if goal is not None:
         filled = round(goal.progress * 30)
+        rows += _hold_rows(goal)
         rows.append(("goal", f"{'━' * filled}{'╌' * (30 - filled)} {goal.elapsed:.1f} of {goal.duration:.1f} s"))
     rows.append(("tip", "unknown" if tip is None else pose_text(tip)))
     if joints is None:

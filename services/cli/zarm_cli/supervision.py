@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import socket
 import subprocess
@@ -16,7 +17,7 @@ import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +30,7 @@ from supervisor.xmlrpc import SupervisorTransport
 from zarm_contract.errors import InternalError
 
 _STOP_SECONDS = 15  # for one process, deceleration included; then it is killed
+_ENDED = re.compile(r" exited: (\w+) \((.+?)(?:; .+)?\)\n")  # how supervisord's log puts it
 _RETRIES = 6  # starts that fail in a row, with 1 s, 2 s, ... between them
 
 _HEAD = """\
@@ -62,6 +64,22 @@ stdout_logfile_maxbytes = 0
 """
 
 
+_ERROR = re.compile(r"[\w.]*(Error|Exception)\b")  # the end of what Python prints of one
+
+
+def _reason(name: str, lines: Iterable[str]) -> str | None:
+    """The first reason in a line of this program's log, as text or as JSON."""
+    own = re.compile(rf"(\x1b\[\d+m)?{name} *\| .*?\breason=(?P<reason>.*)")
+    for line in lines:
+        if found := own.match(line):
+            return found["reason"]
+        if line.startswith("{"):
+            told = json.loads(line)
+            if told.get("service") == name and "reason" in told.get("fields", {}):
+                return str(told["fields"]["reason"])
+    return None
+
+
 def _command(module: str, arguments: Sequence[str]) -> list[str]:
     return [sys.executable, "-P", "-m", "zarm_cli.end_with_parent", module, *arguments]
 
@@ -85,6 +103,7 @@ class Supervisor:
         self._socket = folder / "socket"
         self._names = tuple(programs)
         self._environment = {**os.environ, **environment}
+        self._read = 0
         self._last_lines: deque[str] = deque(maxlen=100)
 
     def __enter__(self) -> Self:
@@ -112,7 +131,20 @@ class Supervisor:
             self._process.kill()
             self._process.wait()
         self._relay.join()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
         self._folder.cleanup()
+
+    def ended(self) -> list[tuple[str, str]]:
+        """Programs that have ended by themselves since the last call, and how: `exit status 1`, `terminated by SIGKILL`."""
+        with suppress(FileNotFoundError), Path(self._folder.name, "supervisord.log").open() as log:
+            log.seek(self._read)
+            text = log.read()
+            whole = text[: text.rfind("\n") + 1]
+            self._read += len(whole.encode())
+            return _ENDED.findall(whole)
+        return []
 
     def fallen(self) -> list[str]:
         """Names of the programs that have ended by themselves at least once, whether they run again or not."""
@@ -123,14 +155,11 @@ class Supervisor:
         return [process["name"] for process in self._processes() if process["state"] == ProcessStates.FATAL]
 
     def last_words(self, name: str) -> str:
-        """Why a program ended: the reason in its log (as `zarm_runtime.service` writes it), else the last line of all."""
+        """Why a program ended: the reason in its own log (as `zarm_runtime.service` writes it); else the error that ended a program
+        before it had a log; else the last line of all."""
         self._relay.join(0.2)  # what it printed last may still be on its way here
-        for line in reversed(list(self._last_lines)):
-            if name in line and "reason=" in line:
-                return line.partition("reason=")[2]
-            if name in line and line.startswith("{") and "reason" in (fields := json.loads(line).get("fields", {})):
-                return str(fields["reason"])
-        return self._last_lines[-1] if self._last_lines else "it printed nothing"
+        lines = list(self._last_lines)[::-1]
+        return _reason(name, lines) or next(filter(_ERROR.match, lines), None) or (lines or ["it printed nothing"])[0]
 
     def _processes(self) -> Any:
         if self._process.poll() is not None:

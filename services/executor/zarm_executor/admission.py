@@ -33,9 +33,14 @@ class Turn:
             self.reporter.publish()
 
     def start(self, goal: Goal) -> None:
-        """Start a goal. Raises what `Machine.start` raises, and Unavailable where the goal cannot be put on record."""
+        """Start a goal, once the servo has seen its trajectory where that must be.
+
+        Raises what `Machine.demand_guard` and `Machine.start` raise, and Unavailable where the goal cannot be put on record.
+        """
         self.reporter.remember(goal.before_motion())
         try:
+            self.reporter.show(goal)
+            self.machine.demand_guard(goal)
             self.machine.start(goal, self.arrival)
         except ZarmError:
             self.reporter.forget()

@@ -77,7 +77,8 @@ class Executor:
                 turn.preempt(goal_id)
                 scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest took a while
             trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
-            turn.start(Goal(goal_id, chosen.plan_id, trajectory, Monitor(trajectory, self._robot.descriptor), scene))
+            monitor = Monitor(trajectory, self._robot.descriptor)
+            turn.start(Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision))
         return Accepted(goal_id=goal_id)
 
     def _named(self, goal_id: str | None) -> str:
@@ -112,7 +113,10 @@ class Executor:
     def resume(self, _: Nothing, arrival: int) -> ExecutorState:
         """Go on with the goal that is held. Raises what `Admission.demand_presence` and `Machine.resume` raise."""
         self._admission.demand_presence()
-        self._machine.resume(arrival, self._present.look())
+        scene, state = self._present.look(), self._machine.state()
+        if state.guarded and state.goal_id is not None:
+            self._machine.wait_for_authority(state.goal_id, scene)
+        self._machine.resume(arrival, scene)
         return self._reporter.publish()
 
     def reset(self, _: Nothing, arrival: int) -> ExecutorState:

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionFailed, Problem
-from zarm_contract.messages import GoalState, GoalStatus, SceneRevision
-from zarm_executor.monitor import Monitor
+from zarm_contract.messages import GoalState, GoalStatus, GoalTrajectory, Hold, SceneRevision
+from zarm_contract.robot import FaultPolicy
+from zarm_executor.monitor import Monitor, NotStopped
 from zarm_executor.strategies.base import Progress
 from zarm_trajectory.trajectory import TimedTrajectory
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a goal ends; in a `fault` of the robot nothing moves until somebody has looked at it."""
+    """How a goal ends; after a `fault` of the robot nothing moves until it is left, a `latched` one by `reset` alone."""
 
     status: GoalStatus
     problem: Problem | None = None
     fault: bool = False
+    latched: bool = False
 
     @classmethod
-    def fault_of(cls, failure: ExecutionFailed) -> Outcome:
-        """What a check during motion found, or the control loop."""
-        return cls("aborted", failure.problem, fault=True)
+    def fault_of(cls, failures: Sequence[ExecutionFailed], policy: FaultPolicy) -> Outcome:
+        """What checks during motion found, or the control loop, first things first; its problem says how the fault is left."""
+        latched = policy == "latch" or any(isinstance(failure, NotStopped) for failure in failures)
+        found = "; and ".join(failure.problem.message for failure in failures)
+        way_out = (
+            ", then reset (executor/reset)"
+            if latched
+            else "; the next goal leaves this fault, once the robot rests and reports its joints"
+        )
+        problem = failures[0].problem.model_copy(update={"message": found + way_out})
+        return cls("aborted", problem, fault=True, latched=latched)
 
 
 @dataclass(frozen=True)
@@ -47,6 +58,8 @@ class Goal:
 
     `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None where nobody had
     told one.
+    `verified` is the revision in which the trajectory was verified, None where it was in none; `number` counts its trajectories.
+    `hold` says why it is held though nobody told it to, since the moment `hold_since`; it `waits` once the robot rests.
     `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion.
     """
 
@@ -61,11 +74,16 @@ class Goal:
     outcome: Outcome | None = None
     chunk: Chunk | None = None
     held_until: float = 0.0
+    verified: SceneRevision | None = None
+    number: int = 1
+    hold: Hold | None = None
+    hold_since: float = 0.0
+    waits: bool = False
 
     @property
     def moving(self) -> bool:
         """Whether it is to go on: neither is its end certain, nor is it held."""
-        return self.outcome is None and not self.pausing
+        return self.outcome is None and not self.pausing and self.hold is None
 
     @property
     def complete(self) -> bool:
@@ -75,6 +93,7 @@ class Goal:
     def steer(self, trajectory: TimedTrajectory, chunk: Chunk) -> None:
         """Go on along `trajectory`, which leads to `chunk`."""
         self.trajectory, self.chunk, self.scene = trajectory, chunk, chunk.scene
+        self.number += 1
         self.monitor.steer(trajectory)
 
     def late(self, now: float) -> Problem | None:
@@ -101,6 +120,18 @@ class Goal:
             duration=self.trajectory.duration,
             joint_command=tuple(progress.command.tolist()),
             problem=self.outcome.problem if self.outcome else None,
+            hold=self.hold,
+        )
+
+    def followed(self, joints: tuple[str, ...]) -> GoalTrajectory:
+        """Its trajectory as a message; `joints` names the columns."""
+        start = float(self.trajectory.time[0])
+        return GoalTrajectory(
+            goal_id=self.goal_id,
+            number=self.number,
+            start=start,
+            trajectory=self.trajectory.begun_at(-start).message(joints),
+            scene_revision=self.verified,
         )
 
     def before_motion(self) -> GoalState:

@@ -6,8 +6,9 @@ import logging
 from collections import deque
 
 from zarm_contract.errors import ExecutionFailed, ExecutionRefused, Unavailable
-from zarm_contract.messages import GoalState, GoalStatus, RobotMode, SceneRevision
+from zarm_contract.messages import Authority, GoalState, GoalStatus, Hold, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
+from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
 from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
@@ -21,11 +22,16 @@ class GoalExecution:
     One call at a time. Raises Unavailable for a stream under a strategy that cannot follow one.
     """
 
-    def __init__(self, goal: Goal, strategy: Strategy, changes: deque[GoalState]) -> None:
+    def __init__(self, goal: Goal, strategy: Strategy, guard: Guard, changes: deque[GoalState]) -> None:
         self.goal = goal
         self._strategy = strategy
+        self._guard = guard
+        self._limit: Limit | None = None
+        self._held_at = 0.0
+        self._speed_scale = 1.0
         self._changes = changes
         self._seen = True
+        self._failures: list[ExecutionFailed] = []
         if goal.chunk is not None:
             self._steerable()
 
@@ -33,8 +39,16 @@ class GoalExecution:
 
     def start(self, speed_scale: float) -> None:
         """Begin to move the robot, which stands at the start of the path. Raises what the strategy raises."""
+        self._speed_scale = speed_scale
         self._strategy.start(self.goal.trajectory, speed_scale)
         self._note()
+
+    def permit(self, authority: Authority, limit: Limit | None, scene: SceneRevision | None) -> None:
+        """Take up how far the servo lets it go, which is `limit`; what it says of another scene than `scene` only holds it back."""
+        if authority.trajectory == self.goal.number:
+            nearer = limit is not None and (self._limit is None or limit.until < self._limit.until)
+            if nearer or authority.scene_revision == scene:
+                self._limit = limit
 
     def end(self, outcome: Outcome) -> None:
         """Bring the robot to rest, where the goal ends so."""
@@ -42,29 +56,41 @@ class GoalExecution:
         self._strategy.stop()
         self._become("stopping")
 
+    def fail(self, failure: ExecutionFailed) -> None:
+        """Bring the robot to rest, where the goal ends in a fault."""
+        self._failures.append(failure)
+        self.end(Outcome.fault_of(self._failures, self.goal.monitor.faults))
+
     def pause(self) -> None:
         """Bring the robot to rest and hold it; nothing where the goal ends."""
         if self.goal.outcome is None:
             self.goal.pausing = True
             self._strategy.stop()
 
-    def resume(self, speed_scale: float, scene: SceneRevision | None) -> None:
-        """Go on where it was paused. Raises ExecutionRefused (`stale_plan`) where its scene is not the present one, `scene`."""
+    def resume(self, speed_scale: float, scene: SceneRevision | None, now: float) -> None:
+        """Go on where it was paused, as far as its authority reaches.
+
+        Raises ExecutionRefused (`stale_plan`) where its scene is not the present one, `scene`, and the servo has not checked the
+        rest of it in that.
+        """
         goal = self.goal
         if goal.outcome is None and goal.pausing:
-            if goal.scene != scene:
+            if goal.scene != scene and not self._guard.checked(goal.goal_id, scene, now):
                 raise ExecutionRefused(
                     f"the scene is not the one that {goal.goal_id} started in (revision {goal.scene}, now {scene}), so "
                     "the rest of it may collide; it stays paused: cancel it, and plan again from where the robot is",
                     code="stale_plan",
                 )
-            goal.pausing = False
+            goal.pausing, goal.hold_since = False, now
             goal.monitor.go_on()
-            self._strategy.move(speed_scale)
+            self._speed_scale = speed_scale
             self._become("running")
+            if goal.hold is None and not self._blocked(now):
+                self._strategy.move(speed_scale)
 
     def set_speed(self, speed_scale: float) -> None:
         """Move at this share of the planned speed, unless it is held or ends."""
+        self._speed_scale = speed_scale
         if self.goal.moving:
             self._strategy.move(speed_scale)
 
@@ -103,16 +129,20 @@ class GoalExecution:
 
     # -- the control loop --
 
-    def advance(self, now: float, dt: float) -> Outcome | None:
-        """See what the strategy made of `dt` s of control, to `now` on the monotonic clock; how the goal ended, once it has."""
+    def advance(self, now: float, dt: float, *, guarded: bool) -> Outcome | None:
+        """See what the strategy made of `dt` s of control, to `now` on the monotonic clock; how the goal ended, once it has.
+
+        `guarded`: a servo watches it.
+        """
         goal, progress, measured = self.goal, self._strategy.progress(), self._strategy.joint_state()
-        if goal.status != "paused":
+        if goal.status != "paused" and not goal.waits:
             goal.elapsed += dt
         if goal.status == "accepted":
             self._become("running")
         try:
             if goal.outcome is None:
                 self._see(goal.monitor.follow(now, dt, progress, measured))
+                self._obey(now, progress, guarded=guarded)
             if goal.moving:
                 late = goal.late(now)
                 if late is not None:
@@ -126,8 +156,8 @@ class GoalExecution:
             else:
                 goal.held_until = now
         except ExecutionFailed as failure:
-            self.end(Outcome.fault_of(failure))
-        if goal.moving or goal.status == "paused":
+            self.fail(failure)
+        if goal.moving or goal.status == "paused" or (goal.waits and goal.outcome is None and not goal.pausing):
             return None
         return self._come_to_rest(now, progress, measured)
 
@@ -144,19 +174,86 @@ class GoalExecution:
             if not self.goal.monitor.at_rest(now, progress, measured):
                 return None
         except ExecutionFailed as failure:
-            return self._give_up(failure)
+            self.fail(failure)  # the robot had its time to stop; the strategy goes on telling it to
         if self.goal.outcome is not None:
             return self._finish(self.goal.outcome)
-        self._become("paused")
+        if self.goal.pausing:
+            self._become("paused")
+        else:
+            self.goal.waits = True
         return None
 
-    def _give_up(self, failure: ExecutionFailed) -> Outcome:
-        """The robot had its time to stop. The strategy goes on telling it to."""
-        first, problem = self.goal.outcome, failure.problem
-        if first is not None and first.problem is not None and first.fault:
-            problem = first.problem.model_copy(update={"message": f"{first.problem.message}; and {problem.message}"})
-        self.end(Outcome.fault_of(failure))
-        return self._finish(Outcome("aborted", problem, fault=True))
+    def _obey(self, now: float, progress: Progress, *, guarded: bool) -> None:
+        """Brake where the authority ends or a servo that must be there is not; go on when that is over, and give up in time."""
+        goal = self.goal
+        if goal.hold is None:
+            if not guarded and self._guard.required:
+                self._hold(Hold(reason="no_guard"), now)
+            elif goal.moving and not progress.finished:
+                self._brake_in_time(now)
+        elif self._free(progress, guarded=guarded):
+            goal.hold, goal.waits = None, False
+            log.info("the goal goes on goal_id=%s", goal.goal_id)
+            if goal.moving:
+                goal.monitor.go_on()
+                if self._blocked(now):
+                    return
+                self._strategy.move(self._speed_scale)
+            self._note()
+        elif not goal.pausing and now - goal.hold_since > self._guard.patience:
+            self.end(Outcome("aborted", given_up(goal.hold, self._guard.patience)))
+        else:
+            self._say_what_is_in_the_way(goal.hold)
+
+    def _say_what_is_in_the_way(self, hold: Hold) -> None:
+        """What it waits for now may be another thing than what it was held for."""
+        before, found = hold.obstruction, None if self._limit is None else self._limit.obstruction
+        if before is not None and found is not None and (before.object, before.link) != (found.object, found.link):
+            self.goal.hold = hold.model_copy(update={"obstruction": found})
+            self._note()
+
+    def _brake_in_time(self, now: float) -> None:
+        limit = self._limit
+        if limit is not None:
+            time, speed = self._strategy.braking_from()
+            if self._guard.must_brake(limit, time, speed):
+                self._held_at = limit.until
+                self._hold(limit.hold(time, speed), now)
+
+    def _blocked(self, now: float) -> bool:
+        """Hold a goal that rests where its authority ends; whether it does."""
+        limit, (time, _) = self._limit, self._strategy.braking_from()
+        blocked = limit is not None and limit.until < time + LEAST_WAY
+        if limit is not None and blocked:
+            self._held_at = time
+            self._hold(limit.hold(time, 0.0), now)
+        return blocked
+
+    def _free(self, progress: Progress, *, guarded: bool) -> bool:
+        """Whether what held it is over."""
+        if not guarded and self._guard.required:
+            return False
+        if self.goal.hold is not None and self.goal.hold.reason == "no_guard":
+            return True
+        further = self._limit is None or self._limit.until >= self._held_at + LEAST_WAY
+        return further or (progress.finished and progress.at_rest)
+
+    def _hold(self, hold: Hold, now: float) -> None:
+        goal, found = self.goal, hold.obstruction
+        goal.hold, goal.hold_since, goal.waits = hold, now, False
+        self._strategy.stop()
+        self._note()
+        if found is None:
+            log.warning("the goal is held goal_id=%s reason=%s", goal.goal_id, hold.reason)
+        else:
+            log.warning(
+                "the goal is held goal_id=%s object=%s link=%s time=%.2f avoidable=%s",
+                goal.goal_id,
+                found.object,
+                found.link,
+                found.time,
+                found.avoidable,
+            )
 
     def _finish(self, outcome: Outcome) -> Outcome:
         self.goal.outcome = outcome

@@ -6,7 +6,9 @@ mode      idle -> running -> idle                      a goal that succeeds, or 
                                                        strategy, the end of the process
           running          -> stopping -> idle         a stream whose client is late or sends what cannot be done
           running | paused -> stopping -> fault        a check during motion failed, or the robot could not be stopped;
-                                                       only `reset` leads back to idle
+                                                       `reset` leads back to idle
+          fault            -> running                  a goal, where the descriptor's `faults` is `clear_at_rest`, the robot
+                                                       rests and tells its joints, and it did stop when it was told to
 
 A machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and what
 changed waits in `changes` for whoever publishes it.
@@ -17,21 +19,27 @@ reached the process: what arrived before a stop that was carried out already com
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
-from zarm_contract.messages import ExecutorState, GoalState, RobotMode, SceneRevision
+from zarm_contract.messages import Authority, ExecutorState, GoalState, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.goal_execution import GoalExecution
+from zarm_executor.guard import Guard
 from zarm_executor.strategies.base import Measured, Strategy
 from zarm_trajectory.limits import Limits
+
+log = logging.getLogger(__name__)
 
 WITHDRAWN = 4096
 """How many goals that were cancelled before they came are remembered."""
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
+LOOK_PERIOD = 0.02
+"""While nothing moves, the strategy is ticked and the robot looked at this often (s), or at every tick where these are further apart."""
 _CUT_OFF = 3.5
 """A process that stood still for longer (s) may have lost its link to the router, which gives up a silent one after 5 s from what it
 heard last: then a cancel of what was asked before has not come."""
@@ -46,21 +54,25 @@ class Machine:
     `scene` is the revision of the scene as it was told last, None before the first time.
     """
 
-    def __init__(self, strategy: Strategy, period: float, *, speed_scale: float = 1.0) -> None:
+    def __init__(self, strategy: Strategy, period: float, guard: Guard, *, speed_scale: float = 1.0) -> None:
         strategy.open()
         self._period = period
+        self._guard, self._guarded = guard, False
         self._speed_scale = speed_scale
         self._strategy, self._open = strategy, True
         self._motion: GoalExecution | None = None
         self._successor: str | None = None
         self._problem: Problem | None = None
+        self._faulty: Goal | None = None  # which ended in the fault that there is
         self._switching = False
         self._ending = False
         self._last_tick: float | None = None
+        self._looked_at = -math.inf
         self._back_at = -math.inf
         self._missed_ticks = 0
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
+        self._told = threading.Condition(self._lock)
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
         # Arrivals of the newest stop, of the newest command that ends whatever moves (a stop too), and of the newest pause.
         self._stopped_by = self._cleared_by = self._held_by = 0.0
@@ -74,10 +86,8 @@ class Machine:
         with self._lock:
             if self._ending:
                 raise Unavailable("the executor is ending; execute again when it has been started again")
-            if self._problem is not None:
-                raise Unavailable(
-                    f"the executor is in fault: {self._problem.message}; fix that, then reset it (executor/reset)"
-                )
+            if self._problem is not None and not self._can_leave_fault():
+                raise Unavailable(f"the executor is in fault: {self._problem.message}")
             if self._motion is not None and not preempt:
                 raise Busy(f"{self._motion.goal.goal_id} is not at its end; cancel it or wait, then execute again")
             if self._switching:
@@ -99,9 +109,25 @@ class Machine:
             self._successor = None
             self._demand_not_overtaken(arrival, goal.goal_id)
             self.admit()
-            motion = GoalExecution(goal, self._strategy, self.changes)
+            motion = GoalExecution(goal, self._strategy, self._guard, self.changes)
             motion.start(self._speed_scale)
             self._motion = motion
+            if self._problem is not None:
+                log.warning("the fault is left goal_id=%s reason=%s", goal.goal_id, self._problem.message)
+                self._leave_fault()
+            authority = self._guard.of(goal.goal_id)
+            if authority is not None:
+                motion.permit(authority, self._guard.limit(authority, goal.trajectory), self.scene)
+
+    def _can_leave_fault(self) -> bool:
+        """Whether the next goal leaves the fault that there is."""
+        goal, now, strategy = self._faulty, self._last_tick, self._strategy
+        if goal is None or goal.outcome is None or goal.outcome.latched or now is None:
+            return False
+        return goal.monitor.rests(now, strategy.progress(), strategy.joint_state())
+
+    def _leave_fault(self) -> None:
+        self._problem = self._faulty = None
 
     def preempt(self, goal_id: str, arrival: int, patience: float) -> None:
         """End the goal that there is, if any, as cancelled, so that `goal_id` can start where the robot rests then.
@@ -142,15 +168,44 @@ class Machine:
                 self._cleared_by = max(self._cleared_by, arrival)
             self._end(goal_id, _cancelled(why))
 
-    def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> None:
-        """Lead the robot over to this chunk of the stream `goal_id`; nothing where it is not under way or has its last one.
+    def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> Goal | None:
+        """Lead the robot over to this chunk of the stream `goal_id`, and return that; None where it is not under way.
 
-        Raises what `spliced` raises.
+        Raises what `blended` raises.
         """
         with self._lock:
             motion = self._motion_of(goal_id)
-            if motion is not None:
-                motion.steer(chunk, limits)
+            if motion is None:
+                return None
+            motion.steer(chunk, limits)
+            return motion.goal
+
+    def hear(self, authority: Authority, now: float) -> None:
+        """Take up what the servo says, which came at the moment `now` of the monotonic clock."""
+        with self._lock:
+            motion = None if authority.goal_id is None else self._motion_of(authority.goal_id)
+            trajectory = None if motion is None else motion.goal.trajectory
+        limit = None if trajectory is None else self._guard.limit(authority, trajectory)  # no tick waits for this
+        with self._lock:
+            newer = self._guard.hear(authority, now)
+            if newer and motion is not None and motion is self._motion and motion.goal.trajectory is trajectory:
+                motion.permit(authority, limit, self.scene)
+            self._told.notify_all()
+
+    def wait_for_authority(self, goal_id: str, scene: SceneRevision | None) -> bool:
+        """Wait, no longer than a servo may be silent, until one has checked this goal in this scene; whether one has."""
+        with self._told:
+            return self._told.wait_for(
+                lambda: self._guard.checked(goal_id, scene, self._last_tick or -math.inf), self._guard.timeout
+            )
+
+    def demand_guard(self, goal: Goal) -> None:
+        """Raise Unavailable where a servo must guard every motion, and none has given this goal authority."""
+        if self._guard.required and not self.wait_for_authority(goal.goal_id, self.scene):
+            raise Unavailable(
+                "no servo gives this goal authority, and execution.guard is required: start the servo (`zarm status` shows "
+                "it), then execute again"
+            )
 
     def abort(self, goal_id: str, problem: Problem) -> None:
         """End the stream `goal_id`, whose client did wrong, as aborted; that is no fault of the robot."""
@@ -181,7 +236,7 @@ class Machine:
         """
         with self._lock:
             if self._motion is not None and not self._overtaken(arrival):
-                self._motion.resume(self._speed_scale, scene)
+                self._motion.resume(self._speed_scale, scene, self._last_tick or 0.0)
 
     def set_speed(self, speed_scale: float) -> None:
         """Move at this share of the planned speed from now on; a goal that is held does so when it goes on."""
@@ -201,7 +256,7 @@ class Machine:
             if not self._open:
                 self._strategy.open()
                 self._open = True
-            self._problem = None
+            self._leave_fault()
 
     def switch(self, strategy: Strategy, patience: float, arrival: float) -> None:
         """Bring the robot to rest within `patience` s, then let `strategy` move it; a fault stays.
@@ -245,9 +300,10 @@ class Machine:
             self._strategy.open()
         except ZarmError as error:
             message = (
-                f"{why}; and {self._strategy.name} cannot start again: {error}; fix that, then reset "
-                "(executor/reset) or switch to another strategy and reset"
+                f"{why}; and {self._strategy.name} cannot start again: {error}; fix that, or switch to another strategy, then "
+                "reset (executor/reset)"
             )
+            self._faulty = None
             self._problem = Problem(code="unavailable", message=message)
             return Unavailable(message)
         self._open = True
@@ -277,7 +333,8 @@ class Machine:
                 strategy=self._strategy.name,
                 goal_id=self._motion.goal.goal_id if self._motion else None,
                 problem=self._problem,
-                scene_changed=self._motion is not None and self._motion.goal.scene != self.scene,
+                scene_changed=not self._guarded and self._motion is not None and self._motion.goal.scene != self.scene,
+                guarded=self._guarded,
                 speed_scale=self._speed_scale,
                 missed_ticks=self._missed_ticks,
             )
@@ -299,6 +356,10 @@ class Machine:
         with self._lock:
             motion = self._motion_of(goal_id)
             return motion.goal.chunk.sequence if motion is not None and motion.goal.chunk is not None else None
+
+    def moves(self) -> bool:
+        """Whether there is a goal that has not ended."""
+        return self._motion is not None
 
     def joint_state(self) -> Measured | None:
         """The newest measured state of the robot."""
@@ -327,18 +388,21 @@ class Machine:
             self._missed_ticks += max(0, round(dt / self._period) - 1)
             motion = self._motion
             if motion is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
-                motion.end(Outcome.fault_of(_stalled(dt)))
-            self._strategy.tick(now, dt)
+                motion.fail(_stalled(dt))
+            if motion is not None or now - self._looked_at > 0.9 * LOOK_PERIOD:
+                self._looked_at = now
+                self._strategy.tick(now, dt)
+            self._guarded = self._guard.confirm(None if motion is None else motion.goal.goal_id, self.scene, now)
             if motion is not None:
-                ended = motion.advance(now, dt)
+                ended = motion.advance(now, dt, guarded=self._guarded)
                 if ended is not None:
-                    self._rest(ended)
+                    self._rest(motion.goal, ended)
             return self._strategy.joint_state()
 
-    def _rest(self, ended: Outcome) -> None:
+    def _rest(self, goal: Goal, ended: Outcome) -> None:
         self._motion = None
         if ended.fault:
-            self._problem = ended.problem
+            self._problem, self._faulty = ended.problem, goal
         self._rested.notify_all()
 
 
@@ -349,6 +413,6 @@ def _cancelled(why: str) -> Outcome:
 def _stalled(dt: float) -> ExecutionFailed:
     return ExecutionFailed(
         f"the executor's control loop was away for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); find "
-        "out what slows this machine down, then reset",
+        "out what slows this machine down",
         code="driver_stalled",
     )

@@ -19,6 +19,10 @@ BRAKING = 1.5
 Measured over random paths at every limit: 1.13."""
 
 
+class NotStopped(ExecutionFailed):
+    """The robot did not stop, or not where it should have, when it was told to."""
+
+
 class Monitor:
     """Watches one motion. Times are on the monotonic clock; joints in the descriptor's order."""
 
@@ -26,6 +30,7 @@ class Monitor:
         self._trajectory = trajectory
         self._joints = robot.joints
         self._execution = robot.execution
+        self.faults = robot.execution.faults
         delay = 0.0 if robot.strategy_params is None else robot.strategy_params.delay
         alone = max(v / a for v, a in zip(robot.cspace.velocity, robot.cspace.acceleration, strict=True))
         self._stopping = BRAKING * alone + delay + robot.execution.settle_time
@@ -70,7 +75,7 @@ class Monitor:
         if not progress.finished and self._commanded > allowed:
             raise ExecutionFailed(
                 f"the robot is at {progress.time:.2f} s of a motion of {self._trajectory.duration:.2f} s after "
-                f"{self._commanded:.2f} s, more than allowed; check its driver, then reset",
+                f"{self._commanded:.2f} s, more than allowed; check its driver",
                 code="driver_stalled",
             )
         return True
@@ -83,7 +88,7 @@ class Monitor:
             raise ExecutionFailed(
                 f"the robot has reported no new joints for {age:.2f} s (joint_state_timeout "
                 f"{self._execution.joint_state_timeout:g} s, hold_timeout {self._execution.hold_timeout:g} s); check its "
-                "driver, then reset",
+                "driver",
                 code="driver_stalled",
             )
         self._rest_since = self._reached_at = None
@@ -95,7 +100,7 @@ class Monitor:
             raise ExecutionFailed(
                 f"the robot has been at {progress.time:.2f} s of a motion of {self._trajectory.duration:.2f} s for "
                 f"{now - self._reached_at:.2f} s (progress_timeout {self._execution.progress_timeout:g} s); check its "
-                "driver, then reset",
+                "driver",
                 code="driver_stalled",
             )
 
@@ -132,32 +137,37 @@ class Monitor:
     def at_rest(self, now: float, progress: Progress, measured: Measured | None) -> bool:
         """Whether the robot stands still after it was told to stop; asked at every tick from then on.
 
-        Raises ExecutionFailed when it does not, or does not report, `settle_time` after what is commanded has come to
-        rest, and at the latest that long after the longest braking; and where it stands further than `path_tolerance` from
-        where it was commanded to stop: then it has not heard of the stop.
+        Raises ExecutionFailed when it does not report `settle_time` after what is commanded has come to rest; NotStopped when
+        it does not stand then, and at the latest that long after the longest braking, and where it stands further than
+        `path_tolerance` from where it was commanded to stop: then it has not heard of the stop.
         """
         if self._stopping_since is None:
             self._stopping_since = now
         if progress.at_rest:
             fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
             if measured is not None and fresh and self._stopped(measured):
-                self._on_path(measured, progress)
+                self._on_path(measured, progress, NotStopped)
                 return True
             if self._overdue(now):
                 if measured is None or not fresh:
                     raise ExecutionFailed(
                         "the robot was told to stop and no longer reports its joints; look at it, use the emergency stop if "
-                        "it moves, see why its driver is silent, then reset",
+                        "it moves, see why its driver is silent",
                         code="driver_stalled",
                     )
                 self._refuse_to_move(measured)
         if now - self._stopping_since > self._stopping:
-            raise ExecutionFailed(
+            raise NotStopped(
                 f"the robot could not be stopped: it was told to {now - self._stopping_since:.1f} s ago and is still being "
-                "moved; use the emergency stop, then start the executor again",
+                "moved; use the emergency stop, see what moves it",
                 code="driver_stalled",
             )
         return False
+
+    def rests(self, now: float, progress: Progress, measured: Measured | None) -> bool:
+        """Whether the robot stands, as is commanded, by joints that are fresh."""
+        fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
+        return measured is not None and fresh and progress.at_rest and self._stopped(measured)
 
     def _stopped(self, measured: Measured) -> bool:
         return bool(np.all(np.abs(measured.velocity) <= self._execution.stopped_velocity))
@@ -170,23 +180,25 @@ class Monitor:
     def _beside_goal(self, measured: Measured) -> Array:
         return np.abs(measured.position - self._trajectory.end)
 
-    def _on_path(self, measured: Measured, progress: Progress) -> None:
+    def _on_path(
+        self, measured: Measured, progress: Progress, failure: type[ExecutionFailed] = ExecutionFailed
+    ) -> None:
         error, tolerance = np.abs(measured.position - progress.command), self._execution.path_tolerance
         worst = int(error.argmax())
         if not error[worst] <= tolerance:
-            raise ExecutionFailed(
+            raise failure(
                 f"{self._joints[worst]} left the commanded path by {error[worst]:.4f} rad (path_tolerance {tolerance:g}); "
-                "see what holds or pushes the robot, then reset",
+                "see what holds or pushes the robot",
                 code="tolerance_violated",
                 joint=self._joints[worst],
             )
 
     def _refuse_to_move(self, measured: Measured) -> None:
         worst = int(np.abs(measured.velocity).argmax())
-        raise ExecutionFailed(
+        raise NotStopped(
             f"{self._joints[worst]} still moves at {abs(measured.velocity[worst]):.3g} rad/s "
             f"{self._execution.settle_time:g} s after the robot was commanded to rest; use the emergency stop "
-            "if it goes on, see what moves it, then reset",
+            "if it goes on, see what moves it",
             code="tolerance_violated",
             joint=self._joints[worst],
         )

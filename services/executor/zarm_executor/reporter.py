@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 from zarm_contract.errors import ExecutionFailed, Problem
 from zarm_contract.keys import Keys
-from zarm_contract.messages import ExecutorState, GoalState
+from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory
+from zarm_executor.goal import Goal
 from zarm_executor.machine import Machine
 from zarm_runtime.bus import Bus
 from zarm_runtime.metrics import Metrics
@@ -31,7 +32,7 @@ FINISHED_GOALS = 32
 
 
 class Reporter:
-    """Publishes `executor/state` and `executor/goal/<goal_id>`, and keeps the running goal in `running` for a restart.
+    """Publishes `executor/state`, `executor/goal/<goal_id>` and `executor/trajectory`, and keeps the running goal in `running` for a restart.
 
     `on_fault(problem)` is called once all that led to a fault has been published.
     """
@@ -40,12 +41,14 @@ class Reporter:
         self,
         bus: Bus,
         keys: Keys,
+        joints: tuple[str, ...],
         machine: Machine,
         running: StateFile[GoalState],
         on_fault: Callable[[Problem], None],
         metrics: Metrics,
     ) -> None:
         self._keys = keys
+        self._joints = joints
         self._machine = machine
         self._running = running
         self._on_fault = on_fault
@@ -56,6 +59,7 @@ class Reporter:
             self._count_fault(code, 0)
         self._states = bus.latched(keys.executor_state, ExecutorState)
         self._goals = bus.latched(keys.goal("*"), GoalState)
+        self._trajectories = bus.latched(keys.goal_trajectory, GoalTrajectory)
         self._finished: deque[str] = deque()
         self._state: ExecutorState | None = None
         self._published_state = 0.0
@@ -87,6 +91,10 @@ class Reporter:
         """Put on record, before it moves, a goal that a restart must report. Raises Unavailable."""
         self.publish()  # takes the goal before this one off the record
         self._running.save(goal)
+
+    def show(self, goal: Goal) -> None:
+        """Publish what is followed for a goal, from now on."""
+        self._trajectories.set(goal.followed(self._joints))
 
     def forget(self) -> None:
         """Take a goal off the record that was not started after all."""
@@ -128,6 +136,8 @@ class Reporter:
 
     def _publish_state(self, state: ExecutorState, now: float) -> ExecutorState:
         before = self._state
+        if state == before:
+            return state
         if before is None or state != before.model_copy(update={"missed_ticks": state.missed_ticks}):
             _log("state mode=%s strategy=%s", state.mode, state.strategy, problem=state.problem)
             if state.scene_changed and not (before and before.scene_changed and before.goal_id == state.goal_id):
@@ -136,7 +146,7 @@ class Reporter:
                     state.goal_id,
                     "stop it, and plan again, if something is in its way",
                 )
-        elif state == before or now - self._published_state < MISSED_TICKS_PERIOD:
+        elif now - self._published_state < MISSED_TICKS_PERIOD:
             return state
         self._states.set(state)
         if state.mode == "fault" and state.problem is not None and (before is None or before.problem != state.problem):
@@ -156,4 +166,5 @@ def _log(event: str, *values: object, problem: Problem | None) -> None:
     if problem is None:
         log.info(event, *values)
     else:
-        log.info(f"{event} reason=%s", *values, f"{problem.code}: {problem.message}")
+        level = logging.INFO if problem.code == "cancelled" else logging.WARNING
+        log.log(level, f"{event} reason=%s", *values, f"{problem.code}: {problem.message}")

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from zarm_contract.messages import (
+    Authority,
     CancelRequest,
     ExecuteRequest,
     GoalState,
@@ -32,6 +33,7 @@ from zarm_executor.executor import Executor
 from zarm_executor.flight_recorder import FlightRecorder
 from zarm_executor.ghost import PERIOD as GHOST_PERIOD
 from zarm_executor.ghost import Ghost
+from zarm_executor.guard import Guard
 from zarm_executor.loop import LATE, Loop
 from zarm_executor.machine import Machine
 from zarm_executor.plans import Plans
@@ -119,11 +121,18 @@ def start(service: Service) -> Iterator[None]:
         first = strategies.find(service.options.strategy or robot.descriptor.strategy)
         _wait_for(first, service)
         kept_speed = StateFile(folder / "speed.json", Speed)
-        machine = Machine(first, period, speed_scale=_first_speed(robot, kept_speed))
+        machine = Machine(first, period, Guard(robot.descriptor), speed_scale=_first_speed(robot, kept_speed))
+        bus.hurried = machine.moves
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(
-                bus, keys, machine, StateFile(folder / "running_goal.json", GoalState), records.fault, service.metrics
+                bus,
+                keys,
+                joints,
+                machine,
+                StateFile(folder / "running_goal.json", GoalState),
+                records.fault,
+                service.metrics,
             )
             reporter.report_interrupted()
             reporter.publish()
@@ -145,6 +154,9 @@ def start(service: Service) -> Iterator[None]:
                 Loop("reporter", REPORTER_PERIOD, reporter.publish),
             ):
                 bus.watch(keys.scene_revision, SceneEdited, present.hear)
+                command_bus.subscribe(
+                    keys.authority, Authority, lambda _, authority: machine.hear(authority, time.monotonic())
+                )
 
                 def receive(key: str, plan: Plan) -> None:
                     plans.add(key, plan)

@@ -76,7 +76,9 @@ class Streams:
     def _go_on(self, chunk: StreamChunk, received: float) -> None:
         try:
             trajectory = continuation(chunk.trajectory, self._robot, self._turns)
-            self._machine.steer(chunk.goal_id, self._chunk(chunk, trajectory, received), self._limits)
+            goal = self._machine.steer(chunk.goal_id, self._chunk(chunk, trajectory, received), self._limits)
+            if goal is not None:
+                self._reporter.show(goal)
         except ZarmError as error:
             self._machine.abort(chunk.goal_id, error.problem)
             self._reporter.publish()

@@ -26,14 +26,15 @@ stops by itself brakes no harder than the second."""
 STIFFNESS = 8.0
 """How fast a drive that plays positions closes a position error, 1/s."""
 
-Kind = Literal["velocity", "position"]
+Kind = Literal["velocity", "position", "either"]
 
 
 class Player:
     """An arm of J joints at `position` (J,) rad with `velocity` (J,) rad/s.
 
     It plays velocities and ignores positions and times, as the Doosan bridge does, or, with `plays="position"`, positions
-    as a position-controlled arm. Where the points run out it brakes to rest. No joint is ever faster than `ceiling` rad/s,
+    as a position-controlled arm; with `plays="either"` positions where a command has no velocities at all, as those of the strategy
+    `joint_pose`. Where the points run out it brakes to rest. No joint is ever faster than `ceiling` rad/s,
     nor changes its velocity faster than `ceiling` rad/s^2: with a high one it does whatever it is commanded. `feed` (J,) is
     the velocity that it is commanded now, rad/s.
     """
@@ -44,6 +45,7 @@ class Player:
         self.total = 0
         self.played = 0
         self._plays = plays
+        self._by_position = plays == "position"
         self._ceiling = ceiling
         self._positions: Array = np.zeros((0, len(position)))
         self._velocities: Array = np.zeros((0, len(position)))
@@ -64,8 +66,10 @@ class Player:
         Without velocities, (0, J), every point lacks them.
         """
         self.total, self.played = len(positions), 0
+        if self._plays == "either" and self.total:
+            self._by_position = not np.isfinite(velocities).all(axis=-1).any()
         self._positions = _filled(positions, self._target)
-        if self._plays == "velocity":
+        if not self._by_position:
             played = velocities if len(velocities) else np.full_like(positions, np.nan)
             self._velocities = _filled(played, self.feed)
         else:
@@ -79,7 +83,7 @@ class Player:
             self._next_point(stalled)
         self._steps += 1
         wanted = self.feed
-        if self._plays == "position":
+        if self._by_position:
             if self.total == 0 and self.velocity.any():
                 self._target = self.position  # told to stop: it holds where it has come to rest
             wanted = wanted + STIFFNESS * (self._target - self.position)

@@ -22,6 +22,7 @@ from zarm_contract.robot import StrategyParams
 from zarm_leeloo_sim.axes import Axes
 from zarm_leeloo_sim.driver import Command, PlaybackProgress
 from zarm_leeloo_sim.player import Array
+from zarm_runtime import dds
 
 DEPTH = 10
 """Messages that each topic keeps, as those of the real driver do."""
@@ -91,10 +92,11 @@ class RosSide:
 def ros_side(name: str, params: StrategyParams, axes: Axes) -> Iterator[RosSide]:
     """A node `name`, whose commands are taken by a thread of its own until the end."""
     with ExitStack() as stack:
+        dds.join()
         context = Context()
         rclpy.init(context=context)
         stack.callback(context.shutdown)
-        node = Node(name, context=context, enable_rosout=False, start_parameter_services=False)
+        node = Node(name, context=context, enable_rosout=False)
         stack.callback(node.destroy_node)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)

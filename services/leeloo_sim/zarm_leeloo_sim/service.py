@@ -86,9 +86,9 @@ def main() -> int:
     )
     parser.add_argument(
         "--plays",
-        choices=("velocity", "position"),
-        default="velocity",
-        help="which part of a point it plays (default: velocity)",
+        choices=("velocity", "position", "either"),
+        default="either",
+        help="which part of a point it plays; either: velocities, and positions of a command that has no velocities (default: either)",
     )
     parser.add_argument(
         "--ceiling",

@@ -45,6 +45,7 @@ from zarm_planner.constraints.path_constraint import constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.goals.joints import checked, within_range
+from zarm_planner.goals.moving_start import state_of
 from zarm_planner.kinematics.batches import batch_fk, batch_ik
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
@@ -112,21 +113,27 @@ class Handlers:
         planner = self._choose(request)
 
         def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
-            start = within_range(model, self._measured() if request.start is None else request.start, "start")
+            limits = Limits.of(
+                model.robot,
+                request.velocity_scale or settings.velocity_scale,
+                request.acceleration_scale or settings.acceleration_scale,
+            )
+            motion: Array | None = None
+            if request.start_state is not None:
+                state = state_of(model, limits, request.start_state)
+                start, motion = state[0], state[1:]
+            else:
+                start = within_range(model, self._measured() if request.start is None else request.start, "start")
             context = PlanningContext(
                 scene=self._look(request.margin),
-                limits=Limits.of(
-                    model.robot,
-                    request.velocity_scale or settings.velocity_scale,
-                    request.acceleration_scale or settings.acceleration_scale,
-                ),
+                limits=limits,
                 deadline=deadline,
                 path_constraint=request.path_constraint,
                 max_attempts=request.max_attempts or settings.max_attempts,
                 optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
                 seed=request.seed,
             )
-            verified = plan(planner, context, start, request.goal)
+            verified = plan(planner, context, start, request.goal, motion)
             return context.scene.revision, verified, context.timer.timings()
 
         revision, verified, timings = self._scheduler.run(
@@ -140,6 +147,7 @@ class Handlers:
             scene_revision=revision,
             trajectory=trajectory.message(model.robot.descriptor.joints),
             tip=pose_of(model.fk_tip(trajectory.position[-1])),
+            selected_goal_index=verified.goal_pose,
             clearance=verified.clearance,
             resolution=RESOLUTION,
             waypoint_times=verified.waypoint_times,
@@ -157,7 +165,8 @@ class Handlers:
 
     def _choose(self, request: PlanRequest) -> Planner:
         name = request.planner or self._settings.planner
-        return choose(name, request.goal, constrains(request.path_constraint), self._planners)
+        moving = request.start_state is not None
+        return choose(name, request.goal, constrains(request.path_constraint), moving, self._planners)
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:
         """End the planning of a request, or of one that is still on its way here."""

@@ -27,21 +27,27 @@ _FASTEST_ONLY = 2
 
 @dataclass(frozen=True)
 class Verified:
-    """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s."""
+    """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s.
+
+    `goal_pose` says which pose of its goal it reaches, where that has any.
+    """
 
     trajectory: TimedTrajectory
     clearance: float
     waypoint_times: tuple[float, ...]
+    goal_pose: int | None
 
 
-def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal) -> Verified:
+def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> Verified:
     """The trajectory from `start` (dof,) to the goal that `planner` finds. Nothing leaves here that is not verified.
+
+    `motion` (2, dof) are velocity and acceleration at the start, left out where it is at rest.
 
     Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`), InvalidRequest for a goal
     that does not keep the path constraint, and what the deadline raises.
     """
     with context.timer.stage("ik"):
-        problem = PlanningProblem.of(context, start, goal)
+        problem = PlanningProblem.of(context, start, goal, motion)
     verified, seed = _first(planner, context, problem)
     if context.optimize_s > 0.0:
         with context.timer.stage("optimize"):
@@ -78,7 +84,9 @@ def _first(planner: Planner, context: PlanningContext, problem: PlanningProblem)
 
 def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProblem, best: Verified) -> Verified:
     """The fastest among `best` and the trajectories that are found until the deadline of `context`."""
-    least = least_duration(problem.start.asked, problem.goals, context.limits, context.dt)
+    least = 0.0
+    if problem.lead_in is None:
+        least = least_duration(problem.start.asked, problem.goals, context.limits, context.dt)
     faster_than = planner.faster(context, problem)
     while best.trajectory.duration > (1.0 + GAIN) * least:
         try:
@@ -95,13 +103,16 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
 def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and what the deadline raises."""
     goals, limits, check = problem.goals, context.limits, context.deadline.check
-    goal = goals[np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
-    clearance = verify(trajectory, problem.start.asked, goal, limits, context.exact, check, problem.constraint)
-    if not isinstance(problem.goal, WaypointsGoal):
-        return Verified(trajectory, clearance, ())
-    waypoints = [ends[0].asked for ends in problem.targets]  # all ends of one lead to the same pose of the tip
-    tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
-    return Verified(trajectory, clearance, passing_times(context.model, trajectory, waypoints, *tolerances))
+    end = problem.targets[-1][np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
+    start, motion = (problem.start.asked, None) if (led := problem.lead_in) is None else (led.state[0], led.state[1:])
+    clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
+    times: tuple[float, ...] = ()
+    if isinstance(problem.goal, WaypointsGoal):
+        # All ends that reach one pose are the same waypoint.
+        waypoints = [np.array([*{end.pose: end.asked for end in ends}.values()]) for ends in problem.targets]
+        tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
+        times = passing_times(context.model, trajectory, waypoints, *tolerances)
+    return Verified(trajectory, clearance, times, end.pose)
 
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:

@@ -83,7 +83,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             answer = handlers.plan(request)
         except ZarmError as error:
             _count(service.metrics, kind, error.code)
-            log.info("no plan request=%s code=%s reason=%s", request.request_id, error.code, error)
+            log.info("no plan request=%s code=%s reason=%s", request.request_id or "-", error.code, error)
             raise
         plans.set(answer)
         _count(service.metrics, kind, "ok")
@@ -95,7 +95,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         )
         log.info(
             "planned request=%s plan=%s seconds=%.3f clearance=%.4f duration=%.2f",
-            request.request_id,
+            request.request_id or "-",
             answer.plan_id,
             answer.timings.total,
             answer.clearance,

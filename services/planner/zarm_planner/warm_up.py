@@ -23,7 +23,8 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.kinematics.ik import solve_ik
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
-from zarm_planner.timing.smoothing import smooth_path
+from zarm_planner.timing.lead_in import ways_to_rest
+from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
 from zarm_trajectory.limits import Limits
 
 STAGES = 8
@@ -56,6 +57,10 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     away = np.clip(home + 0.1, model.lower, model.upper)
     limits = Limits.of(model.robot)
     trajectory = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, deadline=deadline)
+    state = np.stack((home, 0.1 * limits.velocity, np.zeros(model.dof)))
+    for lead_in in ways_to_rest(model, world, state, limits, 0.01, vias=False, seed=0):
+        brake_to_rest(model, world, lead_in, limits, 0.01)
+        break
     begin("the verification of motions")
     exact = ExactScene(model, world)
     limits.load(trajectory)

@@ -41,6 +41,18 @@ def with_error_msg(handler: Handler) -> Callable[[Any, Any], Any]:
     return answer
 
 
+def without_words(handler: Handler) -> Callable[[Any, Any], Any]:
+    """A service whose answer has no room for what went wrong: its response is then empty, and the log has the reason."""
+
+    def answer(request: Any, response: Any) -> Any:
+        success, text = _outcome(handler, request, response)
+        if not success:
+            log.warning("answered with nothing request=%s reason=%s", type(request).__name__, text.replace("\n", " "))
+        return response
+
+    return answer
+
+
 def _outcome(handler: Handler, request: Any, response: Any) -> tuple[bool, str]:
     try:
         return True, handler(request, response)

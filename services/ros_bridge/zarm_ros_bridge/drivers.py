@@ -18,7 +18,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_contract.robot import StrategyParams
 from zarm_ros_bridge.answers import shortened
-from zarm_ros_bridge.convert.joints import driver_joint_state
+from zarm_ros_bridge.convert.driver_joints import DriverJointStates
 from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
 from zarm_ros_bridge.engine import Engine
@@ -41,8 +41,7 @@ class Drivers:
 
     def __init__(self, ros: Ros, engine: Engine, params: StrategyParams) -> None:
         keys = engine.keys
-        self._joints = engine.joints
-        self._unnamed = params.joint_states_order or engine.joints
+        self._told = DriverJointStates(params.joint_states_order or engine.joints, engine.joints)
         self._topic = params.joint_states_topic
         self._complaints: set[str] = set()
         self._progress = ProgressReader()
@@ -56,7 +55,7 @@ class Drivers:
             COMMAND_DEPTH,
             event_callbacks=PublisherEventCallbacks(matched=self._matched),
         )
-        ros.listen(RosJointState, params.joint_states_topic, self._joint_states, qos_profile_sensor_data)
+        ros.listen(RosJointState, params.joint_states_topic, self._joint_states, qos_profile_sensor_data, raw=True)
         if params.state_topic is not None:
             ros.listen(Float32, params.state_topic, self._state, COMMAND_DEPTH)
         engine.bus.subscribe_timed(keys.driver_command, DriverCommand, self._command)
@@ -74,9 +73,9 @@ class Drivers:
         change = "come" if listeners.current_count_change > 0 else "gone"
         log.info("a driver has %s topic=%s listeners=%d", change, self._commands.topic_name, listeners.current_count)
 
-    def _joint_states(self, message: RosJointState) -> None:
+    def _joint_states(self, message: bytes) -> None:
         try:
-            state = driver_joint_state(message, self._unnamed, self._joints)
+            state = self._told.read(message)
         except InvalidRequest as error:
             self._complain(f"{error.problem.field}: {error.problem.message}")
             return

@@ -6,24 +6,28 @@ import logging
 import threading
 import time
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from geometry_msgs.msg import Pose
 from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from sensor_msgs.msg import JointState
 
-from curobo_msgs.action import MpcMove, SendTrajectory
 from zarm.connection import ANSWER_SECONDS
-from zarm_contract.errors import Busy, InternalError, ZarmError, from_problem
-from zarm_contract.messages import ExecuteRequest, GoalState, Plan, PlanRequest, PoseGoal
+from zarm_contract.errors import Busy, ExecutionRefused, InternalError, ZarmError, from_problem
+from zarm_contract.messages import ExecuteRequest, GoalState
 from zarm_ros_bridge.arrivals import OrderedActionServer
 from zarm_ros_bridge.convert.joints import ros_positions
-from zarm_ros_bridge.convert.poses import is_given, pose_of
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.goals import ASK_SECONDS, Run, states_of
+from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import REQUESTS, Ros
+
+if TYPE_CHECKING:
+    from curobo_msgs.action import MpcMove, SendTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -43,17 +47,21 @@ _JITTER = 0.05  # s by which a state of the executor may be early
 class ExecutionActions:
     """The actions of one robot. Use it in `with`: the end aborts what runs, and the executor goes on with it alone."""
 
-    def __init__(self, ros: Ros, engine: Engine, parameters: Parameters) -> None:
+    def __init__(
+        self, ros: Ros, engine: Engine, parameters: Parameters, motions: Motions, generation: Generation
+    ) -> None:
         self._ros = ros
         self._engine = engine
         self._parameters = parameters
+        self._motions = motions
+        self._generation = generation
         self._turn = threading.Condition()
         self._running: Run | None = None
         self._newest: Run | None = None  # the one that came last
         engine.client.connection.goals.listen()
-        self._serve(SendTrajectory, "execute_trajectory", self._execute, self._admit)
-        self._serve(SendTrajectory, "send_trajectory", self._execute, self._admit)
-        self._serve(MpcMove, "mpc_move", self._refuse, lambda _: GoalResponse.ACCEPT)
+        self._serve("SendTrajectory", "execute_trajectory", self._execute, self._admit)
+        self._serve("SendTrajectory", "send_trajectory", self._execute, self._admit)
+        self._serve("MpcMove", "mpc_move", self._refuse, lambda _: GoalResponse.ACCEPT)
         ros.node.create_subscription(Pose, "~/mpc_goal", self._ignore, 1, callback_group=ros.group)
 
     def __enter__(self) -> Self:
@@ -67,10 +75,12 @@ class ExecutionActions:
             run.leave()
             run.ended.wait(_END_SECONDS)
 
-    def _serve(self, kind: Any, name: str, execute: Any, admit: Any) -> None:
+    def _serve(self, kind: str, name: str, execute: Any, admit: Any) -> None:
+        if (action := self._generation.types.get(f"action/{kind}")) is None:
+            return
         OrderedActionServer(  # which the node keeps
             self._ros.node,
-            kind,
+            action,
             f"~/{name}",
             execute,
             goal_callback=admit,
@@ -98,10 +108,10 @@ class ExecutionActions:
 
     def _refuse(self, handle: ServerGoalHandle) -> MpcMove.Result:
         handle.abort()
-        return MpcMove.Result(
-            success=False,
-            message=_NO_MPC,
-        )
+        return self._result("MpcMove", success=False, message=_NO_MPC)
+
+    def _result(self, kind: str, *, success: bool, message: str) -> Any:
+        return self._generation.types[f"action/{kind}"].Result(success=success, message=message)
 
     def _ignore(self, _: Pose) -> None:
         self._ros.node.get_logger().warning(f"mpc_goal moves nothing: {_NO_MPC}.", once=True)
@@ -118,19 +128,20 @@ class ExecutionActions:
             return self._failed(run, InternalError("the ROS bridge failed on this goal; its log has the trace"))
         else:
             handle.succeed()
-            return SendTrajectory.Result(success=True, message="Trajectory executed successfully")
+            return self._result("SendTrajectory", success=True, message="Trajectory executed successfully")
         finally:
             self._pass_turn(run)
             run.ended.set()
 
     def _failed(self, run: Run, error: ZarmError) -> SendTrajectory.Result:
-        log.info("goal not reached reason=%s: %s", error.code, error)
+        level = logging.INFO if error.code == "cancelled" else logging.WARNING
+        log.log(level, "goal not reached reason=%s: %s", error.code, error)
         if error.code == "cancelled" and run.cancelled():
             run.handle.canceled()
         else:
             run.handle.abort()
         message = "another goal took the place of this one, and the robot was brought to rest" if run.preempted else ""
-        return SendTrajectory.Result(success=False, message=message or str(error))
+        return self._result("SendTrajectory", success=False, message=message or str(error))
 
     def _take_turn(self, run: Run) -> None:
         """Wait for the goal that runs where this one preempts it; whichever came last has the turn.
@@ -174,34 +185,42 @@ class ExecutionActions:
 
     def _move(self, run: Run) -> None:
         """Plan where there is a target, and execute. Raises what the planner or the executor answers."""
-        feedback = _Feedback(run.handle, self._engine.joints, self._parameters.value("time_dilation_factor"))
-        request = ExecuteRequest()
-        if is_given(target := run.handle.request.target_pose):
-            feedback.planning()
-            request = ExecuteRequest(plan_id=self._plan(run, pose_of(target, "target_pose")).plan_id)
-        run.go_on()
-        for state in run.follow(self._engine.client.start(request, timeout=ANSWER_SECONDS)):
+        feedback = _Feedback(
+            run.handle, self._engine.joints, self._parameters.value("time_dilation_factor"), self._generation
+        )
+        for state in run.follow(self._start(run, feedback)):
             feedback.show(state)
         if state.problem is not None:
-            raise from_problem(state.problem)
+            raise self._engine.terms.of_error(from_problem(state.problem))
 
-    def _plan(self, run: Run, target: Any) -> Plan:
-        value = self._parameters.value
-        request = PlanRequest(
-            goal=PoseGoal(kind="pose", position=target.position, orientation=target.orientation),
-            planner="auto",
-            timeout=value("timeout"),
-            max_attempts=value("max_attempts"),
-            margin=value("collision_activation_distance"),
-        )
-        return run.plan(request)
+    def _start(self, run: Run, feedback: _Feedback) -> str:
+        """The goal of the executor that a client's goal becomes; where it has a target, that is planned to."""
+        goal, motions = run.handle.request, self._motions
+        asked = self._generation.goal(goal, motions.planner, self._engine.joints)
+        if asked is None:
+            motions.check_last()
+            return self._started(run, ExecuteRequest())
+        if goal.allow_cached and (plan := motions.made(asked)) is not None:
+            try:
+                return self._started(run, ExecuteRequest(plan_id=plan.plan_id))
+            except ExecutionRefused as error:
+                log.info("planned anew plan_id=%s reason=%s", plan.plan_id, error)
+        feedback.planning()
+        return self._started(run, ExecuteRequest(plan_id=motions.plan(asked, run.plan).plan_id))
+
+    def _started(self, run: Run, request: ExecuteRequest) -> str:
+        run.go_on()
+        return self._engine.client.start(request, timeout=ANSWER_SECONDS)
 
 
 class _Feedback:
     """Tells a client how its goal is doing: every change, and in motion as often as the cadence allows."""
 
-    def __init__(self, handle: ServerGoalHandle, joints: tuple[str, ...], factor: float) -> None:
+    def __init__(
+        self, handle: ServerGoalHandle, joints: tuple[str, ...], factor: float, generation: Generation
+    ) -> None:
         self._handle = handle
+        self._generation = generation
         self._joints = joints
         self._period = FEEDBACK_UNIT * factor - _JITTER
         self._shown: GoalState | None = None
@@ -209,7 +228,7 @@ class _Feedback:
 
     def planning(self) -> None:
         """Before there is anything to tell."""
-        self._handle.publish_feedback(SendTrajectory.Feedback(state="planning"))
+        self._tell("planning", 0.0, JointState())
 
     def show(self, state: GoalState) -> None:
         """A state of the executor's goal, new or again."""
@@ -219,9 +238,11 @@ class _Feedback:
         self._shown, self._when = state, now
         joint_command = ros_positions(self._joints, state.joint_command)
         joint_command.header.stamp = ros_time(time.time())
-        self._handle.publish_feedback(
-            SendTrajectory.Feedback(state=state.status, step_progression=state.progress, joint_command=joint_command)
-        )
+        self._tell(state.status, state.progress, joint_command)
+
+    def _tell(self, state: str, progress: float, joint_command: JointState) -> None:
+        kind = self._generation.types["action/SendTrajectory"].Feedback
+        self._handle.publish_feedback(self._generation.feedback(kind, state, progress, joint_command))
 
 
 def _busy() -> str:

@@ -12,8 +12,8 @@ from zarm_ros_bridge.ros import Ros
 class Faults:
     """reset_fault, which the reference does not have: it knows no faults.
 
-    Nothing else on ROS leaves a fault, a switch of the strategy neither: a script that switches before every goal would move a
-    robot that somebody has yet to look at.
+    Nothing else that is called on ROS leaves a fault, a switch of the strategy neither: a script that switches before every goal
+    would move a robot that somebody has yet to look at.
     """
 
     def __init__(self, ros: Ros, engine: Engine) -> None:
@@ -23,4 +23,4 @@ class Faults:
     def _reset(self, _: Trigger.Request, __: Trigger.Response) -> str:
         problem = self._engine.client.state().problem
         self._engine.client.reset()
-        return f"reset; what was wrong: {problem.message}" if problem is not None else "nothing was wrong"
+        return f"reset; what was wrong: {self._engine.terms.of(problem.message)}" if problem else "nothing was wrong"

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import Pose as RosPose
 from sensor_msgs.msg import JointState as RosJointState
 from std_msgs.msg import Bool
 
-from curobo_msgs.srv import Fk, Ik, IkBatch, WarmupFK, WarmupIK
 from zarm_contract.errors import InvalidRequest, PlanningFailed
 from zarm_contract.messages import IkRequest, Pose
 from zarm_ros_bridge.answers import with_error_msg, with_message
 from zarm_ros_bridge.convert.joints import positions_of, ros_positions
 from zarm_ros_bridge.convert.poses import pose_of, ros_pose
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.ros import Ros
+
+if TYPE_CHECKING:
+    from curobo_msgs.srv import Fk, Ik, IkBatch, WarmupFK, WarmupIK
 
 MOST = 1000
 """Poses or joint states in one request."""
@@ -27,13 +31,13 @@ _SECONDS = 65.0
 class Kinematics:
     """ik, ik_batch, fk, warmup_ik and warmup_fk."""
 
-    def __init__(self, ros: Ros, engine: Engine) -> None:
+    def __init__(self, ros: Ros, engine: Engine, generation: Generation) -> None:
         self._engine = engine
-        ros.serve(Ik, "~/ik", with_error_msg(self._ik))
-        ros.serve(IkBatch, "~/ik_batch", with_error_msg(self._ik_batch))
-        ros.serve(Fk, "~/fk", with_error_msg(self._fk))
-        ros.serve(WarmupIK, "~/warmup_ik", with_message(self._warmup_ik))
-        ros.serve(WarmupFK, "~/warmup_fk", with_message(self._warmup_fk))
+        generation.serve(ros, "Ik", "~/ik", with_error_msg(self._ik))
+        generation.serve(ros, "IkBatch", "~/ik_batch", with_error_msg(self._ik_batch))
+        generation.serve(ros, "Fk", "~/fk", with_error_msg(self._fk))
+        generation.serve(ros, "WarmupIK", "~/warmup_ik", with_message(self._warmup_ik))
+        generation.serve(ros, "WarmupFK", "~/warmup_fk", with_message(self._warmup_fk))
 
     def _ik(self, request: Ik.Request, response: Ik.Response) -> str:
         (response.joint_states,), (response.joint_states_valid,) = self._solved([pose_of(request.pose, "pose")])

@@ -19,8 +19,9 @@ from zarm_ros_bridge.engine import Engine
 
 log = logging.getLogger(__name__)
 
-PLANNERS = ("classic", "mpc", "batch", "constrained", "multipoint", "joint_space")
+PLANNERS = ("classic", "mpc", "batch", "constrained", "multipoint", "joint_space", "retarget")
 """The values of `planner_type`, each at its number in curobo_msgs/srv/SetPlanner."""
+AVAILABLE = "node_is_available"
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,12 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     yield _Declared("max_mpc_iterations", 1000, "Steps after which mpc_move gives up.", (1, 1_000_000))
     yield _Declared("mpc_horizon", 30, "Steps that mpc_move looks ahead.", (1, 1000))
     yield _Declared("mpc_control_frequency", 50.0, "Steps of mpc_move in a second (Hz).", (1.0, 500.0))
+    yield _Declared("convergence_threshold_rad", 0.05, "Turn at which mpc_move has arrived (rad).", (0.0001, 3.0))
+    yield _Declared("convergence_hold_steps", 1, "Steps for which mpc_move must have arrived.", (1, 10_000))
+    yield _Declared("mpc_step_dt", 0.03, "Duration of a step of mpc_move (s).", (0.001, 1.0))
+    yield _Declared("mpc_horizon_steps", 30, "Steps that mpc_move looks ahead.", (1, 1000))
+    # What is told
+    yield _Declared(AVAILABLE, False, "Whether planner and executor have been ready; nobody else sets it.")
 
 
 class Parameters:

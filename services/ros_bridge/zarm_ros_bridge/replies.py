@@ -1,7 +1,7 @@
 """Replies to clients that DDS is still getting to know.
 
 DDS finds the two directions of a service one after the other, so a request may come before the way back to its client is known.
-rmw_fastrtps waits a moment for it (`dds_profiles.xml`), in which rclpy lets no other thread of Python run; then it drops the reply,
+rmw_fastrtps waits a moment for it (`dds_network.xml`), in which rclpy lets no other thread of Python run; then it drops the reply,
 rclpy warns, and the client waits for ever. rclpy leaves no other place to send it again than where it is sent.
 """
 

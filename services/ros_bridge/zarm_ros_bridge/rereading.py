@@ -13,6 +13,7 @@ RESTART_SECONDS = 60.0
 """Longest wait for a service that starts anew; a planner takes some seconds, and half a minute where it has to compile."""
 
 _SERVICES = ("executor", "planner")  # the executor first: it is the one that may refuse, and then nothing has changed
+_WHERE_THERE = ("servo",)
 _FIXED = ("name", "base_link", "tip_link", "joints", "strategy_params")
 
 
@@ -31,7 +32,8 @@ def reread_robot(engine: Engine) -> str:
         )
     strategy = engine.client.strategy().active
     renewed = []
-    for service in _SERVICES:
+    there = [service for service in _WHERE_THERE if engine.bus.alive(engine.keys.alive(service, "*"))]
+    for service in (*_SERVICES, *there):
         if engine.client.connection.ask(engine.keys.reread(service), Health).robot_hash != robot.hash:
             renewed.append(service)
             _wait_for(engine, service, robot.hash)

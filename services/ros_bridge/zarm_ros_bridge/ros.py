@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
-from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from zarm_ros_bridge.leader_followers import LeaderFollowersExecutor
-from zarm_ros_bridge.rclpy_parts import CheckedParameterService
+from zarm_ros_bridge.rclpy_parts import CheckedParameterService, Reception
 from zarm_ros_bridge.replies import Unanswered
+from zarm_runtime import dds
 
 log = logging.getLogger(__name__)
 
@@ -33,63 +32,59 @@ REQUESTS = QoSProfile(
 client waits for ever."""
 
 
-WITHOUT_SHARED_MEMORY = ("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-"""What a process that was killed has left in the shared memory of Fast DDS holds up whoever opens it next, for a third of a
-second: a driver that sends to a bridge, or a bridge that answers a client."""
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("dds_profiles.xml")))
-
-
 class Ros:
     """The node `name` under `namespace`, in a context of its own, served by `workers` threads from `spin` on.
 
-    With `parameters` it has the services of parameters, and tells its log on /rosout.
+    With `parameters` it has the services of parameters, and tells its log on /rosout. Other nodes have names that begin with `_`, so
+    that tools pass over them: `ros2 param list` waits for each node that it sees.
 
     Use it in `with`. Services and actions of `node` in `group` may wait, each in a thread. What arrives at a high rate goes to `listen`:
-    a second node with a thread of its own, whose callbacks must return quickly; rclpy looks at every entity of a node for each
-    message, so this one has nothing else. DDS refuses two types under one name in one participant; a second `Ros` is a second
-    participant. There is no shared memory with other processes, and `dds_profiles.xml` holds, unless the environment says otherwise.
+    a second node, which has nothing else, with a thread of its own, whose callbacks must return quickly. DDS refuses two types under
+    one name in one participant; a second `Ros` is a second participant. It reaches whom `zarm_runtime.dds` says.
     """
 
     def __init__(self, name: str, namespace: str = "", *, workers: int, parameters: bool = False) -> None:
-        os.environ.setdefault(*WITHOUT_SHARED_MEMORY)
-        os.environ.setdefault(*PROFILES)
+        dds.join()
         self._context = Context()
         rclpy.init(args=[], context=self._context)
         self.node = self._node(name, namespace, parameters=parameters)
         self.group = ReentrantCallbackGroup()
-        self._listener = self._node(f"{name}_listener", namespace, parameters=False)
-        executors: list[tuple[Executor, Node, int]] = [
-            (LeaderFollowersExecutor(self._context), self.node, workers + 1),  # one of which waits
-            (SingleThreadedExecutor(context=self._context), self._listener, 1),
-        ]
-        self._executors = [(executor, node) for executor, node, _ in executors]
-        self._threads = [
-            threading.Thread(target=_spin, args=(executor,), name=f"ros {node.get_name()}")
-            for executor, node, threads in executors
-            for _ in range(threads)
+        self._listener = self._node(f"_{name.lstrip('_')}_listener", namespace, parameters=False)
+        self._executor = LeaderFollowersExecutor(self._context)
+        self._reception = Reception(self._listener)
+        self._listening = threading.Thread(target=_run, args=(self._reception.run,), name=f"ros {name}_listener")
+        self._workers = [
+            threading.Thread(target=_run, args=(self._executor.spin,), name=f"ros {name}")
+            for _ in range(workers + 1)  # one of which waits
         ]
 
     def serve(self, kind: type[Any], name: str, answer: Callable[[Any, Any], Any]) -> None:
         """The service `name`: `answer(request, response)` returns the response, and may wait. Before `spin`."""
         self.node.create_service(kind, name, answer, qos_profile=REQUESTS, callback_group=self.group)
 
-    def listen(self, kind: type[Any], topic: str, callback: Callable[[Any], None], qos: QoSProfile | int) -> None:
-        """Call `callback(message)` for each message on `topic`, one at a time. Before `spin`."""
-        self._listener.create_subscription(kind, topic, callback, qos)
+    def listen(
+        self,
+        kind: type[Any],
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile | int,
+        *,
+        raw: bool = False,
+    ) -> None:
+        """Call `callback(message)` for each message on `topic`, as bytes if `raw`, one at a time. Before `spin`."""
+        self._listener.create_subscription(kind, topic, callback, qos, raw=raw)
 
     def spin(self) -> None:
         """Serve from now on."""
-        for executor, node in self._executors:
-            executor.add_node(node)
-        for thread in self._threads:
+        self._executor.add_node(self.node)
+        for thread in (self._listening, *self._workers):
             thread.start()
 
     def stop_listening(self) -> None:
         """Call no callback of `listen` any more, once the one that runs is at its end."""
-        executor, _ = self._executors[-1]
-        executor.shutdown()
-        if self._threads[-1].is_alive():
-            self._threads[-1].join()
+        self._reception.end()
+        if self._listening.is_alive():
+            self._listening.join()
 
     def __enter__(self) -> Self:
         return self
@@ -97,12 +92,12 @@ class Ros:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for executor, _ in self._executors:
-            executor.shutdown()
-        for thread in self._threads:
+        self.stop_listening()
+        self._executor.shutdown()
+        for thread in self._workers:
             if thread.is_alive():
                 thread.join()
-        for _, node in self._executors:
+        for node in (self.node, self._listener):
             node.destroy_node()
         self._context.shutdown()
 
@@ -113,6 +108,7 @@ class Ros:
             context=self._context,
             use_global_arguments=False,
             start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=parameters)],
             enable_rosout=parameters,
         )
         if parameters:
@@ -120,11 +116,11 @@ class Ros:
         return node
 
 
-def _spin(executor: Executor) -> None:
-    """Until the executor is shut down: rclpy ends with the first callback that raises, and a node would be deaf from then on."""
+def _run(work: Callable[[], None]) -> None:
+    """Until it returns: rclpy ends with the first callback that raises, and a node would be deaf from then on."""
     while True:
         try:
-            executor.spin()
+            work()
         except Unanswered as error:
             log.warning("unanswered reason=%s", error)
         except Exception:

@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import MutableMapping
+from typing import TYPE_CHECKING
 
 from std_srvs.srv import Trigger
 
-from curobo_msgs.srv import (
-    AddObject,
-    GetCollisionDistance,
-    GetVoxelGrid,
-    RemoveObject,
-    SetCollisionCache,
-    SetLinkCollision,
-)
 from zarm_contract.errors import InvalidRequest, ZarmError
-from zarm_ros_bridge.answers import with_message
+from zarm_ros_bridge.answers import with_message, without_words
 from zarm_ros_bridge.convert.colours import Colour, colour_of
 from zarm_ros_bridge.convert.fields import in_terms_of
-from zarm_ros_bridge.convert.joints import is_empty, positions_of
-from zarm_ros_bridge.convert.scene import FIELDS, name_of, object_of, ros_cloud
+from zarm_ros_bridge.convert.joints import known_as
+from zarm_ros_bridge.convert.scene import FIELDS, fill_grid, name_of, object_of
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
 
+if TYPE_CHECKING:
+    from curobo_msgs.srv import (
+        AddObject,
+        GetCollisionDistance,
+        GetVoxelGrid,
+        RemoveObject,
+        SetCollisionCache,
+        SetLinkCollision,
+    )
+
 _SECONDS = 65.0
 """Longest wait for what the planner gives 60 s."""
+_MOST_COUNTED = 127
+"""The greatest int8."""
 
 
 class SceneServices:
@@ -33,19 +39,27 @@ class SceneServices:
     and set_link_collision. `colours` are those of objects by name, for whoever shows them; the scene knows none.
     """
 
-    def __init__(self, ros: Ros, engine: Engine, parameters: Parameters, colours: MutableMapping[str, Colour]) -> None:
+    def __init__(
+        self,
+        ros: Ros,
+        engine: Engine,
+        parameters: Parameters,
+        colours: MutableMapping[str, Colour],
+        generation: Generation,
+    ) -> None:
         self._engine = engine
+        self._generation = generation
         self._scene = engine.client.scene
         self._parameters = parameters
         self._colours = colours
-        ros.serve(AddObject, "~/add_object", with_message(self._add))
-        ros.serve(RemoveObject, "~/remove_object", with_message(self._remove))
+        generation.serve(ros, "AddObject", "~/add_object", with_message(self._add))
+        generation.serve(ros, "RemoveObject", "~/remove_object", with_message(self._remove))
         ros.serve(Trigger, "~/remove_all_objects", with_message(self._remove_all))
         ros.serve(Trigger, "~/get_obstacles", with_message(self._obstacles))
-        ros.serve(GetVoxelGrid, "~/get_voxel_grid", with_message(self._voxels))
-        ros.serve(GetCollisionDistance, "~/get_collision_distance", with_message(self._distance))
-        ros.serve(SetCollisionCache, "~/set_collision_cache", with_message(self._cache))
-        ros.serve(SetLinkCollision, "~/set_link_collision", with_message(self._links))
+        generation.serve(ros, "GetVoxelGrid", "~/get_voxel_grid", without_words(self._voxels))
+        generation.serve(ros, "GetCollisionDistance", "~/get_collision_distance", without_words(self._distance))
+        generation.serve(ros, "SetCollisionCache", "~/set_collision_cache", with_message(self._cache))
+        generation.serve(ros, "SetLinkCollision", "~/set_link_collision", with_message(self._links))
 
     def _add(self, request: AddObject.Request, _: AddObject.Response) -> str:
         item = object_of(request)
@@ -71,35 +85,29 @@ class SceneServices:
         return f"Object '{name}' removed; the scene has {edited.count}"
 
     def _remove_all(self, _: Trigger.Request, __: Trigger.Response) -> str:
+        count = len(self._scene.read().objects)
         self._scene.clear()
         self._colours.clear()
-        return "All objects removed"
+        return f"All {count} obstacles removed"
 
     def _obstacles(self, _: Trigger.Request, __: Trigger.Response) -> str:
-        names = [item.name for item in self._scene.read().objects]
-        return ", ".join(names) if names else "no obstacles"
+        return "\n".join(item.name for item in self._scene.read().objects)
 
-    def _voxels(self, _: GetVoxelGrid.Request, response: GetVoxelGrid.Response) -> str:
+    def _voxels(self, request: GetVoxelGrid.Request, response: GetVoxelGrid.Response) -> str:
         try:
             occupancy = self._scene.occupancy(self._parameters.value("voxel_size"))
         except ZarmError as error:
             raise in_terms_of(error, {"resolution": "voxel_size"}) from error
-        response.voxel_grid = ros_cloud(occupancy, self._engine.robot.descriptor.base_link)
-        return f"{len(occupancy.cells)} voxels of {occupancy.resolution:g} m are occupied"
+        fill_grid(
+            response.voxel_grid, occupancy, self._engine.robot.descriptor.base_link, self._generation.box(request)
+        )
+        return ""
 
-    def _distance(self, request: GetCollisionDistance.Request, response: GetCollisionDistance.Response) -> str:
-        joints = None
-        if not is_empty(request.joint_state):
-            joints = (positions_of(request.joint_state, self._engine.joints, "joint_state"),)
-        (result,) = self._engine.client.check(joints, spheres=True, timeout=_SECONDS)
-        response.distances = list(result.spheres or ())
-        response.in_collision = result.in_collision
-        if result.pair is None:
-            return f"nothing is within {result.clearance:g} m"
-        one, other = result.pair
-        if result.in_collision:
-            return f"{one} is {-1e3 * result.clearance:.1f} mm inside {other}"
-        return f"{one} is {1e3 * result.clearance:.1f} mm from {other}"
+    def _distance(self, _: GetCollisionDistance.Request, response: GetCollisionDistance.Response) -> str:
+        (result,) = self._engine.client.check(None, spheres=True, timeout=_SECONDS)
+        response.data = list(result.spheres or ())
+        response.nb_sphere = min(len(response.data), _MOST_COUNTED)
+        return ""
 
     def _cache(self, request: SetCollisionCache.Request, response: SetCollisionCache.Response) -> str:
         kinds = ("obb", "mesh", "blox")
@@ -119,11 +127,13 @@ class SceneServices:
         if not request.link_names:
             raise InvalidRequest("name the links", field="link_names")
         known = self._engine.robot.descriptor.spheres
-        applied = [name for name in dict.fromkeys(request.link_names) if name in known]
-        response.unknown_links = [name for name in dict.fromkeys(request.link_names) if name not in known]
+        asked = {name: known_as(name, known) for name in request.link_names}
+        applied = [name for name, link in asked.items() if link in known]
+        response.unknown_links = [name for name, link in asked.items() if link not in known]
         if applied:
+            links = dict.fromkeys(asked[name] for name in applied)
             try:
-                self._scene.set_link_collision(*applied, enabled=request.enabled)
+                self._scene.set_link_collision(*links, enabled=request.enabled)
             except ZarmError as error:
                 raise in_terms_of(error, {"edit.names": "link_names"}) from error
             response.applied_links = applied

@@ -7,18 +7,24 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from zarm_contract.errors import InvalidRequest
+from zarm_ros_bridge.additions import Additions
+from zarm_ros_bridge.availability import Availability
 from zarm_ros_bridge.convert.colours import Colour
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.execution import ExecutionActions
 from zarm_ros_bridge.faults import Faults
+from zarm_ros_bridge.generations.c import GenerationC
+from zarm_ros_bridge.generations.installed import installed
 from zarm_ros_bridge.kinematics import Kinematics
+from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.replies import insist
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.scene import SceneServices
 from zarm_ros_bridge.strategies import StrategyServices
+from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
 from zarm_ros_bridge.world_file import WorldFile
 from zarm_runtime.service import Service, run_service, service_parser
@@ -33,28 +39,40 @@ WORKERS = 16
 def start(service: Service) -> Iterator[None]:
     """The node of one robot, and beside it the one that serves `set_robot_strategy` by its first type."""
     namespace = _namespace(service)
+    generation = installed()
+    service.note = str(generation)
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
-        Ros(f"{NODE}_v1", namespace, workers=2) as first,
+        Ros(f"_{NODE}_v1", namespace, workers=2) as first,
         service.open_bus() as bus,  # closed before the nodes go: nothing comes from it for nodes that are gone
         ExitStack() as listening,  # nor from a driver for a bus that is closed
     ):
         listening.callback(ros.stop_listening)
-        engine = Engine(bus, service.keys, service.robot)
-        parameters = Parameters(ros.node, engine)
-        colours: dict[str, Colour] = {}
-        Planning(ros, engine, parameters)
-        Kinematics(ros, engine)
-        Faults(ros, engine)
-        SceneServices(ros, engine, parameters, colours)
         params = service.robot.descriptor.strategy_params
+        engine = Engine(
+            bus, service.keys, service.robot, Terms(ros.node.get_fully_qualified_name(), service.keys, params)
+        )
+        parameters = Parameters(ros.node, engine)
+        motions = Motions(engine, parameters)
+        colours: dict[str, Colour] = {}
+        Planning(ros, engine, parameters, motions, generation)
+        Kinematics(ros, engine, generation)
+        Faults(ros, engine)
+        SceneServices(ros, engine, parameters, colours, generation)
         if params is not None:
             Drivers(ros, engine, params)
         WorldFile(engine, parameters)
+        additions = isinstance(generation, GenerationC)
+        topics = Topics(ros, engine, colours, obstacles=("~/obstacles", "~/scene_obstacles")[: 1 + additions])
+        if additions:
+            Additions(ros, engine, motions, topics.show_spheres)
+        else:
+            topics.show_spheres(True)
         with (
-            Topics(ros, engine, colours),
-            StrategyServices(ros, first, engine, parameters),
-            ExecutionActions(ros, engine, parameters),
+            topics,
+            StrategyServices(ros, first, engine, parameters, generation),
+            ExecutionActions(ros, engine, parameters, motions, generation),
+            Availability(engine, parameters),
         ):
             ros.spin()
             first.spin()

@@ -5,18 +5,21 @@ from __future__ import annotations
 import logging
 import threading
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import ValidationError
 from std_srvs.srv import Trigger
 
-from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.messages import Strategies, StrategyRequest
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.generations.generation import Generation
 from zarm_ros_bridge.parameters import Parameters, robot_type
 from zarm_ros_bridge.ros import Ros
+
+if TYPE_CHECKING:
+    from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
 
 log = logging.getLogger(__name__)
 
@@ -28,8 +31,9 @@ class StrategyServices:
     switches: after every change it is read anew, so that what is written last is what is.
     """
 
-    def __init__(self, ros: Ros, first: Ros, engine: Engine, parameters: Parameters) -> None:
+    def __init__(self, ros: Ros, first: Ros, engine: Engine, parameters: Parameters, generation: Generation) -> None:
         self._engine = engine
+        self._generation = generation
         self._parameters = parameters
         self._active = engine.robot.descriptor.strategy
         self._showing = threading.Lock()
@@ -38,9 +42,9 @@ class StrategyServices:
         self._follower = threading.Thread(target=self._follow, name="strategy parameters")
         parameters.on_change("control_strategy", self._switch, self._changed.set)
         parameters.on_change("robot_type", self._check_type)
-        ros.serve(SetRobotStrategy, "~/set_robot_strategy", with_message(self._set))
+        generation.serve(ros, "SetRobotStrategy", "~/set_robot_strategy", with_message(self._set))
         ros.serve(Trigger, "~/get_robot_strategy", with_message(self._get))
-        ros.serve(GetRobotStrategies, "~/get_robot_strategies", self._list)
+        generation.serve(ros, "GetRobotStrategies", "~/get_robot_strategies", self._list)
         first.serve(Trigger, f"{ros.node.get_name()}/set_robot_strategy", with_message(self._set_chosen))
 
     def __enter__(self) -> Self:
@@ -59,9 +63,10 @@ class StrategyServices:
     def _set(self, request: SetRobotStrategy.Request, response: SetRobotStrategy.Response) -> str:
         before = self._engine.client.strategy().active
         response.previous_robot_strategy = response.current_robot_strategy = before
-        self._switch(request.robot_strategy)
-        response.current_robot_strategy = request.robot_strategy
-        return _switched(before, request.robot_strategy)
+        strategy = self._generation.strategy(request, self._engine.robot.descriptor.name)
+        self._switch(strategy)
+        response.current_robot_strategy = strategy
+        return _switched(before, strategy) + self._fault()
 
     def _set_chosen(self, _: Any, __: Any) -> str:
         """Version 1: apply what robot_type says. Where that fails, robot_type goes back to what is active."""
@@ -72,12 +77,16 @@ class StrategyServices:
         except ZarmError:
             self._parameters.set("robot_type", self._type(self._active))
             raise
-        return _switched(before, chosen)
+        return _switched(before, chosen) + self._fault()
 
     def _get(self, _: Any, __: Any) -> str:
         active = self._engine.client.strategy().active
-        known = self._type(active)
-        return f"Active strategy: '{active}'" + ("" if known == active else f" (robot_type '{known}')")
+        return self._generation.active(active, self._type(active)) + self._fault()
+
+    def _fault(self) -> str:
+        """What is to be said of a fault, where there is one, beside the strategy."""
+        problem = self._engine.client.state().problem
+        return "" if problem is None else f"; the robot is in fault: {self._engine.terms.of(problem.message)}"
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
         """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""
@@ -104,8 +113,7 @@ class StrategyServices:
         self._show()
 
     def _follow(self) -> None:
-        while not self._ended:
-            self._changed.wait()
+        while self._changed.wait() and not self._ended:
             self._changed.clear()
             try:
                 self._show()

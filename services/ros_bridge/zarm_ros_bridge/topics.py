@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Self
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState as RosJointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from zarm_contract.messages import ExecutorState, JointState, Plan, Scene
 from zarm_ros_bridge.convert.colours import Colour
@@ -26,13 +27,14 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Topics:
-    """Publishes under the names of the reference. `colours` (red, green, blue, alpha) are those of objects by name.
+    """Publishes under the names of the reference, the scene as `obstacles`. `colours` (red, green, blue, alpha) are those of
+    objects by name.
 
     Where the robot's own driver tells its joints on `joint_states`, the bridge does not: it would hear itself, and take an
     emulated robot for the real one. Use it in `with`.
     """
 
-    def __init__(self, ros: Ros, engine: Engine, colours: dict[str, Colour]) -> None:
+    def __init__(self, ros: Ros, engine: Engine, colours: dict[str, Colour], *, obstacles: Sequence[str]) -> None:
         self._engine = engine
         self._colours = colours
         self._emulated = False
@@ -43,7 +45,7 @@ class Topics:
         own = node.resolve_topic_name("joint_states")
         told = params is not None and node.resolve_topic_name(params.joint_states_topic) == own
         self._trajectory = node.create_publisher(JointTrajectory, "trajectory", DEPTH)
-        self._obstacles = node.create_publisher(MarkerArray, "~/obstacles", LATCHED)
+        self._obstacles = [node.create_publisher(MarkerArray, topic, LATCHED) for topic in obstacles]
         self._spheres = node.create_publisher(MarkerArray, "~/collision_spheres", LATCHED)
         description = String(data=shown_description(engine.robot))
         self._descriptions = [
@@ -51,7 +53,6 @@ class Topics:
         ]
         for publisher in self._descriptions:
             publisher.publish(description)
-        self._spheres.publish(sphere_markers(engine.robot.descriptor))
         bus.watch(keys.executor_state, ExecutorState, self._state)
         bus.watch(keys.scene, Scene, self._scene)
         # Plans are rare, and one that is published before its subscriber on the bus is known would not come again.
@@ -84,4 +85,13 @@ class Topics:
 
     def _scene(self, _key: str, scene: Scene) -> None:
         descriptor = self._engine.robot.descriptor
-        self._obstacles.publish(obstacle_markers(scene, descriptor.base_link, descriptor.tip_link, self._colours))
+        markers = obstacle_markers(scene, descriptor.base_link, descriptor.tip_link, self._colours)
+        for publisher in self._obstacles:
+            publisher.publish(markers)
+
+    def show_spheres(self, shown: bool) -> None:
+        """Publish the spheres that cover the robot, or take them away."""
+        robot = self._engine.robot.descriptor
+        self._spheres.publish(
+            sphere_markers(robot) if shown else MarkerArray(markers=[Marker(action=Marker.DELETEALL)])
+        )

@@ -10,6 +10,7 @@ import signal
 import subprocess
 from contextlib import suppress
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
@@ -58,6 +59,14 @@ def test_a_position_alone_keeps_the_orientation_of_the_tool(up: Up, empty_scene:
     plan = data(up, "plan", "--to", "0.5,0.2,0.5")
     cosine = abs(sum(a * b for a, b in zip(plan["tip"]["orientation"], before, strict=True)))
     assert cosine == pytest.approx(1.0, abs=1e-4)
+
+
+def test_of_several_poses_with_any_the_quickest_to_reach_is_planned_to(up: Up, empty_scene: None) -> None:
+    poses = ("--to", f"-0.4,-0.4,0.5,{DOWN}", "--to", f"5,0,0.5,{DOWN}", "--to", f"0.5,0.2,0.5,{DOWN}")
+    plan = data(up, "plan", *poses, "--any", "--start", vector(HOME))
+    assert plan["selected_goal_index"] == 2
+    assert plan["tip"]["position"] == pytest.approx([0.5, 0.2, 0.5], abs=1e-3)
+    assert "--to number 2 of 3" in done(up, "plan", *poses, "--any", "--start", vector(HOME))
 
 
 def test_plan_takes_start_timeout_and_velocity_scale(up: Up, empty_scene: None) -> None:
@@ -156,9 +165,12 @@ def test_ctrl_c_during_execute_cancels_and_waits_until_the_robot_stands(
 
 def measured(bus: Bus) -> tuple[float, ...]:
     """The next measured joints (rad)."""
-    state = bus.latest(KEYS.joint_states, JointState).wait(5)
-    assert state is not None
-    return state.position
+    states: SimpleQueue[JointState] = SimpleQueue()
+    end = bus.subscribe(KEYS.joint_states, JointState, lambda _, state: states.put(state))
+    try:
+        return states.get(timeout=5).position
+    finally:
+        end()
 
 
 def mode(bus: Bus) -> str:

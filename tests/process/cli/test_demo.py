@@ -8,7 +8,6 @@ import pytest
 
 from support.command_line import Command
 from support.harness import eventually
-from support.tiers import sampled
 
 
 def test_two_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path) -> None:
@@ -23,7 +22,7 @@ def test_two_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moment", sampled("zarm_planner.service", "end_with_parent"))
+@pytest.mark.parametrize("moment", ["zarm_planner.service", "end_with_parent"])
 def test_ctrl_c_while_the_demo_starts_leaves_no_process(tmp_path: Path, moment: str) -> None:
     with Command("demo", folder=tmp_path) as demo:
         eventually(lambda: any(moment in " ".join(line) for line in demo.command_lines()), f"{moment} runs")
@@ -32,7 +31,8 @@ def test_ctrl_c_while_the_demo_starts_leaves_no_process(tmp_path: Path, moment: 
         assert demo.family() == []
 
 
-@pytest.mark.parametrize("moment", sampled("reached", "ready", "clearance"))
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", ["reached", "ready", "clearance"])
 def test_ctrl_c_in_the_middle_of_the_demo_leaves_no_process(tmp_path: Path, moment: str) -> None:
     with Command("demo", folder=tmp_path) as demo:
         demo.wait_for(moment)

@@ -55,7 +55,7 @@ def test_a_simulated_driver_is_started_where_it_is_asked_for(tmp_path: Path) -> 
             assert "leeloo_sim" in {service for _, service, _ in bus.alive(ALL_ALIVE)}
 
 
-def test_ctrl_c_stops_the_executor_then_the_planner_and_leaves_no_process(tmp_path: Path) -> None:
+def test_ctrl_c_stops_the_executor_first_and_leaves_no_process(tmp_path: Path) -> None:
     with Up(free_endpoint(), tmp_path) as up:
         assert len(up.family()) > len(SERVICES)
         up.interrupt()
@@ -63,7 +63,7 @@ def test_ctrl_c_stops_the_executor_then_the_planner_and_leaves_no_process(tmp_pa
         assert up.end() == 0
         assert up.family() == []
         lines = [line for line in up.errors().splitlines() if line.endswith("stopping")]
-        assert [line.split()[0] for line in lines] == ["executor", "planner"]
+        assert [line.split()[0] for line in lines] == ["executor", "servo", "planner"]
 
 
 def test_where_logs_are_json_every_line_of_a_service_is_and_the_reason_of_a_failure_is_still_told(

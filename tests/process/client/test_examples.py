@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import pytest
 
 import zarm
 from support.command_line import ROBOT, Up
-from support.harness import PATIENCE, free_endpoint
+from support.harness import PATIENCE
 from support.paths import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -30,13 +29,8 @@ SAYS = {
     "10_stream": "followed the target for 4 s, at most 0.3",
 }
 """What is in the output of each, besides success."""
-
-
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """The robot that the README starts."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--meshes", str(EXAMPLES / "meshes")) as running:
-        yield running
+OF_ITS_OWN = "09_two_robots"
+"""Takes a second `zarm up`, as a test of the commands does."""
 
 
 def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
@@ -46,10 +40,12 @@ def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
     assert [name for name in names if f"`{name}.py`" not in readme] == []
 
 
-@pytest.mark.parametrize("name", SAYS)
-def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(name: str, up: Up, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == OF_ITS_OWN)) for name in SAYS])
+def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(
+    name: str, up: Up, empty_scene: None, tmp_path: Path
+) -> None:
     with ExitStack() as stack:
-        if name == "09_two_robots":
+        if name == OF_ITS_OWN:
             stack.enter_context(Up(up.endpoint, tmp_path, joins=True, name="second"))
         environment = {key: value for key, value in os.environ.items() if not key.startswith("ZARM_")}
         done = subprocess.run(

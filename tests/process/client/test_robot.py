@@ -9,9 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +26,19 @@ ELSEWHERE = (1.2, *HOME[1:])
 SLOWLY = 0.12
 PROGRAM = f"""
 import signal
-import zarm
+from zarm import Robot
+from zarm.connection import connected
+from zarm.interrupts import CtrlC
+
+class ToldOf(CtrlC):
+    def insist(self, awaited):
+        print("waiting for", awaited, flush=True)
+        return super().insist(awaited)
+
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore Ctrl-C, and so would this
-with zarm.connect() as robot:
-    plan = robot.plan({ELSEWHERE}, velocity_scale={SLOWLY})
-    robot.execute(plan, on_progress=lambda goal: print(goal.status, flush=True))
+with connected(interrupts=ToldOf()) as connection:
+    robot = Robot(connection)
+    robot.execute(robot.plan({ELSEWHERE}, velocity_scale={SLOWLY}))
 """
 
 
@@ -88,6 +94,31 @@ def test_what_cannot_be_is_an_error_of_zarm_that_names_the_field(make: object, f
         make()  # type: ignore[operator]
     assert isinstance(refused.value, zarm.Error)
     assert refused.value.problem.field == field
+
+
+def test_of_several_poses_the_one_that_is_quickest_to_reach_is_planned_to(robot: zarm.Robot) -> None:
+    there, near = robot.fk([ELSEWHERE, [(a + 3 * b) / 4 for a, b in zip(ELSEWHERE, HOME, strict=True)]])
+    plan = robot.plan(zarm.AnyOf(zarm.Pose((5.0, 0.0, 0.5)), there, near), start=HOME)
+    assert plan.selected_goal_index == 2
+    assert plan.tip.position == pytest.approx(near.position, abs=1e-5)
+    through = robot.plan(zarm.Waypoints(zarm.AnyOf(there, near), HOME), start=HOME)
+    assert len(through.waypoint_times) == 2
+    assert through.selected_goal_index is None
+
+
+def test_a_plan_begins_in_the_motion_that_it_is_to_take_over(robot: zarm.Robot) -> None:
+    runs = robot.plan(ELSEWHERE, start=HOME).trajectory
+    at = len(runs.time) // 2
+    state = zarm.StartState(runs.position[at], np.array(runs.velocity[at]), runs.acceleration[at])
+    back = robot.plan(HOME, start=state).trajectory
+    assert (back.position[0], back.velocity[0], back.acceleration[0]) == (
+        state.position,
+        state.velocity,
+        state.acceleration,
+    )
+    assert back.position[-1] == pytest.approx(HOME)
+    with pytest.raises(zarm.InvalidRequest, match="path constraint"):
+        robot.plan(HOME, start=state, path_constraint=zarm.PathConstraint(("z",)))
 
 
 def test_what_a_service_refuses_is_the_error_that_it_stands_for(robot: zarm.Robot) -> None:
@@ -172,12 +203,11 @@ def test_a_second_ctrl_c_leaves_an_executor_that_hangs_and_says_what_that_means(
         os.kill(executor, signal.SIGSTOP)
         try:
             running.send_signal(signal.SIGINT)
-            waiting = threading.Thread(target=running.wait, daemon=True)
-            waiting.start()
-            while waiting.is_alive():  # one at a time: the first must have been heard before the second comes
-                time.sleep(0.2)
-                with suppress(ProcessLookupError):
-                    running.send_signal(signal.SIGINT)
+            assert running.stdout is not None
+            while "to rest" not in running.stdout.readline():  # two at once would count as one
+                assert running.poll() is None
+            running.send_signal(signal.SIGINT)
+            running.wait(PATIENCE)
         finally:
             os.kill(executor, signal.SIGCONT)
         _, errors = running.communicate(timeout=PATIENCE)

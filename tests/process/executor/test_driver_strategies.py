@@ -17,9 +17,9 @@ from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import EXAMPLES
 from support.resources import ahead_of_others, favour
 from support.tiers import sampled
-from support.trajectories import HOME, KEYS, ROBOT, moved, patient, rest_to_rest
+from support.trajectories import HOME, KEYS, ROBOT, forgiving, moved, patient, rest_to_rest
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import JointState
+from zarm_contract.messages import DriverFault, JointState
 from zarm_contract.robot import find_robot, load_robot
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
@@ -27,7 +27,7 @@ from zarm_runtime.session import open_client
 EXAMPLE = EXAMPLES / "zenoh_driver.py"
 
 
-@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
+@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -45,8 +45,10 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
-def test_joint_pose_reaches_the_goal_on_a_driver_that_plays_positions(bus: Bus, endpoint: str, tmp_path: Path) -> None:
-    with driven(bus, endpoint, tmp_path, "joint_pose", "--plays", "position") as robot:
+def test_joint_pose_reaches_the_goal_on_the_simulated_driver_as_it_comes(
+    bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    with driven(bus, endpoint, tmp_path, "joint_pose") as robot:
         assert robot.client.ended(robot.client.execute(THERE)).status == "succeeded"
         np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.005)
         chunks = [command for command in robot.commands if command.time]
@@ -57,10 +59,25 @@ def test_joint_pose_reaches_the_goal_on_a_driver_that_plays_positions(bus: Bus, 
 def test_joint_pose_under_a_driver_that_plays_velocities_moves_nothing_and_says_so(
     bus: Bus, endpoint: str, tmp_path: Path
 ) -> None:
-    with driven(bus, endpoint, tmp_path, "joint_pose") as robot:
+    with driven(bus, endpoint, tmp_path, "joint_pose", "--plays", "velocity") as robot:
         robot.client.execute(THERE)
         assert "path_tolerance" in robot.fault("tolerance_violated").problem.message
         np.testing.assert_allclose(robot.at_rest(), HOME, atol=1e-9)
+
+
+def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_is_gone(
+    bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    robot = forgiving(tmp_path / "robot")
+    with driven(bus, endpoint, tmp_path, "joint_speed", robot=robot, waited_for=False) as arm:
+        arm.client.under_way(arm.client.execute(THERE))
+        arm.suffer(DriverFault(silent=True))
+        arm.fault("driver_stalled")
+        arm.suffer(DriverFault())
+        goal = rest_to_rest(HOME, arm.at_rest(), slower=1.5)
+        assert arm.client.ended(arm.client.execute(goal)).status == "succeeded"
+        assert arm.client.state().problem is None
+        np.testing.assert_allclose(arm.at_rest(), HOME, atol=0.005)
 
 
 def test_the_ur5e_reaches_the_goal_by_whole_trajectories_without_being_told_progress(
@@ -81,7 +98,8 @@ def test_the_ur5e_reaches_the_goal_by_whole_trajectories_without_being_told_prog
         assert len(set(progress)) > 5
 
 
-@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_trajectory"])
 def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -100,7 +118,8 @@ def test_pause_resume_and_cancel_of_a_robot_behind_a_driver(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
-@pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_pose", "joint_trajectory"))
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose", "joint_trajectory"])
 def test_the_speed_of_a_robot_behind_a_driver_changes_in_motion(
     bus: Bus, endpoint: str, tmp_path: Path, strategy: str
 ) -> None:
@@ -116,6 +135,7 @@ def test_the_speed_of_a_robot_behind_a_driver_changes_in_motion(
         np.testing.assert_allclose(robot.at_rest(), FAR, atol=0.01)
 
 
+@pytest.mark.slow
 def test_switching_to_the_driver_and_back_while_it_moves(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     with driven(bus, endpoint, tmp_path, "joint_speed") as robot:
         goal_id = robot.client.execute(THERE)

@@ -72,7 +72,7 @@ def test_it_works_at_the_control_rate_of_the_descriptor(endpoint: str, bus: Bus,
     assert ticks.min() > rate * JOINT_STATES_PERIOD - 0.5
 
 
-@pytest.mark.parametrize("key", [KEYS.cancel, KEYS.stop])
+@pytest.mark.parametrize("key", sampled(KEYS.cancel, KEYS.stop))
 def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(client: Client, key: str) -> None:
     goal_id = client.execute(FAR)
     client.under_way(goal_id)
@@ -100,6 +100,7 @@ def test_cancelling_what_does_not_run_is_no_error_and_changes_nothing(client: Cl
     assert client.goal(finished).status == "succeeded"
 
 
+@pytest.mark.slow
 def test_a_paused_goal_is_held_until_it_is_resumed(client: Client) -> None:
     goal_id = client.execute(FAR)
     client.under_way(goal_id)
@@ -116,6 +117,7 @@ def test_a_paused_goal_is_held_until_it_is_resumed(client: Client) -> None:
     assert client.greatest_acceleration() <= 1.02
 
 
+@pytest.mark.slow
 def test_the_speed_is_read_changed_in_motion_published_and_stays(client: Client) -> None:
     published: list[float] = []
     client.bus.subscribe(KEYS.speed, Speed, lambda _, speed: published.append(speed.speed_scale))
@@ -185,6 +187,7 @@ def test_a_motion_that_must_not_be_is_refused_with_a_reason_and_nothing_moves(
 # --- strategies ---
 
 
+@pytest.mark.slow
 def test_a_switch_in_motion_brings_the_robot_to_rest_first(client: Client) -> None:
     published: list[str] = []
     client.bus.subscribe(KEYS.strategy, Strategies, lambda _, strategies: published.append(strategies.active))

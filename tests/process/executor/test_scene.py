@@ -29,7 +29,13 @@ def unanswered() -> Plan:
 
 def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneEdited]) -> Executor:
     reporter = Reporter(
-        bus, KEYS, bench.machine, StateFile(folder / "running_goal.json", GoalState), lambda _: None, Metrics()
+        bus,
+        KEYS,
+        ROBOT.descriptor.joints,
+        bench.machine,
+        StateFile(folder / "running_goal.json", GoalState),
+        lambda _: None,
+        Metrics(),
     )
     return Executor(
         ROBOT,

@@ -38,7 +38,13 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
     bench = Bench(now=float("inf"))  # fresh, though nobody ticks
     bench.machine.scene = SCENE
     reporter = Reporter(
-        bus, KEYS, bench.machine, StateFile(tmp_path / "running_goal.json", GoalState), lambda _: None, Metrics()
+        bus,
+        KEYS,
+        ROBOT.descriptor.joints,
+        bench.machine,
+        StateFile(tmp_path / "running_goal.json", GoalState),
+        lambda _: None,
+        Metrics(),
     )
     plans = Plans(ROBOT.hash, newest)
     executor = Executor(

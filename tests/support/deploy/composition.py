@@ -18,7 +18,7 @@ from support.harness import free_endpoint
 from support.paths import ROOT
 
 DEPLOY = ROOT / "deploy"
-SERVICES = ("router", "planner", "executor", "ros_bridge")
+SERVICES = ("router", "planner", "servo", "executor", "ros_bridge")
 TAG = os.environ.get("ZARM_TAG", "0.1.0")
 PATIENCE = 240.0
 """Seconds until a test gives up waiting for a container."""

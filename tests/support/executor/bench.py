@@ -11,7 +11,9 @@ from support.arrivals import arrival
 from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
+from zarm_contract.robot import RobotDescriptor
 from zarm_executor.goal import Chunk, Goal
+from zarm_executor.guard import Guard
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Progress, Steerable
@@ -83,6 +85,9 @@ class Arm(Steerable):
     def joint_state(self) -> Measured | None:
         return self.disturb(self.exact)
 
+    def braking_from(self) -> tuple[float, float]:
+        return self.follower.time, self.follower.speed
+
     def progress(self) -> Progress:
         return Progress(self.follower.time, self.follower.speed, self.follower.position, self.follower.finished)
 
@@ -93,9 +98,10 @@ class Bench:
 
     arm: Arm = field(default_factory=Arm)
     now: float = 100.0
+    robot: RobotDescriptor = ROBOT.descriptor
 
     def __post_init__(self) -> None:
-        self.machine = Machine(self.arm, TICK)
+        self.machine = Machine(self.arm, TICK, Guard(self.robot))
         self.positions: list[Array] = []
         self.machine.tick(self.now)
 
@@ -118,7 +124,7 @@ class Bench:
     def execute(self, goal_id: str = "goal-1", asked: int | None = None, scene: str | None = None) -> TimedTrajectory:
         """Start a motion that was asked for at the arrival `asked` (left out: just now)."""
         path = TimedTrajectory.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
-        goal = Goal(goal_id, None, path, Monitor(path, ROBOT.descriptor), scene)
+        goal = Goal(goal_id, None, path, Monitor(path, self.robot), scene)
         self.machine.start(goal, arrival() if asked is None else asked)
         return path
 

@@ -41,7 +41,7 @@ class Driven:
         waited_for: bool = False,
     ) -> None:
         self.bus, self.endpoint, self.folder = bus, endpoint, folder
-        self._descriptor = str(patient(folder / "patient", robot)) if waited_for else robot.descriptor.name
+        self._descriptor = str(patient(folder / "patient", robot)) if waited_for else str(robot.path)
         self.strategy, self.joints = strategy, robot.descriptor.joints
         self.keys = keys = Keys(robot.descriptor.name)
         self.client = Client(bus, keys)

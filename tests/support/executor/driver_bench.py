@@ -19,6 +19,7 @@ from support.trajectories import HOME, KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.messages import DriverCommand, DriverProgress, GoalState, JointState, Trajectory
 from zarm_contract.robot import RobotDescription, StrategyParams
 from zarm_executor.goal import Chunk, Goal
+from zarm_executor.guard import Guard
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
 from zarm_executor.strategies import build_strategies
@@ -131,7 +132,7 @@ class DriverBench:
         self.robot = robot_with(control_rate=rate, **params)
         self.registry = build_strategies(self.robot, folder, Wire(self), KEYS)  # type: ignore[arg-type]
         self._pass(2 * STEP)
-        self.machine = Machine(self.registry.find(case.strategy), self.period)
+        self.machine = Machine(self.registry.find(case.strategy), self.period, Guard(self.robot.descriptor))
         self.tick()
 
     def _pass(self, seconds: float) -> None:

@@ -1,7 +1,7 @@
 """A client of a storm: `python storm_client.py ENDPOINT THREADS`.
 
 It says `ready`, reads its requests, one JSON `[number, key, payload]` a line up to an empty line, asks all of them at once, and
-writes one JSON `[number, kind, text]` an answer.
+writes one JSON `[number, kind, text]` an answer and an empty line at the end; again until its input ends.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ def main(endpoint: str, threads: int) -> None:
     with open_client(endpoint) as session, ThreadPoolExecutor(threads) as pool:
         sys.stdout.write("ready\n")
         sys.stdout.flush()
-        requests = [json.loads(line) for line in iter(sys.stdin.readline, "\n")]
 
         def ask(request: tuple[int, str, str]) -> list[str]:
             number, key, payload = request
@@ -38,8 +37,16 @@ def main(endpoint: str, threads: int) -> None:
                 for reply in replies
             ]
 
-        for answers in pool.map(ask, requests):
-            sys.stdout.writelines(f"{answer}\n" for answer in answers)
+        requests: list[tuple[int, str, str]] = []
+        for line in sys.stdin:
+            if line != "\n":
+                requests.append(json.loads(line))
+                continue
+            for answers in pool.map(ask, requests):
+                sys.stdout.writelines(f"{answer}\n" for answer in answers)
+            sys.stdout.write("\n")
+            sys.stdout.flush()
+            requests.clear()
 
 
 if __name__ == "__main__":

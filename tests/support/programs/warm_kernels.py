@@ -63,6 +63,8 @@ def every_kind_of_plan(model: RobotModel) -> None:
                 limits, deadline = Limits.of(model.robot), Deadline(60.0)
                 context = PlanningContext(snapshot, limits, deadline, held, max_attempts=10, optimize_s=0.05)
                 plan(choose("auto", goal, constrains(held)), context, home, goal)
+        slowly = np.stack((0.05 * limits.velocity, np.zeros(model.dof)))
+        plan(choose("auto", to_joints, False, moving=True), context, home, to_joints, slowly)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
-from pathlib import Path
+
+from zarm_runtime.dds import LOCALHOST
 
 _mine: list[socket.socket] = []  # holds the domain until this process ends
 
@@ -17,7 +18,7 @@ def isolate() -> None:
     """
     os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"  # what the file says
-    os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).with_name("loopback.xml"))
+    os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = LOCALHOST
 
 
 def _free_domain() -> int:

@@ -9,7 +9,7 @@ import zenoh
 
 from zarm_contract.keys import ALL_ALIVE, Keys, parse_alive
 
-SERVICES = ("planner", "executor", "ros_bridge", "leeloo_sim")
+SERVICES = ("planner", "executor", "servo", "ros_bridge", "leeloo_sim")
 
 
 def every_key(robot: str) -> dict[str, str]:

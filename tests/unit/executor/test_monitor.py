@@ -9,7 +9,7 @@ import pytest
 
 from support.arrivals import arrival
 from support.executor.bench import EXECUTION, Bench, Disturbance
-from support.trajectories import HOME, moved
+from support.trajectories import HOME, ROBOT, moved
 from zarm_contract.errors import Unavailable
 from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.monitor import BRAKING
@@ -51,6 +51,49 @@ def fails(bench: Bench, code: str, match: str) -> None:
     bench.machine.reset(arrival())
     assert bench.machine.state().mode == "idle"
     assert bench.machine.state().problem is None
+    bench.machine.admit()
+
+
+def forgiving() -> Bench:
+    """Of a robot whose descriptor lets the next goal leave a fault."""
+    execution = EXECUTION.model_copy(update={"faults": "clear_at_rest"})
+    return Bench(robot=ROBOT.descriptor.model_copy(update={"execution": execution}))
+
+
+def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_is_gone() -> None:
+    bench = forgiving()
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = freeze(bench.arm.exact)
+    bench.until("fault")
+    with pytest.raises(Unavailable, match=r"no new joints.* the next goal leaves this fault, once the robot rests"):
+        bench.machine.admit()
+    bench.arm.disturb = lambda measured: dataclasses.replace(measured, velocity=measured.velocity + 0.1)
+    bench.tick()
+    with pytest.raises(Unavailable, match="in fault"):
+        bench.machine.admit()
+    bench.arm.disturb = lambda measured: measured
+    bench.tick()
+    bench.machine.admit()
+    assert bench.machine.state().mode == "fault"  # what is only asked leaves nothing
+    bench.execute("goal-2")
+    assert (bench.machine.state().mode, bench.machine.state().problem) == ("running", None)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+
+
+def test_a_robot_that_did_not_stop_when_it_was_told_to_needs_a_reset_whatever_the_descriptor_says() -> None:
+    bench = forgiving()
+    bench.execute()
+    bench.run(0.5)
+    bench.arm.disturb = lambda measured: dataclasses.replace(measured, velocity=np.full(6, 0.1))
+    bench.machine.stop("enough", arrival())
+    bench.until("fault")
+    bench.arm.disturb = lambda measured: measured
+    bench.run(1.0)
+    with pytest.raises(Unavailable, match=r"joint_1 still moves at 0.1 rad/s.*, then reset \(executor/reset\)$"):
+        bench.machine.admit()
+    bench.machine.reset(arrival())
     bench.machine.admit()
 
 

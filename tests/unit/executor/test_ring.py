@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import pytest
 
+from support.tiers import sampled
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState, Message, Plan
 from zarm_executor import ring as module
@@ -65,7 +66,7 @@ def test_a_message_that_nobody_would_read_for_its_size_is_left_out(key: str, mod
     assert payloads(ring) == [longest]
 
 
-@pytest.mark.parametrize("length", [10, 100, 1000])
+@pytest.mark.parametrize("length", sampled(100, 10, 1000))
 def test_the_size_of_the_ring_is_what_it_takes_of_memory(length: int) -> None:
     size = 4 * 2**20
     tracemalloc.start()

@@ -10,6 +10,7 @@ import pytest
 from support.arrivals import arrival
 from support.executor.driven import FAR
 from support.executor.driver_bench import MOVING, DriverBench, distance_from
+from support.tiers import sampled
 from support.trajectories import HOME, trapezoid
 from zarm_leeloo_sim.player import CEILING
 
@@ -37,8 +38,8 @@ def silent_for(bench: DriverBench, seconds: float) -> None:
     assert all(not command.time for command in unheard)
 
 
-@pytest.mark.parametrize("after", [0.05, 0.9, 1.7])
-@pytest.mark.parametrize("seconds", [0.35, 0.8])
+@pytest.mark.parametrize("after", sampled(0.9, 0.05, 1.7))
+@pytest.mark.parametrize("seconds", sampled(0.8, 0.35))
 def test_a_gap_in_the_joint_states_holds_the_motion_which_goes_on_to_the_goal_by_itself(
     bench: DriverBench, after: float, seconds: float
 ) -> None:
@@ -135,7 +136,7 @@ def test_an_arm_at_its_goal_is_not_moved_back_there_after_a_gap(bench: DriverBen
     assert not any(command.time for _, command in bench.commands[sent:])
 
 
-@pytest.mark.parametrize("seconds", [0.35, 0.9])
+@pytest.mark.parametrize("seconds", sampled(0.9, 0.35))
 def test_an_executor_that_stood_still_beside_a_silent_driver_goes_on_to_the_goal(
     bench: DriverBench, seconds: float
 ) -> None:

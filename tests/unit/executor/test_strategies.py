@@ -15,6 +15,7 @@ from support.executor.waves import target
 from support.tiers import sampled
 from support.trajectories import HOME, trapezoid
 from zarm_contract.errors import Unavailable
+from zarm_contract.messages import Authority
 from zarm_contract.strategies import DRIVER_STRATEGIES
 from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.strategies.joint_speed import JointSpeed
@@ -114,9 +115,9 @@ def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
 
 
 @at_every_phase
-@pytest.mark.parametrize("changes", [(0.3,), (0.5, 1.0), (0.6, 0.05, 1.0), (0.9, 0.8, 0.7, 0.6)], ids=str)
+@pytest.mark.parametrize("changes", sampled([0.6, 0.05, 1.0], [0.3], [0.5, 1.0], [0.9, 0.8, 0.7, 0.6]), ids=str)
 def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
-    bench: DriverBench, changes: tuple[float, ...]
+    bench: DriverBench, changes: list[float]
 ) -> None:
     path = bench.execute()
     bench.run(0.6)
@@ -156,6 +157,30 @@ def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) ->
     bench.until("idle", patience=1.5)
     assert bench.last().status == "cancelled"
     assert bench.rests()
+
+
+@at_every_phase
+@pytest.mark.parametrize("share", sampled(0.5, 0.3, 0.8))
+def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_that_is_extended(
+    bench: DriverBench, share: float
+) -> None:
+    path = bench.execute()
+    until = share * path.duration
+    for sequence in range(1, round((path.duration + 2.0) / 0.1)):
+        bench.machine.hear(Authority(servo="servo", sequence=sequence, goal_id="goal", until=until), bench.now)
+        bench.run(0.1)
+    assert bench.machine.state().mode == "running"
+    assert bench.last().hold is not None
+    way = path.sample(np.linspace(0.0, until, 2000))[0]
+    itself = ("stop", "empty") in bench.case.params  # a driver that brakes by itself leaves the path
+    assert min(float(np.abs(bench.positions[-1] - q).max()) for q in way) < (0.05 if itself else 0.005)
+    assert np.all(np.abs(bench.positions[-1] - path.at(until)[0]) < 0.25)
+    assert bench.rests()
+    bench.machine.hear(Authority(servo="servo", sequence=1000, goal_id="goal"), bench.now)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.01)
+    assert itself or bench.commanded_acceleration() <= LIMIT * 1.001
 
 
 @at_every_phase

@@ -18,6 +18,7 @@ from support.planner.sphere_model import (
     random_object,
     random_objects,
 )
+from support.tiers import sampled
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, PlannerSettings, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
@@ -112,7 +113,7 @@ def test_links_on_the_base_meet_other_links_but_no_objects(arm: RobotModel) -> N
     assert not is_free(arm, World((), 0.0), np.array([0.0, -1.54, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize("count", [3, 15])
+@pytest.mark.parametrize("count", sampled(15, 3))
 def test_a_free_edge_is_nowhere_deeper_in_an_object_than_half_the_resolution(model: RobotModel, count: int) -> None:
     rng, samples = np.random.default_rng(count), 100
     free = blocked = 0

@@ -33,13 +33,14 @@ def squared_distances(shapes: Single, x: Single, y: Single, z: Single, found: Si
 @numba.njit
 def bounds(center: Array, turn: Array, one: Array, other: Array) -> tuple[float, float]:
     """Of the distance of a core, placed in the frame of another, to that."""
-    return core_gap(
+    lower, upper, _ = core_gap(
         (center[0], center[1], center[2]),
         (turn[0, 0], turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 1], turn[1, 2], turn[2, 0], turn[2, 1], turn[2, 2]),
         (one[0], one[1], one[2], one[3]),
         (other[0], other[1], other[2], other[3]),
         np.inf,
     )
+    return lower, upper
 
 
 def kernel_distances(row: Array, points: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from support.examples import examples
 from support.planner.second_opinion import link_pose
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import clearances, random_objects
-from zarm_contract.errors import InvalidRequest
+from support.tiers import sampled
 from zarm_contract.messages import Cuboid, PathConstraint, SceneObject
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
@@ -147,7 +148,7 @@ def problem(
 
 
 @pytest.mark.parametrize("message", KINDS)
-@pytest.mark.parametrize("name", sorted(MODELS))
+@pytest.mark.parametrize("name", sampled("panda", *sorted(set(MODELS) - {"panda"})))
 def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_free(
     name: str, message: PathConstraint
 ) -> None:
@@ -168,7 +169,7 @@ def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_
     assert planned > 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", sampled(*range(3)))
 @pytest.mark.parametrize("message", [UPRIGHT, PathConstraint(axes=(True, True, True, False, False, False))])
 def test_a_glass_is_carried_upright_around_a_wall(
     sides: tuple[Array, Array], message: PathConstraint, seed: int
@@ -226,7 +227,7 @@ def test_a_goal_that_is_off_by_less_than_the_tolerance_is_reached_exactly() -> N
     pose = PANDA.fk_tip(start)
     held = ConstraintManifold.of(PANDA, LEVEL, pose)
     pose[:3, 3] += (0.1, 0.2, 0.9 * LEVEL.position_tolerance)
-    held.check_goal(pose, "goal")
+    assert held.broken_at(pose) is None
     goals = solve_ik(PANDA, pose, start, world=None, max_solutions=4, seed=0, deadline=Deadline(30.0)).solutions
     motion = plan_held(World((), 0.0), held, start, goals, Limits.of(PANDA.robot), seed=0, deadline=Deadline(30.0))
     assert motion is not None
@@ -288,7 +289,7 @@ def test_a_projected_configuration_keeps_what_is_held_within_the_joints_ranges(
         (LINE, (0.0, 0.0, 0.1), (0.0, 0.0, 0.0), r"tool frame, z would be off by 100\.00 mm"),
     ],
 )
-def test_a_goal_that_cannot_be_kept_to_is_refused_with_the_component_that_is_off(
+def test_a_goal_that_cannot_be_kept_to_is_told_with_the_component_that_is_off(
     message: PathConstraint, shift: tuple[float, float, float], turn: tuple[float, float, float], says: str
 ) -> None:
     start = PANDA.fk_tip(PANDA.robot.descriptor.home)
@@ -297,9 +298,9 @@ def test_a_goal_that_cannot_be_kept_to_is_refused_with_the_component_that_is_off
     goal = start.copy()
     goal[:3, 3] += shift
     goal[:3, :3] = rotation(np.array(turn)) @ start[:3, :3]
-    with pytest.raises(InvalidRequest, match=says) as refusal:
-        ConstraintManifold.of(PANDA, message, start).check_goal(goal, "goal")
-    assert refusal.value.problem.field == "goal"
+    lost = ConstraintManifold.of(PANDA, message, start).broken_at(goal)
+    assert lost is not None
+    assert re.search(says, lost)
 
 
 def test_a_violation_names_the_worst_row_and_what_is_lost_there(sides: tuple[Array, Array]) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -157,3 +159,9 @@ def test_between_samples_a_motion_is_the_quintic_of_the_contract() -> None:
     h = np.diff(motion.time)
     for order, rows in enumerate(motion.sample(motion.time[:-1] + 0.3 * h)):
         assert np.allclose(rows, between(motion, order, np.array([0.3]))[:, 0], atol=1e-8)
+
+
+def test_a_planner_does_not_load_what_toppra_plots_with() -> None:
+    program = "import sys, zarm_planner.service; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.examples import examples
-from support.trajectories import HOME, ROBOT, moved, rest_to_rest, trapezoid
+from support.trajectories import HOME, ROBOT, curved_path, moved, rest_to_rest, trapezoid
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -17,26 +17,6 @@ from zarm_trajectory.trajectory import TimedTrajectory
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
 ROUNDING = 1.005
 """The path bends within a tick; what the follower looks ahead leaves this much at most."""
-
-
-def curved_path(seed: int, samples: int = 200) -> TimedTrajectory:
-    """Joints that swing to and fro on their way from rest to rest, one of them at its limit at least once."""
-    random = np.random.default_rng(seed)
-    u = np.polynomial.Polynomial([0.0, 1.0])
-    bell = 64 * u**3 * (1 - u) ** 3
-    line = 10 * u**3 - 15 * u**4 + 6 * u**5
-    curves = []
-    for start in HOME:
-        wave = np.polynomial.Chebyshev(random.uniform(-1.0, 1.0, 6), domain=[0.0, 1.0]).convert(
-            kind=np.polynomial.Polynomial
-        )
-        curves.append(start + random.uniform(-1.0, 1.0) * line + bell * wave)
-    grid = np.linspace(0.0, 1.0, samples)
-    position, velocity, acceleration = (
-        np.array([curve.deriv(order)(grid) if order else curve(grid) for curve in curves]).T for order in range(3)
-    )
-    duration = float(np.sqrt(np.max(np.abs(acceleration) / LIMIT)))
-    return TimedTrajectory(grid * duration, position, velocity / duration, acceleration / duration**2)
 
 
 def followed(follower: Follower) -> Array:

@@ -13,6 +13,9 @@ from zarm_contract.messages.executor import (
     ExecutorState,
     GoalState,
     GoalStatus,
+    GoalTrajectory,
+    Hold,
+    Obstruction,
     RobotMode,
     Speed,
     SpeedRequest,
@@ -56,6 +59,7 @@ from zarm_contract.messages.planner import (
     PlanTimings,
     PoseGoal,
     SettingsChange,
+    StartState,
     WaypointsGoal,
 )
 from zarm_contract.messages.scene import (
@@ -89,6 +93,7 @@ from zarm_contract.messages.scene import (
     Voxels,
 )
 from zarm_contract.messages.service import Health, Nothing, Requester
+from zarm_contract.messages.servo import Authority, ServoState
 
 __all__ = [
     "MAX_ATTACHED",
@@ -100,6 +105,7 @@ __all__ = [
     "AddObjects",
     "AttachObject",
     "Attached",
+    "Authority",
     "CancelPlan",
     "CancelRequest",
     "CancelledPlan",
@@ -122,7 +128,9 @@ __all__ = [
     "Goal",
     "GoalState",
     "GoalStatus",
+    "GoalTrajectory",
     "Health",
+    "Hold",
     "IkRequest",
     "IkSolutions",
     "JointGoal",
@@ -135,6 +143,7 @@ __all__ = [
     "Name",
     "NonNegative",
     "Nothing",
+    "Obstruction",
     "Occupancy",
     "OccupancyRequest",
     "PathConstraint",
@@ -158,12 +167,14 @@ __all__ = [
     "SceneEdited",
     "SceneObject",
     "SceneRevision",
+    "ServoState",
     "SetLinkCollision",
     "SettingsChange",
     "Speed",
     "SpeedRequest",
     "SpeedScale",
     "Sphere",
+    "StartState",
     "Strategies",
     "StrategyInfo",
     "StrategyRequest",

@@ -55,12 +55,47 @@ class Accepted(Message):
     goal_id: Name
 
 
+class GoalTrajectory(Message):
+    """What the executor follows for a goal; `number` is 1 at its start and increases with every change, as of a stream.
+
+    Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: in none.
+    """
+
+    goal_id: Name
+    number: Annotated[int, Field(ge=1)]
+    start: NonNegative
+    trajectory: Trajectory
+    scene_revision: SceneRevision | None = None
+
+
+class Obstruction(Message):
+    """What is in the way of a goal: at the path time `time` (s), `link` would touch `object`, of the scene or another link.
+
+    Without `avoidable` the robot could not rest before that any more when it was found.
+    """
+
+    object: str
+    link: str
+    time: NonNegative
+    avoidable: bool = True
+
+
+class Hold(Message):
+    """Why the executor holds a goal, which goes on by itself when that is over.
+
+    `obstruction`: something is in the way. `no_guard`: the servo is silent, and the descriptor demands one.
+    """
+
+    reason: Literal["obstruction", "no_guard"]
+    obstruction: Obstruction | None = None
+
+
 class GoalState(Message):
     """The state of one goal. `joint_command` is the last command (rad), `elapsed` the time in motion (s).
 
     `duration` (s) is planned at full speed; at a speed scale of 0.5 the motion takes twice as long. `progress` is the share of
     it that has been reached, 0 to 1. For a stream, `duration` ends with the newest chunk, and `progress * duration` is the time
-    of the stream.
+    of the stream. `hold` says why the robot brakes or waits though nobody told it to.
     """
 
     goal_id: Name
@@ -71,6 +106,7 @@ class GoalState(Message):
     duration: NonNegative
     joint_command: Joints
     problem: Problem | None = None
+    hold: Hold | None = None
 
     @property
     def done(self) -> bool:
@@ -121,6 +157,7 @@ class ExecutorState(Message):
     """What the executor does. `problem` says why it is in `fault`; `missed_ticks` counts since the start.
 
     `scene_changed`: the scene was edited since the goal started, and nothing has checked the rest of the motion against it.
+    `guarded`: a servo does, against every scene.
     """
 
     mode: RobotMode
@@ -128,6 +165,7 @@ class ExecutorState(Message):
     goal_id: Name | None = None
     problem: Problem | None = None
     scene_changed: bool = False
+    guarded: bool = False
     speed_scale: SpeedScale
     missed_ticks: Annotated[int, Field(ge=0)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import (
@@ -17,16 +17,26 @@ from zarm_contract.messages.motion import (
     Scale,
     Trajectory,
     Vector3,
+    same_length,
 )
 from zarm_contract.messages.scene import SceneRevision
 
 
 class PoseGoal(Message):
-    """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`."""
+    """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
+
+    With `alternatives` it is a goal set: the planner goes to that of all these poses that it reaches in the shortest time.
+    """
 
     kind: Literal["pose"]
     position: Vector3
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    alternatives: tuple[Pose, ...] = Field(default=(), max_length=63)
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """All poses of the set: its own, then the alternatives."""
+        return (Pose(position=self.position, orientation=self.orientation), *self.alternatives)
 
 
 class JointGoal(Message):
@@ -69,6 +79,20 @@ class PathConstraint(Message):
     angle_tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.02
 
 
+class StartState(Message):
+    """A state of the joints in motion: `position` (rad), `velocity` (rad/s) and `acceleration` (rad/s²)."""
+
+    position: Joints
+    velocity: Joints
+    acceleration: Joints
+
+    @field_validator("velocity", "acceleration")
+    @classmethod
+    def _one_per_joint(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        same_length(values, info, "position")
+        return values
+
+
 Timeout = Annotated[float, Field(gt=0, le=60)]
 Attempts = Annotated[int, Field(ge=1, le=1000)]
 OptimizeSeconds = Annotated[float, Field(ge=0, le=30)]
@@ -78,6 +102,9 @@ Margin = Annotated[float, Field(ge=0, le=0.2)]
 class PlanRequest(Message):
     """Ask for a verified trajectory. What is left out comes from `planner/settings`; `start` (rad) from the measured joints.
 
+    With `start_state` in place of `start` the trajectory begins in motion, exactly in that state, and is continuous with it in
+    position, velocity and acceleration. The state must be inside the limits, and the robot able to brake from it without a
+    collision. A path constraint is then refused.
     `request_id` names the request for `planner/cancel`. `timeout` (s) is the deadline of the whole request; `max_attempts`
     bounds the number of searches. After the first plan the planner looks for faster ones for `optimize_s` (s), as long as no
     other request waits. `margin` (m) is the distance to keep from objects. Scales are shares of the velocity and acceleration
@@ -86,6 +113,7 @@ class PlanRequest(Message):
 
     goal: Goal
     start: Joints | None = None
+    start_state: StartState | None = None
     planner: PlannerKind | None = None
     path_constraint: PathConstraint | None = None
     request_id: Name | None = None
@@ -96,6 +124,13 @@ class PlanRequest(Message):
     acceleration_scale: Scale | None = None
     margin: Margin | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+
+    @field_validator("start_state")
+    @classmethod
+    def _one_start(cls, state: StartState | None, info: ValidationInfo) -> StartState | None:
+        if state is not None and info.data.get("start") is not None:
+            raise ValueError("start is given too; give one of them")
+        return state
 
 
 class PlanTimings(Message):
@@ -115,7 +150,9 @@ class Plan(Message):
 
     `clearance` (m) is the smallest exact distance of the timed trajectory to the scene and of the robot to itself, at most
     1 m. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
-    passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end.
+    passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
+    says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
+    It is left out where the motion ends at a joint goal.
     """
 
     plan_id: Name
@@ -124,6 +161,7 @@ class Plan(Message):
     scene_revision: SceneRevision
     trajectory: Trajectory
     tip: Pose
+    selected_goal_index: Annotated[int, Field(ge=0)] | None = None
     clearance: float
     resolution: Positive
     waypoint_times: tuple[NonNegative, ...] = ()

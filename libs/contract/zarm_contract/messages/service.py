@@ -27,7 +27,7 @@ class Requester(ShortMessage):
 
 
 class Health(Message):
-    """What a service is. `activity` says what it does until it is `ready`; `uptime` is in s.
+    """What a service is. `activity` says what it does until it is `ready`; `uptime` is in s; `note` is what else there is to know.
 
     It is accepted from every version of the contract: unknown fields are ignored.
     """
@@ -45,3 +45,4 @@ class Health(Message):
     robot_hash: str
     uptime: NonNegative
     pid: Annotated[int, Field(gt=0)]
+    note: str = ""

@@ -273,7 +273,7 @@ def _to_world(
                 w = turned(turn, (own[2], own[5], own[8]))
                 own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
                 rounded = rounding + body.extents[i, 4]
-                lower, upper = core_gap(center, own, _core(body.extents, i, 0), core, limit + rounded)
+                lower, upper, _ = core_gap(center, own, _core(body.extents, i, 0), core, limit + rounded)
                 lower, upper = lower - rounded, upper - rounded
             lowest = min(lowest, lower)
             found, best = _note(found, lower, upper, i, row, k, best)
@@ -319,7 +319,7 @@ def _to_each_other(
                 w = turned_back(turn, (own[2], own[5], own[8]))
                 own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
                 center = turned_back(turn, (x, y, z))
-                lower, upper = core_gap(
+                lower, upper, _ = core_gap(
                     center, own, _core(body.extents, i, 0), _core(body.extents, j, 0), limit + rounded
                 )
                 lower, upper = lower - rounded, upper - rounded

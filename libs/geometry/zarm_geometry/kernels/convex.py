@@ -112,19 +112,21 @@ def separation(n: Vector, c: Vector, turn: Turn, a: Extents, b: Extents) -> floa
 
 
 @inlined
-def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tuple[float, float]:
-    """Lower and upper bound of the distance of core `a`, its axes `turn` and centre `c` in the frame of core `b`.
+def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tuple[float, float, Vector]:
+    """Bounds of the distance of core `a`, its axes `turn` and centre `c` in the frame of core `b`: lower, upper, a unit vector.
 
     Points of both are taken nearest to each other in turn (Cheney and Goldstein, "Proximity maps for convex sets", 1959),
     which is a gradient descent and made faster as such (Nesterov's momentum, restarted as by O'Donoghue and Candes,
     "Adaptive restart for accelerated gradient schemes", 2015). Their distance is the upper bound, and the slab across
-    their difference proves the lower one; so both hold wherever the rounds end: once they meet, or the lower one is
+    their difference, the unit vector, proves the lower one; so both hold wherever the rounds end: once they meet, or the lower one is
     `enough`, or cores are found to overlap (upper bound 0, and a depth of at most minus the lower bound).
     """
     length = math.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     lower, upper = -math.inf, math.inf
+    n = (0.0, 0.0, 1.0)
     if length > 0.0:
-        lower = separation((c[0] / length, c[1] / length, c[2] / length), c, turn, a, b)
+        n = (c[0] / length, c[1] / length, c[2] / length)
+        lower = separation(n, c, turn, a, b)
     x0, x1, x2 = c
     d0, d1, d2 = 0.0, 0.0, 0.0
     steps = 0
@@ -139,11 +141,14 @@ def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tu
         upper = min(upper, apart)
         if apart < 1e-12:
             break
-        lower = max(lower, separation((n0 / apart, n1 / apart, n2 / apart), c, turn, a, b))
+        towards = (n0 / apart, n1 / apart, n2 / apart)
+        bound = separation(towards, c, turn, a, b)
+        if bound > lower:
+            lower, n = bound, towards
         if lower >= enough or upper - lower <= PRECISION:
             break
         d0, d1, d2 = p0 - x0, p1 - x1, p2 - x2
         uphill = (y0 - p0) * d0 + (y1 - p1) * d1 + (y2 - p2) * d2 > 0.0
         steps = 0 if uphill else steps + 1
         x0, x1, x2 = p0, p1, p2
-    return lower, upper
+    return lower, upper, n

@@ -91,6 +91,10 @@ class Strategy(ABC):
         """The newest measured state of the robot, also while nothing moves; None before the first."""
 
     @abstractmethod
+    def braking_from(self) -> tuple[float, float]:
+        """The path time (s) and the path speed at which the robot would begin to brake if `stop` came now."""
+
+    @abstractmethod
     def progress(self) -> Progress:
         """How far the motion begun by the last `start` is."""
 

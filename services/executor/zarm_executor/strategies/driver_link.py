@@ -107,7 +107,8 @@ class DriverLink:
         order = self._order(state.joint_names)
         if order is not None and state.stamp != self._stamp and not self._held_up(state.stamp, at):
             self._stamp = state.stamp
-            self._measured = Measured(np.array(state.position)[order], np.array(state.velocity)[order], at, state.stamp)
+            position, velocity = np.array((state.position, state.velocity))[:, order]
+            self._measured = Measured(position, velocity, at, state.stamp)
             if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
                 self._stood = self._measured
         return self._measured

@@ -120,6 +120,10 @@ class Emulator(Steerable):
         """Where the emulated robot is."""
         return self._robot.measured
 
+    def braking_from(self) -> tuple[float, float]:
+        """Where it is commanded to be."""
+        return self._follower.time, self._follower.speed
+
     def progress(self) -> Progress:
         """How far the path is followed."""
         follower = self._follower

@@ -28,8 +28,8 @@ class GhostOnly(Strategy):
     def admit(self) -> None:
         """Refuse: nothing moves."""
         raise Unavailable(
-            "the active strategy is ghost, which moves nothing; switch to another one first "
-            '(executor/strategy with {"strategy": "emulator"})'
+            "the active strategy is ghost, which moves nothing; switch to another one first, such as emulator "
+            "(executor/strategy)"
         )
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
@@ -49,6 +49,10 @@ class GhostOnly(Strategy):
     def joint_state(self) -> Measured | None:
         """Where the robot stands."""
         return self._robot.measured
+
+    def braking_from(self) -> tuple[float, float]:
+        """It stands."""
+        return 0.0, 0.0
 
     def progress(self) -> Progress:
         """No motion: at its end from the beginning."""

@@ -19,6 +19,8 @@ _UNTOLD = 2.0
 """So many points earlier begins the braking of a driver that does not say which point it plays. What is assumed of it is wrong by
 two points at most, and a robot that speeds up may go back by two at once inside its limits: from v to v - a dt. Forward, v + 2 a dt,
 it may not."""
+_LEARNS = 2.0
+"""So many points may pass until it is known from which one to brake, and the driver has that."""
 _PACE_PERIOD = 0.1
 """The rest of a trajectory is sent with another path speed this long (s) after the last one at the earliest."""
 _ON_TIME = 0.1
@@ -111,6 +113,11 @@ class JointTrajectory(DriverStrategy):
             self._transmit(now)
         elif self._braking and self._index == command.last:
             self.hold(now)
+
+    def braking_from(self) -> tuple[float, float]:
+        """Where the driver will be when it learns of it, which takes a point or two."""
+        command = self._command
+        return (0.0, 0.0) if command is None else command.at(self._playing(command) + _LEARNS)[:2]
 
     def progress(self) -> Progress:
         """How far the robot is."""

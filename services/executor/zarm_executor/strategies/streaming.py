@@ -147,6 +147,11 @@ class Streaming(DriverStrategy, Steerable):
             self.sent(now)
             self._over = rests and follower.settled and self._caught_up() and self._may_end()
 
+    def braking_from(self) -> tuple[float, float]:
+        """What is commanded at the next point of the driver: a chunk that cannot wait begins there."""
+        follower = self._follower
+        return (0.0, 0.0) if follower is None else (follower.time + self._dt * follower.speed, follower.speed)
+
     def progress(self) -> Progress:
         """Where the robot should be by now."""
         follower, expected = self._follower, self._expected

@@ -8,7 +8,6 @@ from typing import Self, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import PathConstraint
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.kernels.inverse import Chain
@@ -79,14 +78,9 @@ class ConstraintManifold:
         row = int(np.argmax(used.max(axis=1)))
         return row, self._phrase(poses[row])
 
-    def check_goal(self, pose: Array, field: str) -> None:
-        """Raises InvalidRequest for `field` unless the pose (4, 4) keeps the constraint."""
-        if self._used(pose).max(initial=0.0) > 1.0:
-            raise InvalidRequest(
-                f"the goal breaks the path constraint: there, {self._phrase(pose)} as seen from the start; "
-                "choose a goal that agrees with the start in these components, or constrain fewer",
-                field=field,
-            )
+    def broken_at(self, pose: Array) -> str | None:
+        """A phrase that says by how much a pose (4, 4) breaks the constraint; None where it keeps it."""
+        return self._phrase(pose) if self._used(pose).max(initial=0.0) > 1.0 else None
 
     def projected(self, q: ArrayLike) -> Array | None:
         """Configurations (n, dof) within the joints' ranges, near `q` (n, dof), that keep the constraint.

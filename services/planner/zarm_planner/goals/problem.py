@@ -11,6 +11,8 @@ from zarm_contract.messages import Goal, JointGoal, PoseGoal, WaypointsGoal
 from zarm_planner.constraints.path_constraint import ConstraintManifold, constrains
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End, goal_ends, start_end
+from zarm_planner.goals.moving_start import moving_start
+from zarm_planner.timing.lead_in import LeadIn
 
 Array = NDArray[np.float64]
 
@@ -19,25 +21,34 @@ Array = NDArray[np.float64]
 class PlanningProblem:
     """A start and the targets in their order, the last of which is the goal; each can be reached in one way or several.
 
-    `goal` is what was asked for. `constraint`, where there is one, is kept from the start on.
+    `goal` is what was asked for. `constraint`, where there is one, is kept from the start on. Where the robot is in motion
+    `lead_in` is how it may brake, and `start` where it then rests.
     """
 
     start: End
     targets: tuple[tuple[End, ...], ...]
     goal: Goal
     constraint: ConstraintManifold | None
+    lead_in: LeadIn | None = None
 
     @classmethod
-    def of(cls, context: PlanningContext, start: Array, goal: Goal) -> PlanningProblem:
+    def of(cls, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> PlanningProblem:
         """The problem to get from `start` (dof,) to the goal; of each target, what is near to the one before stands first.
 
-        Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`), InvalidRequest for a goal that does
-        not keep the constraint, and what the deadline raises.
+        `motion` (2, dof) are velocity and acceleration at the start, left out where it is at rest. Raises PlanningFailed
+        (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path` where no braking is free), InvalidRequest for a
+        goal that does not keep the constraint, and what the deadline raises.
         """
         model, constraint = context.model, None
         if constrains(context.path_constraint):
             constraint = ConstraintManifold.of(model, context.path_constraint, model.fk_tip(start))
-        begin = start_end(context, start, constraint)
+        lead_in: LeadIn | None = None
+        if motion is None or not motion.any():
+            begin = start_end(context, start, constraint)
+        else:
+            vias = isinstance(goal, WaypointsGoal) and len(goal.through) > 1
+            lead_in, begin = moving_start(context, np.vstack((start, motion)), vias=vias)
+            start = begin.asked
         through: dict[str, PoseGoal | JointGoal]
         if isinstance(goal, WaypointsGoal):
             through = {f"goal.through.{number}": waypoint for number, waypoint in enumerate(goal.through)}
@@ -47,9 +58,7 @@ class PlanningProblem:
         for field, target in through.items():
             targets.append(goal_ends(context, start, target, field, constraint))
             start = targets[-1][0].asked
-            if constraint is not None:
-                constraint.check_goal(model.fk_tip(start), field)
-        return cls(begin, tuple(targets), goal, constraint)
+        return cls(begin, tuple(targets), goal, constraint, lead_in)
 
     @property
     def goals(self) -> Array:

@@ -43,6 +43,19 @@ def make_ramps(capacity: int, dof: int) -> Ramps:
     return Ramps(np.empty(capacity, np.bool_), np.empty(capacity), *(np.empty((capacity, dof)) for _ in range(5)))
 
 
+def ramps_from(ramps: Ramps, first: int) -> Ramps:
+    """The room of all ramps from the `first` on."""
+    return Ramps(
+        ramps.via[first:],
+        ramps.duration[first:],
+        ramps.position[first:],
+        ramps.velocity[first:],
+        ramps.acceleration[first:],
+        ramps.first[first:],
+        ramps.last[first:],
+    )
+
+
 @inlined
 def least_time(distance: float, start: float, end: float, fastest: float, strongest: float) -> float:
     """Least time (s) for one joint over `distance` from velocity `start` to `end`, within both limits.

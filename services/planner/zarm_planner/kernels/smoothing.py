@@ -204,14 +204,15 @@ def smooth(
     ramps: Ramps,
     count: int,
     limits: Array,
+    begin: float,
     attempts: int,
     random: NDArray[np.uint64],
     deadline: NDArray[np.float64],
 ) -> int:
     """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns how many it has.
 
-    `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration (rad/s^2). Vias are passed as before,
-    perhaps at another velocity.
+    Before `begin` (s) it stays as it is. `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration
+    (rad/s^2). Vias are passed as before, perhaps at another velocity.
     """
     checks = space(robot, world, memory)
     capacity, dof = ramps.position.shape
@@ -227,14 +228,15 @@ def smooth(
         total = 0.0
         for i in range(count):
             total += ramps.duration[i]
-        early, late = uniform(random) * total, uniform(random) * total
+        early = begin + uniform(random) * (total - begin)
+        late = begin + uniform(random) * (total - begin)
         if early > late:
             early, late = late, early
         bent = attempt % (BENDS + 1) != 0
         # Every other attempt reaches to an end of the motion, where there is most to gain from starting sooner.
         reach = attempt if bent else attempt // (BENDS + 1)
         if reach % 4 == 1:
-            early = 0.0
+            early = begin
         elif reach % 4 == 3:
             late = total
         via, at, next_via = find_vias(ramps, count, early, late)

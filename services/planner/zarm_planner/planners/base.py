@@ -30,10 +30,12 @@ class Planner(ABC):
     """The kinds of goals that it takes, and by which name a request asks for it with such a goal."""
     constrained: ClassVar[bool] = False
     """Whether its trajectories keep a path constraint."""
+    moving: ClassVar[bool] = False
+    """Whether its trajectories may begin in motion, as the problem's `lead_in` does."""
 
     @abstractmethod
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
-        """Trajectories from rest at the start to rest at the goal, to which the seed of `context` leads; the fastest first.
+        """Trajectories from the start, at rest or in motion, to rest at the goal, to which the seed of `context` leads; the fastest first.
 
         There may be none. Further ones are asked for where those before them were refused, so they keep closer to what
         is known to be free. Raises what the deadline raises.

@@ -67,7 +67,7 @@ def _constraint(problem: PlanningProblem) -> ConstraintManifold:
 
 
 def _route(context: PlanningContext, problem: PlanningProblem, constraint: ConstraintManifold) -> Route | None:
-    return find_route(_ConstrainedPaths(context, constraint), problem, context.model.velocity)
+    return find_route(_ConstrainedPaths(context, constraint), problem, context.limits)
 
 
 def _timed(context: PlanningContext, constraint: ConstraintManifold, route: Route) -> TimedTrajectory | None:

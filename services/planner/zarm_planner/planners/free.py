@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -17,11 +17,15 @@ from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_r
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.improvement import Improvement
-from zarm_planner.timing.smoothing import smooth_path
-from zarm_planner.timing.time_parameterization import time_path
+from zarm_planner.timing.lead_in import LeadIn
+from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
+from zarm_planner.timing.time_parameterization import joined, time_path
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
+
+Timed = Callable[[], TimedTrajectory]
+"""Times a route."""
 
 _TRIES = 4
 """Paths between two, of which the quickest counts; on MotionBenchMaker's problems it is about a tenth shorter than one alone."""
@@ -33,13 +37,22 @@ class FreePlanner(Planner):
     """To a pose, to joints, or through waypoints, in the way that is quickest."""
 
     names = NAMES
+    moving = True
 
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
-        """The smooth trajectory along the route, and then those that round its corners ever less."""
+        """The smooth trajectory along the route, and then those that round its corners ever less.
+
+        From a start in motion these come after a rest.
+        """
         if (route := _route(context, problem)) is None:
             return
-        smooth = partial(_smooth, context, route)
-        for timed in (smooth, *(partial(_along, context, route, deviation) for deviation in _DEVIATIONS)):
+        lead_in = problem.lead_in
+        smooth: Timed = partial(_smooth, context, route, lead_in)
+        others: list[Timed] = [partial(_along, context, route, deviation) for deviation in _DEVIATIONS]
+        if lead_in is not None:
+            others.insert(0, partial(_smooth, context, route, None))
+            others = [partial(_after_rest, context, lead_in, timed) for timed in others]
+        for timed in (smooth, *others):
             context.deadline.check()
             with context.timer.stage("timing"):
                 trajectory = timed()
@@ -55,15 +68,17 @@ class FreePlanner(Planner):
                 return None
             return None if route is None else (route.path, route.vias)
 
-        improvement = Improvement(context.model, context.world, context.limits, context.dt, routes, context.seed)
+        improvement = Improvement(
+            context.model, context.world, context.limits, context.dt, routes, context.seed, lead_in=problem.lead_in
+        )
         return lambda duration: improvement.faster_than(duration, context.deadline)
 
 
 def _route(context: PlanningContext, problem: PlanningProblem) -> Route | None:
-    return find_route(_FreePaths(context), problem, context.model.velocity)
+    return find_route(_FreePaths(context), problem, context.limits)
 
 
-def _smooth(context: PlanningContext, route: Route) -> TimedTrajectory:
+def _smooth(context: PlanningContext, route: Route, lead_in: LeadIn | None) -> TimedTrajectory:
     seed, deadline = context.seed, context.deadline
     return smooth_path(
         context.model,
@@ -74,7 +89,12 @@ def _smooth(context: PlanningContext, route: Route) -> TimedTrajectory:
         seed=seed,
         deadline=deadline,
         vias=route.vias,
+        lead_in=lead_in,
     )
+
+
+def _after_rest(context: PlanningContext, lead_in: LeadIn, timed: Timed) -> TimedTrajectory:
+    return joined((brake_to_rest(context.model, context.world, lead_in, context.limits, context.dt), timed()))
 
 
 def _along(context: PlanningContext, route: Route, deviation: float) -> TimedTrajectory:

@@ -20,15 +20,21 @@ AUTO = "auto"
 """The name by which a request leaves the choice to its goal."""
 
 
-def choose(name: str, goal: Goal, constrained: bool, planners: Sequence[Planner] = PLANNERS) -> Planner:
-    """The planner that takes a request; `constrained` says that there is a path constraint.
+def choose(
+    name: str, goal: Goal, constrained: bool, moving: bool = False, planners: Sequence[Planner] = PLANNERS
+) -> Planner:
+    """The planner that takes a request; `constrained` says that there is a path constraint, `moving` a start in motion.
 
     Raises InvalidRequest where the one that `name` asks for does not take it.
     """
     fitting: dict[str, Planner] = {}
     for planner in planners:
-        if goal.kind in planner.names and (planner.constrained or not constrained):
+        if goal.kind in planner.names and planner.constrained >= constrained and planner.moving >= moving:
             fitting.setdefault(planner.names[goal.kind], planner)
+    if not fitting and moving:
+        raise InvalidRequest(
+            "no planner begins in motion and keeps a path constraint; leave one of them out", field="start_state"
+        )
     chosen = next(iter(fitting), name) if name == AUTO else name
     if chosen not in fitting:
         kind = f"{goal.kind} with a path constraint" if constrained else goal.kind

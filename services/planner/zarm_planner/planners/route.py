@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from zarm_planner.goals.ends import End
 from zarm_planner.goals.problem import PlanningProblem
+from zarm_trajectory.limits import Limits
 
 Array = NDArray[np.float64]
 
 _LEGS = 4
-"""Per target, so many pairs of configurations are tried to be joined before what was found so far has to do."""
+"""Per target, so many pairs of configurations are tried to be joined before what was found so far has to do, and one more for
+each further pose of a goal set."""
 LEG_SAMPLES = 1000
 """Samples after which the search for such a leg is given up, some milliseconds; nine of ten problems of MotionBenchMaker take fewer."""
 MOST_SAMPLES = 100_000
@@ -52,13 +54,13 @@ class Route:
         return self.rows[:-1]
 
 
-def find_route(paths: Paths, problem: PlanningProblem, fastest: Array) -> Route | None:
-    """A quick route through one end of each target, in their order, for joints that move `fastest` (dof,) at most.
+def find_route(paths: Paths, problem: PlanningProblem, limits: Limits) -> Route | None:
+    """A quick route through one end of each target, in their order, for joints with these limits.
 
     None where none was found.
     """
     start, targets = problem.start, problem.targets
-    chain = _quickest_chain(paths, [[start], *targets], fastest) or _any_chain(paths, start, targets)
+    chain = _quickest_chain(paths, [[start], *targets], limits) or _any_chain(paths, start, targets)
     if chain is None:
         return None
     path, rows = [*start.edge], []
@@ -75,13 +77,18 @@ Chain = list[tuple[End, Array]]
 """For each target the end that is gone through, and the leg that leads there."""
 
 
-def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], fastest: Array) -> Chain | None:
+def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limits) -> Chain | None:
     """The quickest chain through the layers, of which the first is the start; None where _LEGS tries each found none."""
     free = [np.array([end.free for end in ends]) for ends in layers]
     # From each end of a layer to each of the next: the time of the leg, or until that is known the least it can be.
-    costs = [_seconds(b[None] - a[:, None], fastest) for a, b in itertools.pairwise(free)]
+    last = len(free) - 2
+    rests = [(leg == 0) + (leg == last) for leg in range(last + 1)]
+    costs = [
+        _seconds((b[None] - a[:, None])[None], limits, ends)
+        for (a, b), ends in zip(itertools.pairwise(free), rests, strict=True)
+    ]
     known: list[dict[tuple[int, int], Array | None]] = [{} for _ in costs]
-    tries = _LEGS * len(costs)
+    tries = sum(_LEGS - 1 + len({end.pose for end in ends}) for ends in layers[1:])
     while (pairs := _cheapest(costs)) is not None:
         step = next((k for k, pair in enumerate(pairs) if pair not in known[k]), None)
         if step is None:
@@ -96,7 +103,7 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], fastest: Arra
         tries -= 1
         at, to = pairs[step]
         leg = known[step][at, to] = paths.between(layers[step][at].free, layers[step + 1][to].free)
-        costs[step][at, to] = np.inf if leg is None else float(_seconds(np.diff(leg, axis=0), fastest).sum())
+        costs[step][at, to] = np.inf if leg is None else float(_seconds(np.diff(leg, axis=0), limits, rests[step]))
     return None
 
 
@@ -130,7 +137,19 @@ def _any_chain(paths: Paths, start: End, targets: Sequence[Sequence[End]]) -> Ch
     return chain
 
 
-def _seconds(way: Array, fastest: Array) -> Array:
-    """Time (...,) that the joint with the longest way (..., dof) needs at its greatest speed (dof,)."""
-    time: Array = np.max(np.abs(way) / fastest, axis=-1)
+def _seconds(edges: Array, limits: Limits, rests: int) -> Array:
+    """Time (...,) that a path of `edges` (n, ..., dof) takes at least, with rest at so many of its two ends.
+
+    Each edge takes its slowest joint at full speed; and all of them each joint, which also speeds up and slows down.
+    """
+    way = np.abs(edges)
+    edge_by_edge = np.max(way / limits.velocity, axis=-1).sum(axis=0)
+    way = way.sum(axis=0)
+    ramp = 0.5 * rests * limits.velocity / limits.acceleration
+    joints = np.where(
+        way < ramp * limits.velocity,
+        np.sqrt(2 * rests * way / limits.acceleration),
+        way / limits.velocity + ramp,
+    )
+    time: Array = np.maximum(edge_by_edge, joints.max(axis=-1))
     return time

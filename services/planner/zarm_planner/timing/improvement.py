@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
-from zarm_planner.timing.smoothing import DEVIATION, Smoothing
+from zarm_planner.timing.averaging import DEVIATION
+from zarm_planner.timing.lead_in import LeadIn
+from zarm_planner.timing.smoothing import Smoothing
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -39,6 +41,7 @@ class Improvement:
     routes: Routes
     seed: int
     deviation: float = DEVIATION
+    lead_in: LeadIn | None = None
     _round: int = field(default=0, init=False)
     _best: list[Smoothing] = field(default_factory=list, init=False)
     _given: tuple[Smoothing, float] | None = field(default=None, init=False)
@@ -67,7 +70,16 @@ class Improvement:
         seed = self.seed + 2 * self._round
         if (route := self.routes(self._round)) is not None:
             path, vias = route
-            new = Smoothing(self.model, self.world, path, self.limits, self.dt, vias=vias, deviation=self.deviation)
+            new = Smoothing(
+                self.model,
+                self.world,
+                path,
+                self.limits,
+                self.dt,
+                vias=vias,
+                deviation=self.deviation,
+                lead_in=self.lead_in,
+            )
             new.shortcut(_ATTEMPTS, seed, deadline)
             self._best.append(new)
         if self._best:

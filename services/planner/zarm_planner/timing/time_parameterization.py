@@ -12,18 +12,22 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from toppra import SplineInterpolator
-from toppra.algorithm import TOPPRA
-from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.timing.sampling import sample_times, within
+from zarm_planner.timing.toppra_without_plots import (
+    TOPPRA,
+    JointAccelerationConstraint,
+    JointVelocityConstraint,
+    SplineInterpolator,
+)
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -60,7 +64,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
             trajectory = within(partial(fastest.sample, dt=dt), limits)
             if trajectory.duration < sum(edge.duration for edge in edges):
                 return trajectory
-    return _join([within(partial(edge.sample, dt=dt), limits) for edge in edges])
+    return joined([within(partial(edge.sample, dt=dt), limits) for edge in edges])
 
 
 def _distinct(path: Array) -> Array:
@@ -202,8 +206,8 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
     return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
 
 
-def _join(trajectories: list[TimedTrajectory]) -> TimedTrajectory:
-    """Motions from rest to rest, one after the other."""
+def joined(trajectories: Sequence[TimedTrajectory]) -> TimedTrajectory:
+    """Motions, each of which begins at rest where the one before came to rest, one after the other."""
     starts = np.cumsum([0.0, *(trajectory.duration for trajectory in trajectories[:-1])])
     first, *rest = trajectories
     return TimedTrajectory(

@@ -15,7 +15,9 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _POSITION = 1e-6
 """Rad by which a motion may miss its start and its goal."""
-_RANGE = 1e-4
+LOAD = 1 + 1.5 * TOLERANCE
+"""How far the limits may be used, as `Limits.load` has it: what timing makes, and some rounding."""
+RANGE = 1e-4
 """Rad by which a joint may be outside its range: rounding, and interpolation between samples."""
 
 
@@ -31,29 +33,33 @@ def verify(
     scene: ExactScene,
     check: Callable[[], None],
     constraint: ConstraintManifold | None = None,
+    motion: Array | None = None,
 ) -> float:
     """The trajectory's smallest distance (m) to the scene and to the robot itself, at most 1.
 
-    Raises VerificationFailed unless the trajectory leads from `start` to `goal` (dof,), from rest to rest, inside the joints'
+    Raises VerificationFailed unless the trajectory leads from `start` to `goal` (dof,), from rest, or the velocity and
+    acceleration `motion` (2, dof) at the start, to rest, inside the joints'
     ranges and `limits`, and free of collision: between the configurations looked at no point of the robot moves further
     than `RESOLUTION`, and `constraint` is looked at there. `check` is called now and then and may raise.
     """
     model, joints = scene.model, scene.model.robot.descriptor.joints
+    velocity, acceleration = np.zeros((2, model.dof)) if motion is None else motion
     for values, wanted, what in (
         (trajectory.position[0], start, "starts away from the start"),
         (trajectory.position[-1], goal, "ends away from the goal"),
-        (trajectory.velocity[0], 0.0, "does not start at rest"),
+        (trajectory.velocity[0], velocity, "does not start at the velocity of the start"),
+        (trajectory.acceleration[0], acceleration, "does not start at the acceleration of the start"),
         (trajectory.velocity[-1], 0.0, "does not end at rest"),
     ):
         if not np.all(np.abs(values - wanted) <= _POSITION):
             raise VerificationFailed(f"the trajectory {what}")
-    if not (load := limits.load(trajectory)) <= 1 + 1.5 * TOLERANCE:  # and some rounding
+    if not (load := limits.load(trajectory)) <= LOAD:
         raise VerificationFailed(f"the trajectory needs {load:.2f} times the allowed speed")
 
     times = _moments(trajectory, scene.reach)
     position = trajectory.positions(times)
     outside = np.maximum(model.lower - position, position - model.upper)
-    if not np.all(outside <= _RANGE):
+    if not np.all(outside <= RANGE):
         sample, joint = np.unravel_index(int(np.argmax(outside)), outside.shape)
         raise VerificationFailed(
             f"the trajectory takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "

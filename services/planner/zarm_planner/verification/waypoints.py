@@ -22,7 +22,7 @@ def passing_times(
     position_tolerance: float,
     angle_tolerance: float,
 ) -> tuple[float, ...]:
-    """The times (s) at which the tip is nearest to its poses at `waypoints` (dof,), which are passed in this order.
+    """The times (s) at which the tip is nearest to its pose at any row of each of `waypoints` (n, dof), which are passed in this order.
 
     Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad).
     """
@@ -30,17 +30,19 @@ def passing_times(
     tips = model.fk_tip(trajectory.sample(t)[0])
     times: list[float] = []
     begin = 0
-    for number, wanted in enumerate(model.fk_tip(np.array(waypoints).reshape(-1, model.dof))):
-        distance = np.linalg.norm(tips[begin:, :3, 3] - wanted[:3, 3], axis=1)
+    for number, waypoint in enumerate(waypoints):
+        wanted = model.fk_tip(waypoint.reshape(-1, model.dof))[:, None]
+        distance = np.linalg.norm(tips[begin:, :3, 3] - wanted[..., :3, 3], axis=-1)
         # |A - B| = 2 sqrt(2) sin(angle / 2) in the Frobenius norm, for rotations A and B.
-        apart = np.linalg.norm(tips[begin:, :3, :3] - wanted[:3, :3], axis=(1, 2))
+        apart = np.linalg.norm(tips[begin:, :3, :3] - wanted[..., :3, :3], axis=(-2, -1))
         angle = 2.0 * np.arcsin(np.minimum(apart / np.sqrt(8.0), 1.0))
-        use = np.maximum(distance / position_tolerance, angle / angle_tolerance)
+        uses = np.maximum(distance / position_tolerance, angle / angle_tolerance)
+        use = uses.min(axis=0)
         if use.min() > 1.0:
-            k = int(np.argmin(use))
+            which, k = np.unravel_index(int(np.argmin(uses)), uses.shape)
             raise VerificationFailed(
-                f"the trajectory passes waypoint {number} at a distance of {1e3 * distance[k]:.1f} mm and "
-                f"{np.rad2deg(angle[k]):.2f} deg"
+                f"the trajectory passes waypoint {number} at a distance of {1e3 * distance[which, k]:.1f} mm and "
+                f"{np.rad2deg(angle[which, k]):.2f} deg"
             )
         first = int(np.argmax(use <= 1.0))
         outside = np.flatnonzero(use[first:] > 1.0)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from curobo_msgs.srv import AddObject
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from curobo_msgs.srv import AddObject
 
 Colour = tuple[float, float, float, float]
 """Red, green, blue, alpha, 0..1."""

@@ -1,6 +1,6 @@
 """Joints by name, of a request and of a driver.
 
-`joint1` is as good as `joint_1`: Doosan's drivers have had both.
+`joint1` is as good as `joint_1`: Doosan's drivers have had both, and their links too.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from sensor_msgs.msg import JointState as RosJointState
 
@@ -49,7 +49,7 @@ def positions_of(message: RosJointState, joints: Sequence[str], field: str) -> P
         raise InvalidRequest(
             f"{len(values)} positions for {len(message.name)} names; give one for each", field=f"{field}.position"
         )
-    places = _places(message.name or joints, joints, f"{field}.name")
+    places = places_of(message.name or joints, joints, f"{field}.name")
     return tuple(finite(values[places[joint]], f"{field}.position.{places[joint]}") for joint in joints)
 
 
@@ -65,7 +65,7 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
     which names the field, for what cannot be read.
     """
     names = message.name or unnamed
-    places = _places(names, joints, "name")
+    places = places_of(names, joints, "name")
     position, velocity = message.position, message.velocity or [0.0] * len(names)
     for field, values in (("position", position), ("velocity", velocity)):
         if len(values) != len(names):
@@ -82,12 +82,11 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
     )
 
 
-def _places(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:
-    """Where each of `joints` stands in `names`, and each other name."""
-    alike = {_plain(joint): joint for joint in joints}
+def places_of(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:
+    """Where each of `joints` stands in `names`, and each other name. Raises InvalidRequest where one is missing, or there twice."""
     places: dict[str, int] = {}
     for place, name in enumerate(names):
-        joint = name if name in joints else alike.get(_plain(name), name)
+        joint = known_as(name, joints)
         if joint in places:
             raise InvalidRequest(f"the joint {name} appears twice; name each joint once", field=f"{field}.{place}")
         places[joint] = place
@@ -99,5 +98,8 @@ def _places(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str
     return places
 
 
-def _plain(name: str) -> str:
-    return name.replace("_", "")
+def known_as(name: str, among: Collection[str]) -> str:
+    """Which of these joints or links is meant: `link6` is `link_6` where there is no other; a name that none has stays."""
+    if name in among:
+        return name
+    return next((one for one in among if one.replace("_", "") == name.replace("_", "")), name)

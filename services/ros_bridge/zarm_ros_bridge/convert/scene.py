@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import re
+from array import array
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import Vector3 as RosVector3
-from sensor_msgs.msg import PointCloud2, PointField
 
-from curobo_msgs.srv import AddObject
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, Occupancy, SceneObject, Sphere, Vector3
 from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.poses import pose_of
 
+if TYPE_CHECKING:
+    from nav2_msgs.msg import VoxelGrid
+
+    from curobo_msgs.srv import AddObject
+
+MOST_VOXELS = 4_000_000
+"""In one box, which is a message of four times as many bytes."""
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
@@ -26,17 +34,17 @@ def object_of(request: AddObject.Request) -> SceneObject:
     name, pose, d = name_of(request.name), pose_of(request.pose, "pose"), request.dimensions
     at, turned = pose.position, pose.orientation
     match request.type:
-        case AddObject.Request.CUBOID:
+        case request.CUBOID:
             return Cuboid(kind="cuboid", name=name, position=at, orientation=turned, size=_sizes(d))
-        case AddObject.Request.SPHERE:
+        case request.SPHERE:
             return Sphere(kind="sphere", name=name, position=at, radius=_size(d.x, "x"))
-        case AddObject.Request.CAPSULE:
+        case request.CAPSULE:
             radius, length = _size(d.x, "x"), _size(d.z, "z")
             return Capsule(kind="capsule", name=name, position=at, orientation=turned, radius=radius, length=length)
-        case AddObject.Request.CYLINDER:
+        case request.CYLINDER:
             radius, length = _size(d.x, "x"), _size(d.z, "z")
             return Cylinder(kind="cylinder", name=name, position=at, orientation=turned, radius=radius, length=length)
-        case AddObject.Request.MESH:
+        case request.MESH:
             scale = _sizes(d) if any((d.x, d.y, d.z)) else (1.0, 1.0, 1.0)
             file = _file(request.mesh_file_path)
             return Mesh(kind="mesh", name=name, position=at, orientation=turned, file=file, scale=scale)
@@ -65,22 +73,38 @@ FIELDS = {
 """Fields of an edit that adds one object, and what they are in AddObject."""
 
 
-def ros_cloud(occupancy: Occupancy, frame: str) -> PointCloud2:
-    """The centres of occupied voxels as points x, y, z (float32, m) in `frame`."""
-    centres = np.array(occupancy.cells, np.float64).reshape(-1, 3) * occupancy.resolution
-    message = PointCloud2(
-        height=1,
-        width=len(centres),
-        fields=[
-            PointField(name=axis, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, axis in enumerate("xyz")
-        ],
-        point_step=12,
-        row_step=12 * len(centres),
-        is_dense=True,
-        data=centres.astype("<f4").tobytes(),
-    )
-    message.header.frame_id = frame
-    return message
+Corners = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+def fill_grid(grid: VoxelGrid, occupancy: Occupancy, frame: str, box: Corners | None) -> None:
+    """The voxels of a box (corners in m; None: the smallest that has all that are occupied) as 0 and 1, the index of x the slowest.
+
+    The box is widened to whole voxels; `origin` is its corner with the lowest coordinates. Raises InvalidRequest where it has more
+    than MOST_VOXELS.
+    """
+    edge = occupancy.resolution
+    cells = np.array(occupancy.cells, np.int64).reshape(-1, 3)  # cell i is from i - 1/2 to i + 1/2
+    if box is not None:
+        low, high = (np.array(corner) / edge for corner in box)
+        first, last = np.floor(low + 0.5).astype(int), np.ceil(high - 0.5).astype(int)
+        cells = cells[np.all((cells >= first) & (cells <= last), axis=1)]
+    elif len(cells):
+        first, last = cells.min(axis=0), cells.max(axis=0)
+    else:
+        first, last = np.zeros(3, int), np.full(3, -1)
+    shape = last - first + 1
+    if (count := math.prod(shape.tolist())) > MOST_VOXELS:
+        raise InvalidRequest(
+            f"the box has {count} voxels, which are more than {MOST_VOXELS}; ask for a smaller one, or set a larger voxel_size",
+            field="voxel_size",
+        )
+    occupied = np.zeros(shape, np.uint32)
+    occupied[tuple((cells - first).T)] = 1
+    grid.header.frame_id = frame
+    grid.data = array("I", occupied.tobytes())
+    grid.origin.x, grid.origin.y, grid.origin.z = ((first - 0.5) * edge).tolist()
+    grid.resolutions = RosVector3(x=edge, y=edge, z=edge)
+    grid.size_x, grid.size_y, grid.size_z = shape.tolist()
 
 
 def _sizes(dimensions: RosVector3) -> Vector3:

@@ -1,0 +1,236 @@
+"""Whether a timed motion keeps a margin to everything: what stands, what moves, and the robot itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Attached, SceneObject, Vector3
+from zarm_geometry import rows
+from zarm_geometry.exact import obstacles, robot_parts, subjects
+from zarm_geometry.kernels.clearance import Obstacles
+from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, first_contact, motion, motion_body, solids
+from zarm_geometry.kernels.nearby import GRADIENT, near
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World, convex_shapes
+
+Array = NDArray[np.float64]
+
+FARTHEST = 0.1
+"""Clearance (m) beyond the margin that a verdict does not tell apart."""
+MOST_PAIRS = 64
+"""Rows of the world and pairs of links that are told apart near one configuration."""
+_OVERSHOOT = 1.01
+"""Trajectories may accelerate by this factor more than the joints' limits say, as `zarm_trajectory.limits` has it."""
+
+
+@dataclass(frozen=True)
+class MotionVerdict:
+    """What is proven of a motion.
+
+    `free`: it keeps the margin from its first sample to its last. If not, it does so up to `contact_time` (s, on the motion's
+    own clock; its first time where already the start is too near), and `link` comes too near to `object`, a scene object or
+    another link. `clearance` (m) is a lower bound of the distance up to there, capped at FARTHEST beyond the margin.
+    """
+
+    free: bool
+    contact_time: float | None
+    object: str | None
+    link: str | None
+    clearance: float
+
+
+@dataclass(frozen=True)
+class NearPair:
+    """A link that is `distance` (m, below 0 where they overlap) from `object`, a scene object or another link.
+
+    `gradient` (dof,) in m/rad (m/m where prismatic): by how much each joint changes that.
+    """
+
+    distance: float
+    link: str
+    object: str
+    gradient: Array
+
+
+@dataclass(frozen=True)
+class MovingObject:
+    """An object that was seen at the pose of `object` at `time` (s, on the clock of the motions that are checked).
+
+    At any other time it is displaced by `velocity` (m/s, base frame) times what has passed, and each of its points anywhere
+    within `speed` (m/s) times that of there. For an object that moves in any way, but no faster than v, leave `velocity` zero and
+    say v as `speed`.
+    """
+
+    object: SceneObject
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    speed: float = 0.0
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A robot with what is attached to it, for the kernel."""
+
+    model: RobotModel
+    packed: MotionBody
+
+    @classmethod
+    def of(cls, model: RobotModel) -> Self:
+        parts, _ = robot_parts(model)
+        return cls(model, motion_body(parts, subjects(model, parts)))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """A world, less the rows that are not `alive` (n,), and the shapes of the objects that changed since it was made."""
+
+    world: World
+    obstacles: Obstacles
+    standing: Solids
+    alive: Flags
+    changed: dict[str, Array] = field(default_factory=dict)
+
+
+class MotionCheck:
+    """Checks motions of one robot in a world that changes; any number of threads may check while one changes it.
+
+    It computes on the exact shapes of robot and objects, without the GIL, see `kernels.motion`.
+    """
+
+    def __init__(self, model: RobotModel, meshes: Meshes | None = None) -> None:
+        self.model, self._meshes = model, meshes or Meshes()
+        self._bodies: dict[tuple[tuple[Attached, ...], tuple[str, ...]], _Body] = {}
+        self.set_world(World((), 0.0))
+
+    def set_world(self, world: World) -> None:
+        """Check in this world from now on; its margin is not added to that of the checks."""
+        self._scene = _Scene(world, obstacles(world), solids(world.rows), np.ones(len(world.rows), np.uint8))
+
+    def update(self, changed: Sequence[SceneObject], removed: Sequence[str] = ()) -> None:
+        """Put objects into the world, in place of those of the same names, and take others out; unknown names do not matter.
+
+        It costs far less than a new world. But changed objects are not in its tree: after some hundreds a new world is faster.
+        """
+        scene = self._scene
+        names = {item.name for item in changed} | set(removed)
+        gone = [index for index, name in enumerate(scene.world.names) if name in names]
+        alive = np.where(np.isin(scene.world.owner, gone), np.uint8(0), scene.alive)
+        others = {name: shapes for name, shapes in scene.changed.items() if name not in names}
+        fresh = {item.name: convex_shapes([item], self._meshes)[0] for item in changed}
+        self._scene = replace(scene, alive=alive, changed=others | fresh)
+
+    def check(
+        self,
+        times: ArrayLike,
+        positions: ArrayLike,
+        *,
+        margin: float,
+        attached: Sequence[Attached] = (),
+        ignored_links: Sequence[str] = (),
+        moving: Sequence[MovingObject] = (),
+        acceleration: ArrayLike | None = None,
+    ) -> MotionVerdict:
+        """Whether a motion keeps `margin` (m, above 0) to all objects and between the robot's own links.
+
+        `times` (N,) in s increase; `positions` (N, dof) in rad (m where prismatic). Between two samples a joint may do whatever
+        its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: what is proven holds there, too. The
+        further apart samples are, the more a motion must keep beyond the margin to be called free: at 6 rad/s^2 in each joint
+        some 0.1 mm for 4 ms and 2 mm for 20 ms. `attached` objects and `ignored_links` are as in the scene. Raises
+        InvalidRequest for arrays that do not fit.
+        """
+        time, q = np.array(times, np.float64, ndmin=1), np.array(positions, np.float64, order="C", ndmin=2)
+        if (
+            len(time) == 0
+            or q.shape != (len(time), self.model.dof)
+            or not (np.isfinite(time).all() and np.isfinite(q).all())
+        ):
+            raise InvalidRequest(f"a motion needs a finite time and {self.model.dof} finite positions for each sample")
+        if len(time) == 1:
+            time, q = np.repeat(time, 2) + (0.0, 1e-6), np.repeat(q, 2, axis=0)
+        if not np.all(np.diff(time) > 0.0):
+            raise InvalidRequest("the times of a motion must increase")
+        body, scene = self._body(tuple(attached), tuple(ignored_links)), self._scene
+        limit = _OVERSHOOT * self.model.acceleration if acceleration is None else np.asarray(acceleration, np.float64)
+        names, movers = self._movers(scene, moving)
+        until, part, other, clearance = first_contact(
+            body.packed,
+            scene.obstacles,
+            scene.standing,
+            scene.alive,
+            movers,
+            motion(body.packed, time, q, limit),
+            margin,
+            margin + FARTHEST,
+        )
+        if until == len(time) - 1:
+            return MotionVerdict(True, None, None, None, clearance)
+        link, near_it = _names(body, scene, names, part, other)
+        return MotionVerdict(False, float(time[until]), near_it, link, clearance)
+
+    def nearby(
+        self,
+        position: ArrayLike,
+        *,
+        within: float,
+        time: float = 0.0,
+        attached: Sequence[Attached] = (),
+        ignored_links: Sequence[str] = (),
+        moving: Sequence[MovingObject] = (),
+    ) -> list[NearPair]:
+        """What is nearer than `within` (m) at `position` (dof,), nearest first: for each link and object, and each two links, once.
+
+        Of more than MOST_PAIRS the nearest count. `moving` objects are taken at `time` (s). Raises InvalidRequest.
+        """
+        q = np.array(position, np.float64, order="C")
+        if q.shape != (self.model.dof,) or not np.isfinite(q).all():
+            raise InvalidRequest(f"a configuration needs {self.model.dof} finite positions")
+        body, scene = self._body(tuple(attached), tuple(ignored_links)), self._scene
+        names, movers = self._movers(scene, moving)
+        standing = motion(body.packed, time + np.array((0.0, 1.0)), np.array((q, q)), np.zeros(self.model.dof))
+        found = np.empty((MOST_PAIRS, GRADIENT + self.model.dof))
+        count = near(body.packed, scene.obstacles, scene.standing, scene.alive, movers, standing, within, found)
+        pairs: dict[tuple[str, str], NearPair] = {}
+        for row in found[np.argsort(found[:count, 0])]:
+            link, other = _names(body, scene, names, int(row[1]), int(row[2]))
+            pairs.setdefault((link, other), NearPair(float(row[0]), link, other, row[GRADIENT:]))
+        return list(pairs.values())
+
+    def _body(self, attached: tuple[Attached, ...], ignored_links: tuple[str, ...]) -> _Body:
+        key = (attached, ignored_links)
+        if key not in self._bodies:
+            self._bodies = {key: _Body.of(self.model.with_attached(attached, ignored_links))}
+        return self._bodies[key]
+
+    def _movers(self, scene: _Scene, moving: Sequence[MovingObject]) -> tuple[list[str], Movers]:
+        """What the world's tree does not hold, and the name of the object that each row of it is part of."""
+        if not moving and not scene.changed:
+            return [], _NONE
+        tables = [*scene.changed.values(), *(convex_shapes([item.object], self._meshes)[0] for item in moving)]
+        names = [*scene.changed, *(item.object.name for item in moving)]
+        states = [(0.0,) * 5] * len(scene.changed) + [(*item.velocity, item.speed, item.time) for item in moving]
+        counts = [len(table) for table in tables]
+        state = np.repeat(np.array(states), counts, axis=0)
+        shapes = np.concatenate(tables)
+        return [name for name, count in zip(names, counts, strict=True) for _ in range(count)], Movers(
+            solids(shapes), state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), *rows.bounds(shapes)
+        )
+
+
+def _names(body: _Body, scene: _Scene, movers: Sequence[str], part: int, other: int) -> tuple[str, str]:
+    """The link that a part is of, and what the kernels call `other`."""
+    link = body.model.links[body.model.parts[part][0]]
+    if other < 0:
+        return link, body.model.links[body.model.parts[-1 - other][0]]
+    if other < len(scene.alive):
+        return link, scene.world.names[scene.world.owner[other]]
+    return link, movers[other - len(scene.alive)]
+
+
+_NONE = Movers(solids(np.zeros((0, rows.WIDTH))), *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))))

@@ -1,0 +1,40 @@
+"""How a process of zarm joins ROS 2: the settings of Fast DDS, which it reads from the environment."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+
+log = logging.getLogger(__name__)
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"  # as it was said before Jazzy
+_PEERS = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+REACH = (RANGE, _LOCALHOST_ONLY, *_PEERS, *_PROFILES)
+"""With any of these a user has said whom DDS is to reach."""
+NETWORK, LOCALHOST = (str(Path(__file__).with_name(f"dds_{reach}.xml")) for reach in ("network", "localhost"))
+
+
+def join() -> None:
+    """Set what Fast DDS reads when the first participant of this process is made; what the environment says already holds.
+
+    There is no shared memory with other processes: what one that was killed has left there holds up whoever opens it next for a
+    third of a second, a driver that sends to a bridge, or a bridge that answers a client. ROS itself shares memory where it is to
+    keep to this machine, so that is done by a profile, `LOCALHOST`. Where DDS listens on other interfaces, the log warns.
+    """
+    said = {name for name in REACH if os.environ.get(name)}
+    if not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith("rmw_fastrtps") or said & {*_PROFILES}:
+        return
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    reach = "LOCALHOST" if os.environ.get(_LOCALHOST_ONLY) == "1" else os.environ.get(RANGE, "SUBNET")
+    if reach == "LOCALHOST" and not said & {*_PEERS}:
+        os.environ |= {RANGE: "SYSTEM_DEFAULT", _LOCALHOST_ONLY: "", _PROFILES[0]: LOCALHOST}
+        log.info("DDS keeps to this machine others=%s", f"{RANGE}=SUBNET")
+        return
+    os.environ[_PROFILES[0]] = NETWORK
+    if reach not in ("LOCALHOST", "OFF"):
+        log.warning(
+            "DDS listens on every interface, and whoever reaches it can move the robot remedy=%s", f"{RANGE}=LOCALHOST"
+        )

@@ -1,0 +1,119 @@
+"""The authority of a goal: how far the servo lets it go, and whether there is a servo at all.
+
+The servo says up to which path time a goal may go, again and again. It says so of one scene; what it says of another than the
+present one only holds the goal back. One that is silent, or checks in an old scene, for `guard_timeout` guards nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zarm_contract.errors import Problem
+from zarm_contract.messages import Authority, Hold, Obstruction, SceneRevision
+from zarm_contract.robot import RobotDescriptor
+from zarm_trajectory.braking_curve import BrakingCurve
+from zarm_trajectory.trajectory import TimedTrajectory
+
+LEAST_WAY = 0.1
+"""A goal that is held goes on when it may go so much (s of the path) further: not by every millimetre."""
+_TICKS = 2
+"""Ticks until a stop takes effect."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The end of an authority, and the path speeds from which the robot rests before it, and before the contact itself."""
+
+    rest: BrakingCurve
+    contact: BrakingCurve
+    obstruction: Obstruction | None
+
+    @property
+    def until(self) -> float:
+        """The path time (s) before which the robot rests."""
+        return self.rest.end
+
+    def hold(self, time: float, speed: float) -> Hold:
+        """What holds a robot that brakes from the path time `time` (s) at this path speed."""
+        found = self.obstruction
+        if found is not None:
+            found = found.model_copy(update={"avoidable": speed <= self.contact.speed(time)})
+        return Hold(reason="obstruction", obstruction=found)
+
+
+class Guard:
+    """What the servo said last. Times are on the monotonic clock; one call at a time, except for `limit`."""
+
+    def __init__(self, descriptor: RobotDescriptor) -> None:
+        execution = descriptor.execution
+        self.required = execution.guard == "required"
+        self.timeout = execution.guard_timeout
+        self.patience = execution.obstruction_timeout
+        self._reaction = _TICKS * execution.control_period
+        self._acceleration = np.array(descriptor.cspace.acceleration)
+        self._newest: Authority | None = None
+        self._heard_at = self._confirmed_at = -math.inf
+
+    def hear(self, authority: Authority, now: float) -> bool:
+        """Note what the servo says; whether it is newer than what it said before."""
+        before = self._newest
+        if before is not None and before.servo == authority.servo and authority.sequence <= before.sequence:
+            return False
+        self._newest, self._heard_at = authority, now
+        return True
+
+    def of(self, goal_id: str) -> Authority | None:
+        """What was said last, if it is about this goal."""
+        newest = self._newest
+        return newest if newest is not None and newest.goal_id == goal_id else None
+
+    def confirm(self, goal_id: str | None, scene: SceneRevision | None, now: float) -> bool:
+        """Whether the robot is guarded, with this goal or none, in this scene; asked at every tick."""
+        if self.checked(goal_id, scene, now):
+            self._confirmed_at = self._heard_at
+        return now - self._confirmed_at <= self.timeout
+
+    def checked(self, goal_id: str | None, scene: SceneRevision | None, now: float) -> bool:
+        """Whether what the servo said last is about this goal in this very scene, and not old."""
+        newest = self._newest
+        return (
+            newest is not None
+            and (newest.goal_id, newest.scene_revision) == (goal_id, scene)
+            and now - self._heard_at <= self.timeout
+        )
+
+    def limit(self, authority: Authority, trajectory: TimedTrajectory) -> Limit | None:
+        """Where an authority over this trajectory ends; None where it reaches to its end."""
+        if authority.until is None or authority.until >= trajectory.duration:
+            return None
+        contact = authority.until if authority.obstruction is None else authority.obstruction.time
+        return Limit(
+            BrakingCurve(trajectory, authority.until, self._acceleration),
+            BrakingCurve(trajectory, contact, self._acceleration),
+            authority.obstruction,
+        )
+
+    def must_brake(self, limit: Limit, time: float, speed: float) -> bool:
+        """Whether a robot that would brake from the path time `time` (s) at this path speed must do so now."""
+        return speed > limit.rest.speed(time + self._reaction * speed)
+
+
+def given_up(hold: Hold, patience: float) -> Problem:
+    """Why a goal ends that was held for `patience` s."""
+    found = hold.obstruction
+    if hold.reason == "no_guard":
+        return Problem(
+            code="unavailable",
+            message=f"the goal was held for {patience:g} s because no servo guards it and execution.guard is required; start "
+            "the servo, then plan again from where the robot is",
+        )
+    what = "something" if found is None else found.object
+    where = "" if found is None else f" of {found.link} at {found.time:.2f} s of the trajectory"
+    return Problem(
+        code="stale_plan",
+        message=f"{what} is in the way{where}, and was for {patience:g} s (execution.obstruction_timeout); take it away, or "
+        "plan again from where the robot is",
+    )

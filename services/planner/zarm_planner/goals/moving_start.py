@@ -1,0 +1,74 @@
+"""A start in motion: whether the robot may be in that state, and a way to brake from it that hits nothing.
+
+The path of a plan begins where that way comes to rest; smoothing in time then cuts through the rest where there is room.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest, PlanningFailed
+from zarm_contract.messages import StartState
+from zarm_geometry.robot_model import RobotModel
+from zarm_planner.context import PlanningContext
+from zarm_planner.goals.ends import End, check_start, rest_end
+from zarm_planner.goals.joints import checked
+from zarm_planner.timing.lead_in import LeadIn, ways_to_rest
+from zarm_planner.timing.smoothing import brake_to_rest
+from zarm_planner.verification.verify import LOAD, RANGE, VerificationFailed, verify
+from zarm_trajectory.limits import Limits
+
+Array = NDArray[np.float64]
+
+
+def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
+    """The state (3, dof) of a request. Raises InvalidRequest where it is outside the joints' ranges or `limits`."""
+    rows = ("position", "velocity", "acceleration")
+    state = np.stack([checked(model, getattr(start, row), f"start_state.{row}") for row in rows])
+    middle, reach = (model.lower + model.upper) / 2, (model.upper - model.lower) / 2 + RANGE
+    least = np.stack((middle - reach, -limits.velocity * LOAD, -limits.acceleration * LOAD**2))
+    most = np.stack((middle + reach, limits.velocity * LOAD, limits.acceleration * LOAD**2))
+    for k, j in np.argwhere((state < least) | (state > most)).tolist():
+        joint = model.robot.descriptor.joints[j]
+        raise InvalidRequest(
+            f"the {rows[k]} of {joint} is {state[k, j]:.4f}, outside its limits, {least[k, j]:.4f} to {most[k, j]:.4f}; "
+            "give a state inside them" + (f", or raise {rows[k]}_scale" if k else ""),
+            field=f"start_state.{rows[k]}.{j}",
+            joint=joint,
+        )
+    return state
+
+
+def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple[LeadIn, End]:
+    """A way to brake from `state` (3, dof), verified, and where it comes to rest; `vias` as in `ways_to_rest`.
+
+    Raises PlanningFailed (`start_in_collision`, and `no_path` where every braking that is tried breaks a limit or hits something).
+    """
+    check_start(context, state[0], "start_state")
+    failure: VerificationFailed | None = None
+    ways = ways_to_rest(context.model, context.world, state, context.limits, context.dt, vias=vias, seed=context.seed)
+    for lead_in in ways:
+        context.deadline.check()
+        trajectory = brake_to_rest(context.model, context.world, lead_in, context.limits, context.dt)
+        try:
+            verify(
+                trajectory,
+                state[0],
+                lead_in.rest,
+                context.limits,
+                context.exact,
+                context.deadline.check,
+                motion=state[1:],
+            )
+        except VerificationFailed as error:
+            failure = failure or error
+            continue
+        if (end := rest_end(context, lead_in.rest)) is not None:
+            return lead_in, end
+    reason = str(failure or "a joint would leave its range")
+    raise PlanningFailed(
+        f"no braking from the start keeps clear of everything: {reason}; give a state from which the robot can still brake",
+        code="no_path",
+        field="start_state",
+    )

@@ -1,0 +1,96 @@
+"""How a motion begins that does not begin at rest: a past that the average over time needs, and a braking to rest.
+
+Smoothing averages ramps over a window of time. So that the average has a given position, velocity and acceleration at time 0,
+the ramps need a past as long as the window: in it each joint first changes its velocity by the window times that acceleration,
+as fast as it can, and then keeps it. Thereby the ramps begin no faster than the motion gets if its acceleration is let go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.kernels.lead_in import brake
+from zarm_planner.kernels.ramps import Ramps, make_ramps
+from zarm_planner.timing.averaging import averaging_window, gentle_acceleration
+from zarm_planner.timing.sampling import TOLERANCE
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.quintic import Array
+
+_WAYS = 300
+"""Ways to brake that are tried; each that is not free takes some 20 us."""
+_EXACT_WAYS = 20
+"""And among those that are not free in spheres."""
+
+
+@dataclass(frozen=True)
+class LeadIn:
+    """The beginning of a motion at `state` (3, dof): position, velocity and acceleration.
+
+    `ramps` are two: the past, `window` s long, and a braking with at most `strongest` (dof,) rad/s^2 to rest at `rest` (dof,).
+    `fastest` (dof,) in rad/s may be a little more than the limits, where the motion begins so.
+    """
+
+    state: Array
+    rest: Array
+    ramps: Ramps
+    window: float
+    fastest: Array
+    strongest: Array
+
+
+def ways_to_rest(
+    model: RobotModel, world: World, state: Array, limits: Limits, dt: float, *, vias: bool, seed: int
+) -> Iterator[LeadIn]:
+    """Ways to brake from `state` (3, dof) inside the joints' ranges: first one that is free in spheres, if any, then others.
+
+    With `vias` acceleration is as gentle as `smooth_path` has it then.
+    """
+    q, velocity, acceleration = state
+    strongest = gentle_acceleration(limits, dt) if vias else limits.acceleration
+    strength = np.maximum(strongest, np.abs(acceleration))
+    window = averaging_window(0.5 * (strongest + strength), limits, dt)
+    change = window * np.abs(acceleration) / strength
+    begun = velocity + acceleration * 0.5 * change
+    ramps = make_ramps(2, model.dof)
+    ramps.via[:] = False
+    ramps.duration[0] = window
+    ramps.acceleration[0] = np.copysign(strength, acceleration)
+    ramps.first[0], ramps.last[0] = change, 0.0
+    ramps.velocity[0] = begun - window * acceleration
+    # The mean of the past is `q`: it begins behind that by the mean of its way.
+    ramps.position[0] = q - (
+        0.5 * window * ramps.velocity[0]
+        + ramps.acceleration[0]
+        * (change**3 / 6 + 0.5 * change**2 * (window - change) + 0.5 * change * (window - change) ** 2)
+        / window
+    )
+    ramps.position[1] = ramps.position[0] + window * velocity
+    ramps.velocity[1] = begun
+    fastest = np.maximum(limits.velocity, np.minimum(np.abs(begun), (1 + TOLERANCE) * limits.velocity))
+    bounds = np.stack((np.minimum(model.lower, q), np.maximum(model.upper, q), fastest, strongest))
+    random = np.array([seed], np.uint64)
+
+    def way(first: int, most: int, checked: bool) -> int:
+        return brake(model.arrays, world.arrays, memory(model.arrays), ramps, 1, bounds, first, most, checked, random)
+
+    def lead_in() -> LeadIn:
+        kept = deepcopy(ramps)
+        first, last, a = kept.first[1], kept.last[1], kept.acceleration[1]
+        peak = kept.velocity[1] + a * first
+        rest = kept.position[1] + (
+            kept.velocity[1] * first + 0.5 * a * first**2 + peak * (kept.duration[1] - first) - 0.5 * a * last**2
+        )
+        return LeadIn(state, rest, kept, window, fastest, strongest)
+
+    if way(0, _WAYS, True) >= 0:
+        yield lead_in()
+    number = -1
+    while (number := way(number + 1, _EXACT_WAYS, False)) >= 0:
+        yield lead_in()

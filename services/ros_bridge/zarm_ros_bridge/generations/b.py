@@ -1,0 +1,29 @@
+"""Generation B, summer 2026: a goal of execute_trajectory has a target, and its feedback a state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from zarm_ros_bridge.convert.motions import MotionRequest, filled
+from zarm_ros_bridge.generations.generation import Generation
+
+_STATES = {"planning": "PLANNING", "cancelled": "FAILED", "aborted": "FAILED"}
+"""Where that is not EXECUTING. TRACKING and ON_TARGET are those of closed loops, which zarm does not have."""
+
+
+class GenerationB(Generation):
+    """v2 of the tutorial."""
+
+    letter = "b"
+    planners = 7
+
+    def goal(self, goal: Any, planner: str, joints: Sequence[str]) -> MotionRequest | None:
+        """To the goal in the field that the planner reads, or in the only one that is filled in."""
+        if not filled(goal, ("target_pose", "target_poses", "target_joint_positions")):
+            return None
+        return self.motion(goal, planner, joints)
+
+    def feedback(self, kind: type[Any], state: str, progress: float, joint_command: Any) -> Any:
+        """The errors stay 0 and `on_target` false, as with every planner that closes no loop."""
+        return kind(state=_STATES.get(state, "EXECUTING"), step_progression=progress, joint_command=joint_command)

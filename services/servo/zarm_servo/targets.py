@@ -1,0 +1,143 @@
+"""What a session may ask the robot for from moment to moment, and the joint speeds that this means."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, Self
+
+import numpy as np
+
+from zarm_geometry.robot_model import RobotModel
+from zarm_trajectory.quintic import Array
+
+GAIN = 8.0
+"""Joint speed per distance, 1/s: what is left of a small distance falls by half every 0.09 s."""
+_BRAKING = 0.45
+"""Share of the acceleration that an approach brakes with; below a half, so that `GAIN` never asks for more than the limit."""
+SINGULAR = 0.08
+"""The smallest singular value of the tip's Jacobian below which a robot is slowed and its inverse damped."""
+_DAMPING = 0.04
+"""Largest damping of the inverse (Nakamura and Hanafusa, 1986)."""
+_JOINTS_COUNT = 1e-3
+"""What a joint speed costs beside the tip's: a little, so that the metric can be inverted."""
+_SLOWEST = 0.1
+"""Share of the speed that is left in a singularity, so that the robot gets out again."""
+
+
+@dataclass(frozen=True)
+class PoseTarget:
+    """Bring the tip to `pose` (4, 4), which itself moves with the twist `velocity` (6,): m/s, rad/s, both in the base frame."""
+
+    pose: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(6))
+
+    @classmethod
+    def moving(cls, before: Array, pose: Array, passed: float) -> Self:
+        """The target that was at `before` (4, 4) `passed` s ago, is at `pose` now, and goes on like that."""
+        turn = _rotation_vector(pose[:3, :3] @ before[:3, :3].T)
+        return cls(pose, np.concatenate((pose[:3, 3] - before[:3, 3], turn)) / passed)
+
+    def after(self, passed: float) -> Array:
+        """Where it is expected (4, 4) `passed` s later."""
+        pose = self.pose.copy()
+        pose[:3, 3] += passed * self.velocity[:3]
+        angle = passed * float(np.linalg.norm(self.velocity[3:]))
+        if angle > 0.0:
+            x, y, z = self.velocity[3:] * (passed / angle)
+            cross = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))  # Rodrigues' formula
+            pose[:3, :3] = (np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross) @ pose[:3, :3]
+        return pose
+
+
+@dataclass(frozen=True)
+class TwistTarget:
+    """Move the tip with `twist` (6,): m/s, then rad/s, along the axes of the base or of the tip."""
+
+    twist: Array
+    frame: Literal["base", "tip"] = "base"
+
+
+@dataclass(frozen=True)
+class JointSpeedTarget:
+    """Move the joints with `velocity` (J,) in rad/s."""
+
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class JointTarget:
+    """Bring the joints to `position` (J,) in rad."""
+
+    position: Array
+
+
+Target = PoseTarget | TwistTarget | JointSpeedTarget | JointTarget
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Joint speeds (J,) in rad/s that lead to a target, inside the speed limits; `singular`: a singularity slows them.
+
+    Where something is in the way, a change of the speeds costs its square in `metric` (J, J): the target's own measure, so that
+    the tip loses of its motion only what leads into the obstacle.
+    """
+
+    velocity: Array
+    metric: Array
+    singular: bool = False
+
+
+def wish(model: RobotModel, target: Target, age: float, position: Array, speed: Array, acceleration: Array) -> Wish:
+    """What a target that was told `age` s ago means at `position` (J,), with limits (J,) in rad/s and rad/s^2."""
+    joints = np.eye(model.dof)
+    if isinstance(target, JointSpeedTarget):
+        return Wish(within_speed(target.velocity, speed), joints)
+    if isinstance(target, JointTarget):
+        return Wish(within_speed(_approach(target.position - position, acceleration), speed), joints)
+    tip, jacobian = model.fk_tip(position), model.tip_jacobian(position)
+    inverse, share = _damped_inverse(jacobian)
+    if isinstance(target, TwistTarget):
+        turn = tip[:3, :3] if target.frame == "tip" else np.eye(3)
+        twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
+        velocity = inverse @ twist
+    else:
+        pose = target.after(age)
+        error = np.concatenate((pose[:3, 3] - tip[:3, 3], _rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
+        velocity = _approach(inverse @ error, acceleration) + inverse @ target.velocity
+    return Wish(share * within_speed(velocity, speed), jacobian.T @ jacobian + _JOINTS_COUNT * joints, share < 1.0)
+
+
+def _approach(distance: Array, acceleration: Array) -> Array:
+    """Joint speeds (J,) that get rid of a distance (J,), along a line, and brake in time."""
+    with np.errstate(divide="ignore"):
+        rate = np.sqrt(2 * _BRAKING * acceleration / np.abs(distance)).min()
+    return np.asarray(min(rate, GAIN) * distance)
+
+
+def within_speed(velocity: Array, speed: Array) -> Array:
+    """Joint speeds (J,), slower in all joints alike where one is faster than `speed` (J,)."""
+    return np.asarray(velocity / max(1.0, float((np.abs(velocity) / speed).max())))
+
+
+def _damped_inverse(jacobian: Array) -> tuple[Array, float]:
+    """The damped inverse (J, 6) of a Jacobian (6, J), and the share of the speed that its singularity leaves."""
+    u, values, v = np.linalg.svd(jacobian, full_matrices=False)
+    near = min(1.0, float(values[-1]) / SINGULAR)
+    damping = _DAMPING**2 * (1.0 - near**2)
+    return (v.T * (values / (values**2 + damping))) @ u.T, max(near, _SLOWEST)
+
+
+def _rotation_vector(turn: Array) -> Array:
+    """The axis times the angle (3,) of a rotation matrix (3, 3)."""
+    twice_sine = np.array((turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]))
+    length = float(np.linalg.norm(twice_sine))
+    angle = math.atan2(length, float(np.trace(turn)) - 1.0)
+    if length > 1e-6:
+        return np.asarray(twice_sine * (angle / length))
+    if angle < 1.0:
+        return twice_sine / 2
+    # Half a turn: the axis is the largest column of (R + 1) / 2.
+    columns = (turn + np.eye(3)) / 2
+    column = columns[:, int(np.argmax(np.diag(columns)))]
+    return np.asarray(column / np.linalg.norm(column) * angle)

@@ -1,0 +1,178 @@
+"""A goal is guarded: planner, executor and servo in their own processes, and things that are put in the robot's way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.executor.client import Client
+from support.harness import ServiceProcess, eventually, router
+from support.planner.client import BEHIND_POST, HOME, POST, load, plan, to_joints
+from support.planner.second_opinion import Collisions, link_pose
+from support.trajectories import KEYS, ROBOT, moved, rest_to_rest, with_execution
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import GoalState, PlanRequest, SceneObject, Sphere
+from zarm_runtime.bus import Bus
+
+SLOWLY = 0.3
+GIVEN_UP_AFTER = 4.0
+
+
+class Cell:
+    """The processes around one robot, and a client of theirs."""
+
+    def __init__(self, stack: ExitStack, folder: Path, execution: str, *services: str) -> None:
+        self.stack, self.folder = stack, folder
+        self.endpoint = stack.enter_context(router())
+        self.bus = stack.enter_context(Bus(self.endpoint))
+        self.descriptor = str(with_execution(folder / "robot", execution))
+        self.services = {service: self.begin(service) for service in services}
+        self.client = Client(self.bus)
+
+    def begin(self, service: str) -> ServiceProcess:
+        process = self.stack.enter_context(ServiceProcess(service, self.endpoint, self.folder, self.descriptor))
+        process.wait_ready(self.bus, KEYS)
+        return process
+
+    def home(self) -> None:
+        """Back to where it began, in an empty scene."""
+        self.client.cancel()
+        self.client.mode("idle")
+        load(self.bus)
+        way = plan(self.bus, PlanRequest(goal=to_joints(*HOME)))
+        assert self.client.ended(self.client.execute(plan_id=way.plan_id)).status == "succeeded"
+        self.client.measured.clear()
+        self.client.goals.clear()
+
+    def way(self, speed: float = SLOWLY) -> str:
+        """A goal that is on its way through the post's place."""
+        load(self.bus)
+        made = plan(self.bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), velocity_scale=speed))
+        goal = self.client.execute(plan_id=made.plan_id)
+        self.client.under_way(goal, 0.05)
+        return goal
+
+    def held(self, goal: str) -> GoalState:
+        """Wait until the goal is held; how."""
+
+        def state() -> GoalState | None:
+            found = self.client.goal(goal)
+            assert not found.done, found
+            return found if found.hold is not None else None
+
+        return eventually(state, "the goal is held")
+
+    def rests(self) -> None:
+        """Wait until the robot rests."""
+        eventually(lambda: not any(self.client.measured[-1].velocity), "the robot rests")
+        assert self.client.stands()
+
+    def assert_free_of(self, *objects: SceneObject) -> None:
+        """Nothing that was measured since the last look touched any of them."""
+        collisions = Collisions(ROBOT, objects)
+        assert not any(collisions.at(np.array(state.position)) for state in self.client.measured)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with ExitStack() as stack:
+        execution = f"obstruction_timeout: {GIVEN_UP_AFTER}, guard_timeout: 2.0"
+        yield Cell(stack, tmp_path_factory.mktemp("cell"), execution, "planner", "executor", "servo")
+
+
+@pytest.fixture
+def cell(shared: Cell) -> Iterator[Cell]:
+    eventually(lambda: shared.client.state().guarded, "the robot is guarded")
+    yield shared
+    shared.home()
+
+
+def test_a_robot_rests_before_what_is_put_in_its_way_says_what_it_is_and_goes_on_when_it_is_taken_away(
+    cell: Cell,
+) -> None:
+    goal = cell.way()
+    assert cell.client.state().guarded
+    load(cell.bus, POST)
+    hold = cell.held(goal).hold
+    assert hold is not None
+    assert hold.reason == "obstruction"
+    assert hold.obstruction is not None
+    assert hold.obstruction.object == "post"
+    assert hold.obstruction.avoidable
+    cell.rests()
+    state = cell.client.state()
+    assert (state.mode, state.guarded, state.scene_changed) == ("running", True, False)
+    cell.assert_free_of(POST)
+    load(cell.bus)
+    assert cell.client.ended(goal).status == "succeeded"
+    np.testing.assert_allclose(cell.client.position(), BEHIND_POST, atol=1e-6)
+    assert cell.client.greatest_acceleration() < 1.05
+
+
+def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks_it(cell: Cell) -> None:
+    goal = cell.way()
+    load(cell.bus, POST)
+    ended = cell.client.ended(goal)
+    assert ended.status == "aborted"
+    assert ended.problem is not None
+    assert ended.problem.code == "stale_plan"
+    assert "post is in the way of link" in ended.problem.message
+    assert cell.client.state().mode == "idle"
+    cell.assert_free_of(POST)
+
+
+def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_and_says_so(cell: Cell) -> None:
+    goal = cell.way(1.0)
+    cell.client.under_way(goal, 0.4)
+    x, y, z = link_pose(ROBOT, ROBOT.descriptor.tip_link, cell.client.position())[:3, 3].tolist()
+    load(cell.bus, Sphere(kind="sphere", name="hand", position=(x, y, z), radius=0.15))
+    hold = cell.held(goal).hold
+    assert hold is not None
+    assert hold.obstruction is not None
+    assert (hold.obstruction.object, hold.obstruction.avoidable) == ("hand", False)
+    cell.rests()
+
+
+def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell: Cell) -> None:
+    goal = cell.way()
+    cell.client.command(KEYS.pause)
+    cell.client.mode("paused")
+    load(cell.bus, POST)
+    assert cell.client.command(KEYS.resume).mode == "running"
+    assert cell.held(goal).hold is not None
+    cell.rests()
+    cell.assert_free_of(POST)
+    load(cell.bus)
+    assert cell.client.ended(goal).status == "succeeded"
+
+
+def test_without_its_servo_a_robot_that_needs_none_moves_on_and_says_that_it_is_unguarded(cell: Cell) -> None:
+    goal = cell.way(0.15)
+    cell.services["servo"].kill()
+    eventually(lambda: not cell.client.state().guarded, "the robot is unguarded")
+    assert cell.client.ended(goal).status == "succeeded"
+    cell.services["servo"] = cell.begin("servo")
+
+
+def test_a_robot_that_must_be_guarded_moves_with_a_servo_alone(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        cell = Cell(stack, tmp_path, "guard: required", "executor")
+        there = rest_to_rest(moved(0.8), slower=3.0)
+        with pytest.raises(Unavailable, match="no servo gives this goal authority"):
+            cell.client.execute(there)
+        assert cell.client.stands()
+        servo = cell.begin("servo")
+        goal = cell.client.execute(there)
+        cell.client.under_way(goal, 0.2)
+        servo.kill()
+        hold = cell.held(goal).hold
+        assert hold is not None
+        assert hold.reason == "no_guard"
+        cell.rests()
+        cell.begin("servo")
+        assert cell.client.ended(goal).status == "succeeded"
+        assert cell.client.greatest_acceleration() < 1.05

@@ -1,0 +1,155 @@
+"""What the local controller promises: whatever it is asked for, it stays inside the limits and away from what there is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from support.examples import examples
+from zarm_contract.messages import Cuboid, SceneObject, Sphere
+from zarm_contract.robot import load_robot
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.motion_check import MotionCheck
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_servo.controller import PERIOD, STALE, Controller, Step
+from zarm_servo.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
+from zarm_trajectory.limits import Limits
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.01
+PRECISION = 1e-4
+MODEL = RobotModel.of(load_robot("doosan_m1013"))
+LIMITS = Limits.of(MODEL.robot)
+START = np.array(MODEL.robot.descriptor.home) + (0.1, 0.1, -0.1, 0.05, 0.1, 0.0)
+TIP = MODEL.fk_tip(START)
+
+
+class Session:
+    """A controller and what it has commanded."""
+
+    def __init__(self, *objects: SceneObject, start: Array = START) -> None:
+        self.world = World(objects, 0.0)
+        check = MotionCheck(MODEL)
+        check.set_world(self.world)
+        self.controller = Controller(MODEL, check, LIMITS, start, margin=MARGIN)
+        self.steps: list[Step] = []
+        self.states = [self.controller.state]
+
+    def follow(self, target: Target | None, seconds: float, age: float = 0.0) -> Step:
+        for _ in range(round(seconds / PERIOD)):
+            self.steps.append(self.controller.step(target, age))
+            self.states.append(self.steps[-1].state)
+        return self.steps[-1]
+
+    def assert_sound(self) -> None:
+        """Inside every limit, and never nearer than the margin by an exact check of each commanded configuration."""
+        position, velocity, acceleration = np.swapaxes(self.states, 0, 1)
+        assert np.all((position >= LIMITS.lower) & (position <= LIMITS.upper))
+        assert np.all(np.abs(velocity) <= LIMITS.velocity * (1 + 1e-6))
+        assert np.all(np.abs(acceleration) <= LIMITS.acceleration * (1 + 1e-6))
+        assert np.all(np.abs(np.diff(acceleration, axis=0)) <= LIMITS.jerk * PERIOD * (1 + 1e-6))
+        # Between two of them the tip moves by less than 7 mm.
+        assert ExactScene(MODEL, self.world).nearest(position).distance >= MARGIN - PRECISION
+
+
+def moved(x: float, y: float, z: float, turn: float = 0.0) -> Array:
+    """The pose of the tip at START, moved (m) and turned about z (rad)."""
+    pose = TIP.copy()
+    pose[:3, 3] += x, y, z
+    spin = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    pose[:3, :3] = spin @ pose[:3, :3]
+    return pose
+
+
+def wall(distance: float) -> Cuboid:
+    """A wall across x, so far in front of the tip at START."""
+    x = float(TIP[0, 3]) + distance + 0.05
+    return Cuboid(kind="cuboid", name="wall", position=(x, 0.0, 0.5), size=(0.1, 4.0, 3.0))
+
+
+@pytest.mark.parametrize("shift", [(0.05, 0.08, -0.05, 0.3), (0.0, 0.0, 0.0, 0.5)])
+def test_a_reachable_pose_is_reached_to_a_millimetre_and_a_hundredth_of_a_radian(shift: tuple[float, ...]) -> None:
+    session, pose = Session(), moved(*shift)
+    step = session.follow(PoseTarget(pose), 4.0)
+    tip = MODEL.fk_tip(step.state[0])
+    assert np.linalg.norm(tip[:3, 3] - pose[:3, 3]) < 0.001
+    assert np.linalg.norm(tip[:3, :3] - pose[:3, :3]) < 0.01
+    assert np.abs(step.state[1]).max() < 0.001
+    session.assert_sound()
+
+
+def test_joints_are_reached_in_line_and_joint_speeds_are_kept() -> None:
+    session = Session()
+    goal = START + (0.3, -0.2, 0.1, 0.2, -0.3, 0.5)
+    assert session.follow(JointTarget(goal), 4.0).state[0] == pytest.approx(goal, abs=1e-3)
+    speeds = np.array([0.1, -0.05, 0.0, 0.0, 0.05, -0.2])
+    assert session.follow(JointSpeedTarget(speeds), 0.8).state[1] == pytest.approx(speeds, abs=1e-6)
+    session.assert_sound()
+
+
+def test_a_target_that_is_stale_brakes_to_rest_and_is_named() -> None:
+    session = Session()
+    session.follow(TwistTarget(np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])), 0.5)
+    step = session.follow(TwistTarget(np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])), 1.0, age=STALE + 0.01)
+    assert step.limitation.kind == "target_stale"
+    assert np.abs(step.state[1]).max() < 1e-9
+    session.assert_sound()
+
+
+def test_along_a_wall_it_slides_and_says_what_slows_it() -> None:
+    session = Session(wall(0.15))
+    step = session.follow(TwistTarget(np.array([0.15, 0.1, 0.0, 0.0, 0.0, 0.0])), 2.5)
+    assert step.limitation.kind == "slowing"
+    assert step.limitation.pair is not None
+    assert step.limitation.pair[1] == "wall"
+    before, after = (MODEL.fk_tip(session.states[k][0])[:3, 3] for k in (-250, -1))
+    assert after[1] - before[1] > 0.05
+    session.assert_sound()
+
+
+def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
+    session = Session(wall(0.15))
+    session.follow(PoseTarget(moved(0.3, 0.0, 0.0)), 3.0)
+    session.assert_sound()
+    assert ExactScene(MODEL, session.world).nearest(session.states[-1][0]).distance < MARGIN + 0.03
+    back = session.follow(PoseTarget(TIP), 3.0)
+    assert MODEL.fk_tip(back.state[0])[:3, 3] == pytest.approx(TIP[:3, 3], abs=0.002)
+    session.assert_sound()
+
+
+def a_target(rng: np.random.Generator) -> Target | None:
+    kind = rng.integers(6)
+    if kind == 0:
+        return None
+    if kind == 1:
+        return JointSpeedTarget(rng.normal(0.0, 1.0, MODEL.dof))
+    if kind == 2:
+        return JointTarget(rng.uniform(LIMITS.lower, LIMITS.upper))
+    if kind == 3:
+        return TwistTarget(rng.normal(0.0, 0.5, 6), rng.choice(["base", "tip"]))
+    if kind == 4:
+        return PoseTarget(moved(*rng.normal(0.0, 3.0, 4)))
+    return PoseTarget(moved(*rng.normal(0.0, 0.2, 4)), rng.normal(0.0, 0.2, 6))
+
+
+@examples(0.4)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_whatever_jumps_and_wherever_it_leads_limits_and_margin_are_kept(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    objects = []
+    for i in range(rng.integers(0, 10)):
+        place = TIP[:3, 3] + rng.normal(0.0, 0.35, 3)
+        ball = Sphere(kind="sphere", name=f"ball{i}", position=tuple(place.tolist()), radius=rng.uniform(0.01, 0.1))
+        if ExactScene(MODEL, World([ball], 0.0)).nearest(START).distance > 2 * MARGIN:
+            objects.append(ball)
+    session = Session(*objects)
+    for _ in range(5):
+        session.follow(a_target(rng), float(rng.choice([0.02, 0.1, 0.4])))
+    session.follow(None, 1.3)
+    session.assert_sound()
+    assert np.abs(session.states[-1][1]).max() < 1e-9
