@@ -104,6 +104,8 @@ def outside(points: np.ndarray, balls: np.ndarray) -> float:
     return float((np.linalg.norm(points[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1).max())
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(PATIENCE)
 def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_original_meshes(
     model: RobotModel, meshes: dict[str, np.ndarray]
 ) -> None:
