@@ -4,7 +4,8 @@
 
 The same plan over Zenoh and from rclpy in turn, pair by pair, and beside them what ROS itself takes to carry a trajectory
 of as many points from a server of plain rclpy that has it ready; joint states from a driver on ROS to a client on Zenoh at 100
-and 1000 Hz, with what was lost; the processor time and the memory of a bridge whose robot stands.
+and 1000 Hz, with what was lost; the processor time and the memory of a bridge whose robot stands, and what bridge and
+executor take while a driver on ROS tells at 100 Hz that it does.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -120,6 +122,16 @@ def idle(process: psutil.Process, seconds: float) -> float:
     return (after.user + after.system - before.user - before.system) / seconds
 
 
+def idle_with_driver(seconds: float) -> dict[str, float]:
+    """The shares of one core that each service takes while a driver on ROS tells joints at 100 Hz, and nothing moves."""
+    services = {"executor": ("--strategy", "joint_speed"), "leeloo_sim": ("--ros",)}
+    with tempfile.TemporaryDirectory() as folder, stack(Path(folder), **services) as running:
+        found = {name: psutil.Process(running.processes[name].process.pid) for name in ("ros_bridge", "executor")}
+        with ThreadPoolExecutor() as pool:
+            shares = pool.map(lambda process: idle(process, seconds), found.values())
+        return dict(zip(found, shares, strict=True))
+
+
 def milliseconds(values: list[float] | np.ndarray) -> list[str]:
     """Median, p99 and greatest."""
     return [f"{1e3 * value:.2f}" for value in (*np.percentile(values, (50, 99)), np.max(values))]
@@ -144,6 +156,8 @@ def main() -> None:
         table.add_row("plan over ROS", *milliseconds(over_ros), "")
         table.add_row("what the bridge adds", *milliseconds(np.subtract(over_ros, over_zenoh)), "pair by pair")
         table.add_row("ROS alone, ready made", *milliseconds(by_ros), "no planner, no bridge")
+        over_plain = np.subtract(over_ros, over_zenoh) - by_ros
+        table.add_row("the bridge over that", *milliseconds(over_plain), "pair by pair")
         for rate in (100.0, 1000.0):
             arrived, sent = joint_states(bus, ros, rate, options.seconds)
             lost = f"{sent - len(arrived)} of {sent} lost"
@@ -154,6 +168,8 @@ def main() -> None:
     Console().print(
         f"idle: {share:.1%} of a core, with the joints of the emulated robot at their rate; {memory:.0f} MB"
     )
+    shares = ", ".join(f"{name} {share:.1%}" for name, share in idle_with_driver(options.seconds).items())
+    Console().print(f"idle, with a driver on ROS at 100 Hz: {shares} of a core")
 
 
 if __name__ == "__main__":

@@ -76,15 +76,18 @@ class MovingObject:
 
 @dataclass(frozen=True)
 class _Body:
-    """A robot with what is attached to it, for the kernel."""
+    """A robot with what is attached to it, for the kernel; `outward` is not looked at against itself."""
 
     model: RobotModel
     packed: MotionBody
+    outward: MotionBody
 
     @classmethod
     def of(cls, model: RobotModel) -> Self:
         parts, _ = robot_parts(model)
-        return cls(model, motion_body(parts, subjects(model, parts)))
+        asked = subjects(model, parts)
+        outward = asked & (np.arange(len(asked)) < len(model.links))
+        return cls(model, motion_body(parts, asked), motion_body(parts, outward))
 
 
 @dataclass(frozen=True)
@@ -136,8 +139,9 @@ class MotionCheck:
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
         acceleration: ArrayLike | None = None,
+        self_collision: bool = True,
     ) -> MotionVerdict:
-        """Whether a motion keeps `margin` (m, above 0) to all objects and between the robot's own links.
+        """Whether a motion keeps `margin` (m, above 0) to all objects and, with `self_collision`, between the robot's own links.
 
         `times` (N,) in s increase; `positions` (N, dof) in rad (m where prismatic). Between two samples a joint may do whatever
         its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: what is proven holds there, too. The
@@ -159,13 +163,14 @@ class MotionCheck:
         body, scene = self._body(tuple(attached), tuple(ignored_links)), self._scene
         limit = _OVERSHOOT * self.model.acceleration if acceleration is None else np.asarray(acceleration, np.float64)
         names, movers = self._movers(scene, moving)
+        packed = body.packed if self_collision else body.outward
         until, part, other, clearance = first_contact(
-            body.packed,
+            packed,
             scene.obstacles,
             scene.standing,
             scene.alive,
             movers,
-            motion(body.packed, time, q, limit),
+            motion(packed, time, q, limit),
             margin,
             margin + FARTHEST,
         )

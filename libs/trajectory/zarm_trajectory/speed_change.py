@@ -22,20 +22,13 @@ class SpeedChange:
         self.duration = float(times[-1].max())
 
     @classmethod
-    def to(
-        cls,
-        wanted: Array,
-        position: Array,
-        velocity: Array,
-        acceleration: Array,
-        acceleration_limit: Array,
-        jerk_limit: Array,
-    ) -> Self:
-        """To the velocities `wanted` (J,) in rad/s, from a state; limits (J,) in rad/s^2 and rad/s^3.
+    def to(cls, wanted: Array, state: Array, acceleration_limit: Array, jerk_limit: Array) -> Self:
+        """To the velocities `wanted` (J,) in rad/s, from a state (3, J): position, velocity, acceleration. Limits (J,) in rad/s^2 and rad/s^3.
 
         With the jerk J and the peak p the velocity changes by (p^2 - a^2) / 2 J + p^2 / 2 J and what the peak that is kept adds
         (Kroeger and Wahl, "Online trajectory generation", 2010, for a velocity as the target).
         """
+        position, velocity, acceleration = state
         straight = velocity + acceleration * np.abs(acceleration) / (2 * jerk_limit)  # where a = 0 at once leads
         sign = np.where(wanted >= straight, 1.0, -1.0)
         height = np.sqrt(np.maximum(sign * jerk_limit * (wanted - velocity) + acceleration**2 / 2, 0.0))

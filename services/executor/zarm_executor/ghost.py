@@ -16,8 +16,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
-PERIOD = 0.02
-"""Period of `preview/joint_states`, s."""
+PERIOD, REST_PERIOD = 0.02, 0.1
+"""Periods of `preview/joint_states`, s: while a plan is played, and at its end."""
 LEAST = 0.2
 """Shortest time, s, for which a plan is shown: of plans that come faster than anybody can see, the newest is."""
 
@@ -32,7 +32,7 @@ class Ghost:
         self._joint_states = bus.publisher(keys.preview_joint_states, JointState)
         self._newest: Plan | None = None
         self._trajectory: TimedTrajectory | None = None
-        self._began = 0.0
+        self._began = self._shown = 0.0
         self._lock = threading.Lock()
 
     def show(self, _key: str, plan: Plan) -> None:
@@ -52,8 +52,13 @@ class Ghost:
         plan = self._next() if now - self._began > LEAST else None
         if plan is not None:
             self._begin(plan, now)
-        if self._trajectory is not None:
-            position, velocity, _ = self._trajectory.at(now - self._began)
+        trajectory = self._trajectory
+        if trajectory is None:
+            return
+        rests = self._shown - self._began > trajectory.duration
+        if not rests or now - self._shown > 0.9 * REST_PERIOD:
+            self._shown = now
+            position, velocity, _ = trajectory.at(now - self._began)
             self._joint_states.put(
                 JointState(
                     stamp=time.time(),

@@ -38,8 +38,6 @@ WITHDRAWN = 4096
 """How many goals that were cancelled before they came are remembered."""
 STALL_LIMIT = 1.0
 """A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
-LOOK_PERIOD = 0.02
-"""While nothing moves, the strategy is ticked and the robot looked at this often (s), or at every tick where these are further apart."""
 _CUT_OFF = 3.5
 """A process that stood still for longer (s) may have lost its link to the router, which gives up a silent one after 5 s from what it
 heard last: then a cancel of what was asked before has not come."""
@@ -67,7 +65,6 @@ class Machine:
         self._switching = False
         self._ending = False
         self._last_tick: float | None = None
-        self._looked_at = -math.inf
         self._back_at = -math.inf
         self._missed_ticks = 0
         self._lock = threading.RLock()
@@ -389,9 +386,7 @@ class Machine:
             motion = self._motion
             if motion is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
                 motion.fail(_stalled(dt))
-            if motion is not None or now - self._looked_at > 0.9 * LOOK_PERIOD:
-                self._looked_at = now
-                self._strategy.tick(now, dt)
+            self._strategy.tick(now, dt)
             self._guarded = self._guard.confirm(None if motion is None else motion.goal.goal_id, self.scene, now)
             if motion is not None:
                 ended = motion.advance(now, dt, guarded=self._guarded)

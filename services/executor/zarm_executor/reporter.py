@@ -21,6 +21,8 @@ log = logging.getLogger(__name__)
 
 PERIOD = 0.02
 """How often (s) the machine is looked at for changes that no command brought about."""
+REST_PERIOD = 0.1
+"""How often (s) where there is no goal."""
 PROGRESS_PERIOD = 0.1
 """How often (s) the state of a moving goal is published."""
 MISSED_TICKS_PERIOD = 1.0
@@ -64,6 +66,7 @@ class Reporter:
         self._state: ExecutorState | None = None
         self._published_state = 0.0
         self._published_progress = 0.0
+        self._looked_at = 0.0
         self._lock = threading.Lock()
 
     def report_interrupted(self) -> None:
@@ -99,6 +102,12 @@ class Reporter:
     def forget(self) -> None:
         """Take a goal off the record that was not started after all."""
         self._running.clear()
+
+    def look(self, now: float) -> None:
+        """Publish what has changed, at once where a goal runs or has ended; `now` is on the monotonic clock."""
+        if self._machine.moves() or self._machine.changes or now - self._looked_at > 0.9 * REST_PERIOD:
+            self._looked_at = now
+            self.publish(now)
 
     def publish(self, now: float | None = None) -> ExecutorState:
         """Publish what has changed, and return the state that now stands on the bus; `now` is on the monotonic clock.

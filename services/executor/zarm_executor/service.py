@@ -151,7 +151,7 @@ def start(service: Service) -> Iterator[None]:
                 loop,
                 Watchdog(loop) as watchdog,
                 Loop("ghost", GHOST_PERIOD, ghost.play),
-                Loop("reporter", REPORTER_PERIOD, reporter.publish),
+                Loop("reporter", REPORTER_PERIOD, reporter.look),
             ):
                 bus.watch(keys.scene_revision, SceneEdited, present.hear)
                 command_bus.subscribe(

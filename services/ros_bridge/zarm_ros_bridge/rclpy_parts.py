@@ -45,19 +45,18 @@ class Reception:
 
     def run(self) -> None:
         """Call the callback of each message, and of each event of a subscription, until `end`. Raises what a callback raises."""
-        subscriptions, events = list(self._node.subscriptions), list(self._node.waitables)
+        subscriptions = list(self._node.subscriptions)
+        events = [event for subscription in subscriptions for event in subscription.event_handlers]
         wait_set = WaitSet(len(subscriptions), 1, 0, 0, 0, len(events), self._node.context.handle)
         while not self._ended:
             wait_set.clear_entities()
             wait_set.add_guard_condition(self._end.handle)
-            for subscription in subscriptions:
-                wait_set.add_subscription(subscription.handle)
+            places = [wait_set.add_subscription(subscription.handle) for subscription in subscriptions]
             for event in events:
                 event.add_to_wait_set(wait_set)
             wait_set.wait(-1)
-            ready = wait_set.get_ready_entities("subscription")
-            for subscription in subscriptions:
-                if subscription.handle.pointer in ready and (
+            for subscription, place in zip(subscriptions, places, strict=True):
+                if wait_set.is_ready("subscription", place) and (
                     taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
                 ):
                     subscription.callback(taken[0])

@@ -47,8 +47,8 @@ class Checker:
     def way(self, trajectory: TimedTrajectory, begin: float, seen: Seen, verified: Seen | None) -> Way:
         """How far `trajectory` is free in what is `seen`, from the path time `begin` (s) on.
 
-        In the scene `verified` it was checked as a whole, so what has not changed since then need not be looked at. The robot
-        brakes along the trajectory, so its braking is free where the trajectory is. Raises Unavailable where a mesh cannot be read.
+        In the scene `verified` it was checked as a whole, so what has not changed since then need not be looked at: other objects, and
+        the robot's own links, which may pass one another closely. The robot brakes along the trajectory, so its braking is free where the trajectory is. Raises Unavailable where a mesh cannot be read.
         """
         same = verified is not None and (verified.attached, verified.ignored_links) == (
             seen.attached,
@@ -71,6 +71,7 @@ class Checker:
                 attached=seen.attached,
                 ignored_links=seen.ignored_links,
                 moving=grown,
+                self_collision=not same,
             )
 
         contact = first()

@@ -99,19 +99,20 @@ class Controller:
                 limitation = Limitation("singularity")
             wanted, limitation = self._bounded(asked, limitation, around)
         for part in _PARTS:
-            change = SpeedChange.to(part * wanted, *self.state, acceleration, self._limits.jerk)
+            change = SpeedChange.to(part * wanted, self.state, acceleration, self._limits.jerk)
             after = change.sample(np.array([PERIOD]))[:, 0]
             braking = self._to_rest(after)
             obstruction = self._obstruction(braking, around)
             if obstruction is None:
                 self.state, self._braking, self._braked = after, braking, 0.0
                 return Step(after, braking, 0.0, limitation)
+            limitation = obstruction
         self._braked += PERIOD
         self.state = self._braking.sample(np.array([self._braked]))[:, 0]
-        return Step(self.state, self._braking, self._braked, obstruction)
+        return Step(self.state, self._braking, self._braked, limitation)
 
     def _to_rest(self, state: Array) -> SpeedChange:
-        return SpeedChange.to(np.zeros(state.shape[1]), *state, self._limits.acceleration, self._limits.jerk)
+        return SpeedChange.to(np.zeros(state.shape[1]), state, self._limits.acceleration, self._limits.jerk)
 
     def _obstruction(self, braking: SpeedChange, around: Surroundings) -> Limitation | None:
         """Why the way to where `braking` begins and the braking are not free, if they are not."""

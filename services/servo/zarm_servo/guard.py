@@ -149,8 +149,9 @@ class Guard:
             followed = self._followed
             if followed is not None and self._running != followed.message.goal_id and _old(followed):
                 followed = self._followed = None
+        way: Way | ZarmError = Way()
         if followed is None:
-            self._done, way = None, Way()
+            self._done = None
         else:
             way = self._way_of(followed, seen)
         problem = way.problem if isinstance(way, ZarmError) else None

@@ -29,7 +29,7 @@ def built(generation: str, folder: Path) -> dict[str, str]:
     subprocess.run(
         [sys.executable, BUILD, generation, "--into", folder, "--with", *sorted(OTHERS.iterdir())],
         check=True,
-        timeout=100,
+        timeout=300,
         stdout=subprocess.DEVNULL,
     )
     site = Path(sysconfig.get_path("purelib")).relative_to(sys.prefix)

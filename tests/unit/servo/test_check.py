@@ -53,6 +53,15 @@ def test_what_has_not_changed_since_it_was_verified_is_not_looked_at_again(check
     assert checker.way(WAY, 0.0, seen(moved), seen(POST)).until is not None
 
 
+def test_links_that_pass_one_another_closely_as_verified_do_not_hold_the_robot_when_the_scene_changes(
+    checker: Checker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zarm_servo.check.CONTACT", 0.05)  # the M1013 has 16 mm at home
+    far = POST.model_copy(update={"position": (-1.5, 0.0, 0.0)})
+    assert checker.way(WAY, 0.0, seen(far), EMPTY).until is None
+    assert checker.way(WAY, 0.0, seen(far), None).until is not None
+
+
 def test_with_another_object_attached_everything_is_looked_at(checker: Checker) -> None:
     stick = Cuboid(kind="cuboid", name="stick", position=(0.0, 0.0, 0.3), size=(0.02, 0.02, 0.5))
     x, y, z = MODEL.fk_tip(WAY.at(WAY.duration / 2)[0])[:3, 3].tolist()

@@ -22,7 +22,7 @@ def test_velocities_asked_for_one_after_the_other_are_reached_inside_the_limits(
     state = np.zeros((3, JOINTS))
     for _ in range(8):
         wanted = velocity * rng.choice([-1.0, 0.0, 1.0, rng.uniform(-1.0, 1.0)], JOINTS)
-        change = SpeedChange.to(wanted, *state, acceleration, jerk)
+        change = SpeedChange.to(wanted, state, acceleration, jerk)
         assert np.allclose(change.sample(np.array([change.duration]))[0, 0], _integral(change, state[0]), atol=1e-4)
         assert np.allclose(change.sample(np.array([0.0]))[:, 0], state, atol=1e-9)
         end = change.sample(change.duration + np.array([0.0, 1.0]))
