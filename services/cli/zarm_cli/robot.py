@@ -66,13 +66,13 @@ def import_(
     descriptor, report = imported.run_import(file, output or Path(name or file.name.split(".")[0]), chosen)
     for warning in report.warnings:
         err.print(f"note: {warning}", soft_wrap=True)
-    links = Table("link", "geometry", "exact: mean, largest", "cover: spheres, mean, largest", box=None)
+    links = Table("link", "from", "exact: primitives, mean, largest", "cover: spheres, mean, largest", box=None)
     for surface, link in zip(report.surfaces, report.fitted, strict=True):
         links.add_row(
             link.link,
             surface.kind,
-            _millimetres(link.exact.mean, link.exact.most),
-            f"{len(link.cover.balls)}  {_millimetres(link.cover.mean, link.cover.most)}",
+            f"{len(link.primitives)}  {_millimetres(link.exact_out.mean, link.exact_out.most)}",
+            f"{len(link.balls)}  {_millimetres(link.cover_out.mean, link.cover_out.most)}",
         )
     out.print(
         links,

@@ -16,6 +16,7 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_robot_import.chain import choose_chain
 from zarm_robot_import.description import describe
+from zarm_robot_import.fitting import fit
 from zarm_robot_import.home import choose_home
 from zarm_robot_import.limits import limits_of
 from zarm_robot_import.meshes import link_surface
@@ -23,7 +24,7 @@ from zarm_robot_import.picture import draw
 from zarm_robot_import.report import Report
 from zarm_robot_import.self_collision import Pair, Pairs
 from zarm_robot_import.source import read_source
-from zarm_robot_import.spheres import BUDGET, fit
+from zarm_robot_import.spheres import BUDGET
 from zarm_robot_import.writing import descriptor_text, urdf_text
 
 
@@ -68,7 +69,7 @@ def import_robot(
     def counted(link: str) -> None:
         nonlocal fitted_links
         fitted_links += 1
-        progress(f"spheres of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
+        progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
 
     fitted = fit(surfaces, options.spheres, counted)
     meshes = {surface.link: surface.triangles for surface in surfaces}

@@ -99,9 +99,9 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
 def points_on(triangles: Array, count: int, seed: int = 0) -> tuple[Array, NDArray[np.intp]]:
     """Points (count, 3) spread evenly over triangles (n, 3, 3), and the triangle of each."""
     rng = np.random.default_rng(seed)
-    areas = _areas(triangles)
-    steps = (np.arange(count) + rng.random(count)) / count * areas.sum()
-    which = np.minimum(np.searchsorted(np.cumsum(areas), steps), len(areas) - 1)
+    sizes = areas(triangles)
+    steps = (np.arange(count) + rng.random(count)) / count * sizes.sum()
+    which = np.minimum(np.searchsorted(np.cumsum(sizes), steps), len(sizes) - 1)
     u, v = rng.random((2, count, 1))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     a, b, c = triangles[which].transpose(1, 0, 2)
@@ -114,7 +114,7 @@ def sticks_out(inner: Array, outer: Array) -> float:
     count = 40_000
     beyond = points_on(inner, 2000)[0]
     cloud = points_on(outer, count)[0]
-    spacing = float(np.sqrt(_areas(outer).sum() / count))
+    spacing = float(np.sqrt(areas(outer).sum() / count))
     apart = cKDTree(cloud).query(beyond)[0] - spacing
     for i in np.argsort(-apart)[:200:5]:
         if apart[i] <= CONTAINED:
@@ -124,7 +124,8 @@ def sticks_out(inner: Array, outer: Array) -> float:
     return 0.0
 
 
-def _areas(triangles: Array) -> Array:
+def areas(triangles: Array) -> Array:
+    """Of triangles (n, 3, 3), in m^2."""
     found: Array = (
         np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
     )

@@ -9,8 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.rows import distances
+from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.meshes import points_on
-from zarm_robot_import.spheres import Fitted, boundary
+from zarm_robot_import.primitives import triangles_of
+from zarm_robot_import.spheres import ball_rows
 
 Array = NDArray[np.float64]
 
@@ -27,9 +30,9 @@ def draw(
 
     poses = dict(zip(model.links, model.link_transforms(home), strict=True))
     clouds = [
-        ("meshes", [(link, *_of_mesh(triangles)) for link, triangles in meshes.items()]),
-        ("exact geometry", [(link.link, *_of_balls(link.exact.balls)) for link in fitted]),
-        ("sphere cover", [(link.link, *_of_balls(link.cover.balls)) for link in fitted]),
+        ("meshes", [(link, *_of_mesh(triangles, _POINTS // 8)) for link, triangles in meshes.items()]),
+        ("exact geometry", [(link.link, *_of_rows(link.rows)) for link in fitted]),
+        ("sphere cover", [(link.link, *_of_rows(ball_rows(link.balls))) for link in fitted]),
     ]
     figure = Figure(figsize=(15, 6), dpi=100)
     FigureCanvasAgg(figure)
@@ -59,13 +62,18 @@ _COLOURS = np.array(
 )
 
 
-def _of_mesh(triangles: Array) -> tuple[Array, Array]:
-    points, which = points_on(triangles, _POINTS // 8)
+def _of_mesh(triangles: Array, count: int) -> tuple[Array, Array]:
+    points, which = points_on(triangles, count)
     a, b, c = triangles[which].transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
     return points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
-def _of_balls(balls: Array) -> tuple[Array, Array]:
-    points, _, normals = boundary(balls, max(100, _POINTS // 4 // len(balls)))
-    return points, normals
+def _of_rows(rows: Array) -> tuple[Array, Array]:
+    points, normals = [], []
+    for i, row in enumerate(rows):
+        on, normal = _of_mesh(triangles_of(row), _POINTS // 4 // len(rows))
+        outer = distances(on, np.delete(rows, i, axis=0)).min(axis=1, initial=np.inf) > -1e-6
+        points.append(on[outer])
+        normals.append(normal[outer])
+    return np.concatenate(points), np.concatenate(normals)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zarm_robot_import.chain import Chain
+from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.limits import JointLimits
 from zarm_robot_import.meshes import Surface
 from zarm_robot_import.self_collision import Pair
-from zarm_robot_import.spheres import Fitted
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Report:
     @property
     def spheres(self) -> int:
         """In the cover."""
-        return sum(len(link.cover.balls) for link in self.fitted)
+        return sum(len(link.balls) for link in self.fitted)
 
     def markdown(self) -> str:
         """The page."""
@@ -75,12 +76,13 @@ class Report:
             f"The exact geometry contains the surface of every mesh, and the sphere cover ({self.spheres} spheres) the exact "
             "geometry; both are proven, not sampled. How far they stand out of the meshes is sampled, from above.",
             "",
-            "| link | taken | because | triangles | exact spheres | mean, largest (mm) | cover | mean, largest (mm) |",
+            "| link | taken | because | triangles | exact geometry | mean, largest (mm) | cover | mean, largest (mm) |",
             "|---|---|---|---|---|---|---|---|",
         ]
         for surface, link in zip(self.surfaces, self.fitted, strict=True):
             numbers = (
-                f"{len(part.balls)} | {1e3 * part.mean:.1f}, {1e3 * part.most:.1f}" for part in (link.exact, link.cover)
+                f"{count} | {1e3 * out.mean:.1f}, {1e3 * out.most:.1f}"
+                for count, out in ((_counted(link), link.exact_out), (len(link.balls), link.cover_out))
             )
             lines.append(
                 f"| {surface.link} | {surface.kind} | {surface.reason} | {len(surface.triangles)} | {' | '.join(numbers)} |"
@@ -102,3 +104,8 @@ class Report:
             for pair in self.pairs
         ]
         return "\n".join(lines) + "\n"
+
+
+def _counted(link: Fitted) -> str:
+    kinds = Counter(primitive.kind for primitive in link.primitives)
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))

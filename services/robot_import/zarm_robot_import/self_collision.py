@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from zarm_geometry.robot_model import RobotModel
-from zarm_robot_import.spheres import Fitted
+from zarm_robot_import.fitting import Fitted
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Pairs:
 
     def __init__(self, model: RobotModel, fitted: Sequence[Fitted], meshes: Mapping[str, Array]) -> None:
         self._model = model
-        self._covers = {link.link: link.cover.balls for link in fitted}
+        self._covers = {link.link: link.balls for link in fitted}
         self._meshes = {link: _bvh(triangles) for link, triangles in meshes.items()}
         self.q = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, model.dof))
         self._poses = model.link_transforms(self.q)

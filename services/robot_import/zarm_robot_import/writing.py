@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from zarm_contract.robot import CollisionPrimitive
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.description import Description
+from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.limits import JointLimits
 from zarm_robot_import.self_collision import Pair
-from zarm_robot_import.spheres import Fitted
 
 Array = NDArray[np.float64]
 
@@ -109,10 +110,10 @@ def descriptor_text(
         "collision:",
     ]
     for link in fitted:
-        lines += _spheres(link.link, link.exact.balls, "kind: sphere, ")
+        lines += _primitives(link.link, link.primitives)
     lines += ["", "# The sphere cover of the search: it contains the geometry above.", "spheres:"]
     for link in fitted:
-        lines += _spheres(link.link, link.cover.balls, "")
+        lines += _spheres(link.link, link.balls)
     ignored = [pair for pair in pairs if pair.ignored]
     lines += ["", "self_collision_ignore:" if ignored else "self_collision_ignore: []"]
     lines += [f"  - [{plain(pair.first)}, {plain(pair.second)}]  # {pair.reason}" for pair in ignored]
@@ -128,9 +129,19 @@ def _list(values: Sequence[float]) -> str:
     return f"[{', '.join(f'{value:.9g}' for value in values)}]"
 
 
-def _spheres(link: str, balls: Array, kind: str) -> list[str]:
+def _primitives(link: str, primitives: Sequence[CollisionPrimitive]) -> list[str]:
+    """As they are given: rounding here would let the surface out."""
+    rows = []
+    for primitive in primitives:
+        values = primitive.model_dump().items()
+        shown = (f"{key}: {_list(value) if isinstance(value, tuple) else value}" for key, value in values)
+        rows.append(f"    - {{{', '.join(shown)}}}")
+    return [f"  {plain(link)}:", *rows]
+
+
+def _spheres(link: str, balls: Array) -> list[str]:
     rows = [
-        f"    - {{{kind}center: [{x + 0.0:.4f}, {y + 0.0:.4f}, {z + 0.0:.4f}], radius: {radius:.4f}}}"
+        f"    - {{center: [{x + 0.0:.4f}, {y + 0.0:.4f}, {z + 0.0:.4f}], radius: {radius:.4f}}}"
         for x, y, z, radius in np.round(balls, 4).tolist()
     ]
     return [f"  {plain(link)}:", *rows]

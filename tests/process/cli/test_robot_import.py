@@ -17,6 +17,7 @@ from zarm_contract.messages import JointGoal, Sphere
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.rows import bounds, distances
 from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
@@ -24,6 +25,7 @@ from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_robot_import.description import describe
+from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.source import read_source
 from zarm_trajectory.limits import Limits
 
@@ -88,20 +90,14 @@ def test_every_point_of_the_meshes_is_within_the_exact_geometry_and_that_within_
 ) -> None:
     rng = np.random.default_rng(5)
     for link, triangles in meshes.items():
-        exact, cover = (
-            np.array([(*ball.center, ball.radius) for ball in balls])
-            for balls in (arm.descriptor.collision[link], arm.descriptor.spheres[link])
-        )
+        exact = rows_of(arm.descriptor.collision[link])
+        balls = np.array([(*ball.center, ball.radius) for ball in arm.descriptor.spheres[link]])
         points = np.einsum("nk,nki->ni", rng.dirichlet((1, 1, 1), len(triangles)), triangles)
-        assert outside(points, exact) < 1e-9
-        away = rng.normal(size=(20_000, 3))
-        which = rng.integers(len(exact), size=len(away))
-        inside = exact[which, :3] + away / np.linalg.norm(away, axis=1)[:, None] * exact[which, 3:]
-        assert outside(inside, cover) < 1e-9
-
-
-def outside(points: np.ndarray, balls: np.ndarray) -> float:
-    return float((np.linalg.norm(points[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1).max())
+        assert distances(np.concatenate([points, triangles.reshape(-1, 3)]), exact).min(axis=1).max() < 1e-9
+        lower, upper = bounds(exact)
+        around = rng.uniform(lower.min(axis=0), upper.max(axis=0), (20_000, 3))
+        inside = around[distances(around, exact).min(axis=1) < 0.0]
+        assert (np.linalg.norm(inside[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1).max() < 1e-9
 
 
 @pytest.mark.slow
