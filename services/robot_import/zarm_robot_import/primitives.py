@@ -31,6 +31,7 @@ from zarm_geometry.frames import rotation_to
 from zarm_geometry.rows import distances
 from zarm_geometry.shapes import link_shape
 from zarm_robot_import.body import Body, thinned
+from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.kernels.outside import outside
 from zarm_robot_import.kernels.winding import winding
 from zarm_robot_import.meshes import areas, points_on
@@ -39,19 +40,19 @@ Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
 """A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
-COUNT = 16
+COUNT = 20
 """... nor one of so many primitives."""
-_POINTS = 600
+_POINTS = 400
 """Points that stand for the surface while planes are looked for."""
 _SAMPLES = 400
 """Points on each primitive from which it is told how far it stands out."""
 _CUTS = 11
 """Planes that are tried along each axis."""
-_FEWEST = 12
+_FEWEST = 40
 """Points on each side of a plane, at least."""
 _SAME = math.cos(math.radians(1.0))
 """Axes whose angle has a larger cosine are one."""
-_FLAT = 5e-4
+_FLAT = 0.002
 """All volume counts as if it were so far (m) outside: between the points of the body's grid there is room for thin shapes."""
 _ANGLES = np.linspace(0.0, np.pi, 12, endpoint=False)
 _FAN = np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(12)))
@@ -162,7 +163,7 @@ def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> li
             rest = [cell for cell in cells if cell not in (a, b)]
             out = measure.one(union.row, np.array([cell.row for cell in rest]).reshape(-1, 17))
             allowed = max(MEAN * now.area, now.total) - now.total + outs[a].total + outs[b].total
-            if out.most <= max(MOST, now.most) and out.total <= allowed:
+            if out.most <= max(MOST, outs[a].most, outs[b].most) and out.total <= allowed:
                 best, chosen = added, [*rest, union]
         if chosen is None:
             break
@@ -301,17 +302,17 @@ class _Form(NamedTuple):
 def _tightest(points: Array, axes: Array, outer: tuple[Array, Array]) -> tuple[int, _Form, float]:
     """The primitive around points, of those with an axis among `axes`, that has the least outside of the body: which, and how much.
 
-    `outer` are points outside, and what each counts. It is the integral over the primitive of the distance to the body, in m^4.
+    `outer` are points outside, and what each counts. It is the integral over the primitive of the squared distance to the body, in m^5.
     """
     local = points @ axes
     # The rectangle of least area among some angles.
     widths = np.ptp(local @ _FAN.T, axis=1)
     narrow = np.argmin(widths[:, :_QUARTER] * widths[:, _QUARTER:], axis=1)
-    flat = np.concatenate([_middles(local[:, :, :2]), np.zeros((len(axes), 1))], axis=1)
-    middle = np.repeat(_middles(points[None]), len(axes), axis=0)
+    flat = np.concatenate([middles(local[:, :, :2].copy()), np.zeros((len(axes), 1))], axis=1)
+    middle = np.repeat(middles(points[None]), len(axes), axis=0)
     form = _Form(axes, axes @ _TURNS[narrow], np.einsum("nij,nj->ni", axes, flat), middle)
-    rows = _around(points, form)
-    outs = outside(rows, *outer) + _FLAT * _volumes(rows)
+    rows = _around(points, form)[: 3 * len(axes) + 1]  # what follows is the same ball
+    outs = outside(rows, *outer) + _FLAT**2 * _volumes(rows)
     best = int(np.argmin(outs))
     return best, form, float(outs[best])
 
@@ -351,23 +352,6 @@ def _volumes(rows: Array) -> Array:
     x, y, z, disc, rounding = rows[:, 12:].T
     found: Array = 8 * x * y * z + math.pi * (2 * disc**2 * z + rounding**2 * (2 * z + 4 / 3 * rounding))
     return found
-
-
-def _middles(points: Array) -> Array:
-    """Of each set of points (k, n, m) a centre (k, m) of a small ball around them.
-
-    It steps towards the farthest of them, ever less (Badoiu and Clarkson, "Smaller core-sets for balls", 2003).
-    """
-    each = np.arange(len(points))
-    center = (points.min(axis=1) + points.max(axis=1)) / 2
-    best, least = center, np.full(len(points), np.inf)
-    for step in range(2, 12):
-        squares = ((points - center[:, None]) ** 2).sum(axis=2)
-        far = squares.argmax(axis=1)
-        nearer = squares[each, far] < least
-        best, least = np.where(nearer[:, None], center, best), np.where(nearer, squares[each, far], least)
-        center = center + (points[each, far] - center) / (2 * step)
-    return best
 
 
 def cut(triangles: Array, normal: Array, offset: float) -> tuple[Array, Array]:
