@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from zarm_geometry.robot_model import RobotModel
-from zarm_robot_import.fitting import Fitted
+from zarm_geometry.shapes import distance
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ SAMPLES = 4000
 """Configurations: of what none of them shows, less than 3/SAMPLES of all have it, with 95 % confidence."""
 CLEAR = 0.005
 """Meshes that come no nearer than this (m) in samples and in a search from the nearest of them are taken never to meet."""
+_CROWD = 300
+"""Configurations in which the exact geometry is looked at."""
 _SEARCHES = 3
 _STEPS = 40
 
@@ -38,10 +40,10 @@ class Pair:
 class Pairs:
     """The links of a model, sampled all over its joint ranges."""
 
-    def __init__(self, model: RobotModel, fitted: Sequence[Fitted], meshes: Mapping[str, Array]) -> None:
+    def __init__(self, model: RobotModel, meshes: Mapping[str, Array]) -> None:
         self._model = model
-        self._covers = {link.link: link.balls for link in fitted}
         self._meshes = {link: _bvh(triangles) for link, triangles in meshes.items()}
+        self._parts = [[shape for k, shape in model.parts if k == i] for i in range(len(model.links))]
         self.q = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, model.dof))
         self._poses = model.link_transforms(self.q)
 
@@ -59,41 +61,67 @@ class Pairs:
                 found.append(self._judge(i, j))
         return found
 
-    def gaps(self, i: int, j: int, poses: Array) -> Array:
-        """Distances (n,) of the covers of two links at link poses (n, links, 4, 4), below 0 where they overlap."""
-        balls = [_placed(self._covers[self._model.links[k]], poses[:, k]) for k in (i, j)]
-        found = np.empty(len(poses))
-        for k in range(len(poses)):
-            apart = cdist(balls[0][k, :, :3], balls[1][k, :, :3])
-            found[k] = (apart - balls[0][k, :, 3:] - balls[1][k, :, 3]).min()
+    def crowding(self, pairs: Sequence[Pair], covers: Mapping[str, Array]) -> dict[str, float]:
+        """For each link the share of configurations that its cover (k, 4) takes from it.
+
+        There it overlaps with the cover of a link that it is checked against, and their exact geometry does not.
+        """
+        found = dict.fromkeys(self._model.links, 0.0)
+        poses = self._poses[:_CROWD]
+        for pair in pairs:
+            if not pair.ignored:
+                i, j = (self._model.links.index(link) for link in (pair.first, pair.second))
+                near = np.flatnonzero(
+                    _gaps(*(_placed(covers[self._model.links[k]], poses[:, k]) for k in (i, j))) < 0.0
+                )
+                taken = sum(not self._overlap(i, j, poses[k]) for k in near) / _CROWD
+                for link in (pair.first, pair.second):
+                    found[link] = max(found[link], taken)
         return found
+
+    def _bounds(self, i: int) -> Array:
+        """Balls (k, 4) around the primitives of a link."""
+        return np.array([(*shape.pose[:3, 3], shape.radius) for shape in self._parts[i]])
+
+    def _overlap(self, i: int, j: int, poses: Array) -> bool:
+        """Whether the exact geometry of two links does."""
+        balls = [_placed(self._bounds(k), poses[None, k])[0] for k in (i, j)]
+        apart = cdist(balls[0][:, :3], balls[1][:, :3]) - balls[0][:, None, 3] - balls[1][:, 3]
+        return any(
+            distance(
+                self._parts[i][a],
+                poses[i] @ self._parts[i][a].pose,
+                self._parts[j][b],
+                poses[j] @ self._parts[j][b].pose,
+            )
+            <= 0.0
+            for a, b in np.argwhere(apart < 0.0).tolist()
+        )
 
     def _judge(self, i: int, j: int) -> Pair:
         first, second = self._model.links[i], self._model.links[j]
-        gaps = self.gaps(i, j, self._poses)
+        gaps = _gaps(*(_placed(self._bounds(k), self._poses[:, k]) for k in (i, j)))
         near = np.flatnonzero(gaps < 0.0)
         if not len(near):
             return Pair(
-                first, second, False, f"its covers met in none of {SAMPLES} configurations; checking it costs nothing"
+                first, second, False, f"they came near in none of {SAMPLES} configurations; checking it costs nothing"
             )
         near = near[np.argsort(gaps[near])]
         touching = [self._touch(i, j, self._poses[k]) for k in (near if len(near) == SAMPLES else ())]
         if touching and all(touching):
             return Pair(first, second, True, f"they touch in all of {SAMPLES} configurations")
         if any(touching) or any(self._touch(i, j, self._poses[k]) for k in near):
-            part = len(near) / SAMPLES
-            much = f"; their covers overlap in {part:.0%} of all configurations" if part > 0.2 else ""
-            return Pair(first, second, False, f"their meshes can collide{much}")
+            return Pair(first, second, False, "their meshes can collide")
         least = self._nearest(i, j, near)
         share = f"their meshes met in none of {SAMPLES} configurations (less than {300 / SAMPLES:.2g} % of all, with 95 % confidence)"
         if least > CLEAR:
             return Pair(first, second, True, f"{share}, and come no nearer than {1e3 * least:.0f} mm")
-        if least > 0.0 and len(near) > 0.99 * SAMPLES:
+        if least > 0.0 and all(self._overlap(i, j, poses) for poses in self._poses[:_CROWD]):
             return Pair(
                 first,
                 second,
                 True,
-                f"{share}; they come as near as {1e3 * least:.1f} mm, but the covers always overlap",
+                f"{share}; they come as near as {1e3 * least:.1f} mm, but what contains them always overlaps",
             )
         return Pair(first, second, False, f"{share}, but come as near as {1e3 * max(least, 0.0):.1f} mm")
 
@@ -133,6 +161,13 @@ class Pairs:
             fcl.CollisionObject(self._meshes[self._model.links[k]], fcl.Transform(poses[k, :3, :3], poses[k, :3, 3]))
             for k in (i, j)
         ]
+
+
+def _gaps(one: Array, other: Array) -> Array:
+    """Distances (n,) of balls (n, k, 4) and (n, l, 4), below 0 where they overlap."""
+    return np.array(
+        [(cdist(a[:, :3], b[:, :3]) - a[:, None, 3] - b[:, 3]).min() for a, b in zip(one, other, strict=True)]
+    )
 
 
 def _placed(balls: Array, poses: Array) -> Array:

@@ -7,7 +7,7 @@ a number of balls allows. What they contain is then proven and not sampled: `ker
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
@@ -60,17 +60,25 @@ class _Problem:
         return cls(points, places, lack, body.surface)
 
 
-def fit_covers(bodies: Mapping[str, Body], rows: Mapping[str, Array], budget: int = BUDGET) -> dict[str, Array]:
-    """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry (m, 17).
+class Covers:
+    """Covers of the links of a robot, `budget` balls in all, at least one each."""
 
-    They are `budget` in all, at least one each.
-    """
-    problems = [_Problem.of(body, rows[link]) for link, body in bodies.items()]
-    chosen = _at_most(problems, max(budget, len(problems)))
-    return {
-        link: _written(around_shapes(_rounded(_placed(problem, places)), rows[link], _FINEST))
-        for link, problem, places in zip(bodies, problems, chosen, strict=True)
-    }
+    def __init__(self, bodies: Mapping[str, Body], rows: Mapping[str, Array], budget: int = BUDGET) -> None:
+        """`rows` (n, 17) are the exact geometry of each link, in the order of `bodies`."""
+        self._rows = rows
+        self._problems = {link: _Problem.of(body, rows[link]) for link, body in bodies.items()}
+        self._budget = max(budget, len(bodies))
+
+    def fitted(self, share: Mapping[str, float]) -> dict[str, Array]:
+        """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry.
+
+        They stand out equally far, but of a link by `share` of that.
+        """
+        chosen = _at_most(self._problems, share, self._budget)
+        return {
+            link: _written(around_shapes(_rounded(_placed(self._problems[link], places)), self._rows[link], _FINEST))
+            for link, places in chosen.items()
+        }
 
 
 def ball_rows(balls: Array) -> Array:
@@ -148,22 +156,26 @@ def _settled(problem: _Problem, places: Array) -> Array:
     return np.column_stack((places[kept, :3], radii))
 
 
-def _at_most(problems: Sequence[_Problem], count: int) -> list[list[int]]:
-    """Places for balls in each, `count` at most in all, that stand out equally far and as little as that allows."""
+def _at_most(problems: Mapping[str, _Problem], share: Mapping[str, float], count: int) -> dict[str, list[int]]:
+    """Places for balls in each, `count` at most in all, that stand out as little as that allows."""
+
+    def tried(out: float) -> dict[str, list[int]]:
+        return {link: _fewest(problem, out * share[link]) for link, problem in problems.items()}
+
     low, high = 0.0, 0.1
-    while True:
-        found = [_fewest(problem, high) for problem in problems]
-        if sum(map(len, found)) <= count or high > 10.0:
-            break
+    while _count(chosen := tried(high)) > count and high < 10.0:
         low, high = high, 2 * high
     while high - low > 5e-4:
         middle = (low + high) / 2
-        tried = [_fewest(problem, middle) for problem in problems]
-        if sum(map(len, tried)) <= count:
-            found, high = tried, middle
+        if _count(more := tried(middle)) <= count:
+            chosen, high = more, middle
         else:
             low = middle
-    return found
+    return chosen
+
+
+def _count(places: Mapping[str, list[int]]) -> int:
+    return sum(map(len, places.values()))
 
 
 def _rounded(balls: Array) -> Array:
