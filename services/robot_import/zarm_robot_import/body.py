@@ -15,6 +15,8 @@ from zarm_robot_import.meshes import points_on
 Array = NDArray[np.float64]
 
 _CELLS = 12_000
+_BESIDE = 0.005
+"""The grid reaches so far (m) beyond the surface."""
 _AROUND = 2000
 """Points outside that are enough to compare shapes by."""
 _WOUND = 700
@@ -40,7 +42,9 @@ class Body:
     def of(cls, triangles: Array) -> Self:
         """Where the surface is open, what it mostly winds around counts as inside."""
         surface = cKDTree(points_on(triangles, 20_000)[0])
-        points, cell = _grid(triangles.reshape(-1, 3))
+        lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
+        points = grid_in(lower, upper, _CELLS)
+        cell = float((upper - lower).prod() / len(points))
         out = np.abs(winding(points, thinned(triangles, _WOUND))) < 0.5
         return cls(triangles, points, surface.query(points)[0], out, cell, surface)
 
@@ -68,12 +72,10 @@ def thinned(triangles: Array, most: int) -> Array:
     return triangles
 
 
-def _grid(points: Array) -> tuple[Array, float]:
-    """About _CELLS points of a grid over the box around points, and the volume of each of its cells."""
-    low, high = points.min(axis=0) - 0.005, points.max(axis=0) + 0.005
-    size = high - low
-    step = float((size.prod() / _CELLS) ** (1 / 3))
-    counts = np.maximum(np.round(size / step).astype(int), 3)
-    axes = [np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True)]
+def grid_in(lower: Array, upper: Array, count: int) -> Array:
+    """About `count` points (n, 3) of a grid over a box."""
+    size = np.maximum(upper - lower, 1e-3)
+    step = float((size.prod() / count) ** (1 / 3))
+    axes = [np.linspace(a, b, max(3, round((b - a) / step))) for a, b in zip(lower, upper, strict=True)]
     found: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return found, float((size / (counts - 1)).prod())
+    return found

@@ -43,7 +43,7 @@ class Fitting:
             self._primitives[link] = fit_primitives(body)
             done(link)
         self._rows = {link: rows_of(primitives) for link, primitives in self._primitives.items()}
-        self._covers = Covers(self._bodies, self._rows, budget)
+        self._covers = Covers(self._rows, budget)
 
     def links(self, share: Mapping[str, float] | None = None) -> list[Fitted]:
         """All links; the cover of one stands out by `share` (0..1) of what others do, of 1 where that is not given."""

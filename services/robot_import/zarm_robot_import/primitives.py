@@ -221,7 +221,9 @@ def _axes(body: Body) -> Array:
     """
     points = body.surface.data
     found = [np.eye(3)]
-    for triple in (np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T, _faces(body.triangles)):
+    main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
+    main[:, 2] *= np.linalg.det(main)  # right-handed
+    for triple in (main, _faces(body.triangles)):
         known = np.concatenate(found, axis=1)
         if np.abs(triple.T @ known).max(axis=1).min() < _SAME:
             found.append(triple)

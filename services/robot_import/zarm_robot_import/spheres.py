@@ -13,11 +13,10 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from zarm_geometry.rows import distances
-from zarm_robot_import.body import Body
+from zarm_robot_import.body import grid_in
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.meshes import areas, points_on
 from zarm_robot_import.primitives import triangles_of
@@ -26,7 +25,8 @@ Array = NDArray[np.float64]
 
 BUDGET = 80
 """Balls in the cover of the whole robot."""
-_POINTS = 2500
+_POINTS = 1200
+_CELLS = 4000
 _ROUNDS = 3
 _STEPS = (0.008,) * 3 + (0.004,) * 3 + (0.002,) * 3 + (0.001,) * 3
 _AROUND = np.array([(x, y, z) for x in (0, 1, -1) for y in (0, 1, -1) for z in (0, 1, -1)], float)
@@ -38,45 +38,53 @@ _FINEST = 5e-4
 class _Problem:
     """Points (n, 3) to contain, places (m, 4) for balls with the depth of each, and what each lacks of each point (m, n).
 
-    `surface` are points of the surface below which the depth is.
+    `rows` (k, 17) are the exact geometry below whose surface the depth is.
     """
 
     points: Array
     places: Array
     lack: NDArray[np.float32]
-    surface: cKDTree
+    rows: Array
 
     @classmethod
-    def of(cls, body: Body, rows: Array) -> Self:
+    def of(cls, rows: Array) -> Self:
         """Of a link whose exact geometry are `rows` (n, 17)."""
-        inside = ~body.out
-        every = max(1, np.count_nonzero(inside) // 2500)
-        # Places on the surface, too: thin plates have no inside to speak of, and open ones have none.
-        some = body.surface.data[::100]
-        deep = np.column_stack((body.points[inside], body.distance[inside]))[::every]
-        places = np.concatenate([deep, np.column_stack((some, np.zeros(len(some))))])
         points = outer_points(rows, _POINTS)
+        lower, upper = points.min(axis=0), points.max(axis=0)
+        grid = grid_in(lower, upper, _CELLS)
+        deep = depths(grid, rows)
+        places = np.column_stack((grid, deep))[deep > 0.0]
+        points = np.concatenate([points, places[:: 1 + len(places) // _POINTS, :3]])
         lack = (cdist(places[:, :3], points) - places[:, 3:]).astype(np.float32)
-        return cls(points, places, lack, body.surface)
+        return cls(points, places, lack, rows)
+
+
+def depths(points: Array, rows: Array) -> Array:
+    """How far (n,) points are at least below the surface of the union of shapes (m, 17); not above 0 outside."""
+    found: Array = -distances(points, rows).min(axis=1)
+    return found
 
 
 class Covers:
     """Covers of the links of a robot, `budget` balls in all, at least one each."""
 
-    def __init__(self, bodies: Mapping[str, Body], rows: Mapping[str, Array], budget: int = BUDGET) -> None:
-        """`rows` (n, 17) are the exact geometry of each link, in the order of `bodies`."""
-        self._rows = rows
-        self._problems = {link: _Problem.of(body, rows[link]) for link, body in bodies.items()}
-        self._budget = max(budget, len(bodies))
+    def __init__(self, rows: Mapping[str, Array], budget: int = BUDGET) -> None:
+        """`rows` (n, 17) are the exact geometry of each link."""
+        self._problems = {link: _Problem.of(table) for link, table in rows.items()}
+        self._budget = max(budget, len(rows))
 
     def fitted(self, share: Mapping[str, float]) -> dict[str, Array]:
         """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry.
 
-        They stand out equally far, but of a link by `share` of that.
+        They stand out the further, the thicker the link is, and of one by `share` of that.
         """
-        chosen = _at_most(self._problems, share, self._budget)
+        thick = {link: problem.places[:, 3].max() for link, problem in self._problems.items()}
+        shares = {link: share[link] * thick[link] / max(thick.values()) for link in thick}
+        chosen = _at_most(self._problems, shares, self._budget)
         return {
-            link: _written(around_shapes(_rounded(_placed(self._problems[link], places)), self._rows[link], _FINEST))
+            link: _written(
+                around_shapes(_rounded(_placed(self._problems[link], places)), self._problems[link].rows, _FINEST)
+            )
             for link, places in chosen.items()
         }
 
@@ -140,12 +148,11 @@ def _settled(problem: _Problem, places: Array) -> Array:
         owner = np.argmin(lack, axis=0)
         places = places[np.unique(owner)]
         tried = (places[:, None, :3] + step * _AROUND).reshape(-1, 3)
-        depth = problem.surface.query(tried)[0].reshape(len(places), -1)
+        depth = depths(tried, problem.rows).reshape(len(places), -1)
         for i, mine in enumerate(np.unique(owner)):
             points = problem.points[owner == mine]
             out = (cdist(tried.reshape(len(places), -1, 3)[i], points) - depth[i][:, None]).max(axis=1)
-            if places[i, 3] < 1.8 * step:  # what is this near to the surface may be outside after a step
-                out[1:] = np.inf
+            out[1:][depth[i][1:] < 0.0] = np.inf
             best = int(np.argmin(out))
             if out[best] < out[0] - 1e-5:
                 places[i] = (*tried.reshape(len(places), -1, 3)[i, best], depth[i, best])

@@ -18,10 +18,10 @@ def around_shapes(balls: Array, rows: Array, finest: float) -> Array:
     """Balls (k, 4) with radii so large that their union contains the shapes (n, 17), see `zarm_geometry.rows`.
 
     The cube around each shape is cut into eight again and again. A cell is done with once the ball around it is outside of
-    the shape or within one of the balls; at half a side of `finest` (m) the one that lacks the least grows around it. So what is
-    returned is proven.
+    the shape or within one of the balls; at half a side of `finest` (m) the one that lacked the least to begin with grows around
+    it. So what is returned is proven.
     """
-    balls = balls.copy()
+    given, balls = balls, balls.copy()
     stack = np.empty((256, 4))
     for t in range(len(rows)):
         r = rows[t]
@@ -40,18 +40,19 @@ def around_shapes(balls: Array, rows: Array, finest: float) -> Array:
             px, py, pz = turned(turn, (x, y, z))
             if core_distance((px + r[3], py + r[7], pz + r[11]), core) - r[16] > reach:
                 continue
-            lack, at = np.inf, 0
+            lack, at, within = np.inf, 0, False
             for j in range(len(balls)):
                 dx, dy, dz = x - balls[j, 0], y - balls[j, 1], z - balls[j, 2]
-                need = math.sqrt(dx * dx + dy * dy + dz * dz) + reach - balls[j, 3]
-                if need < lack:
-                    lack, at = need, j
-                if need <= 0.0:
+                far = math.sqrt(dx * dx + dy * dy + dz * dz) + reach
+                if far <= balls[j, 3]:
+                    within = True
                     break
-            if lack <= 0.0:
+                if far - given[j, 3] < lack:
+                    lack, at = far - given[j, 3], j
+            if within:
                 continue
             if half <= finest or size + 8 > len(stack):
-                balls[at, 3] += lack + 1e-9
+                balls[at, 3] = given[at, 3] + lack + 1e-9
                 continue
             for c in range(8):
                 stack[size, 0] = x + half * (0.5 if c & 1 else -0.5)
