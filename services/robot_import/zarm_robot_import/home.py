@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_geometry.collision import is_free
+from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_robot_import.self_collision import SAMPLES
@@ -14,6 +15,8 @@ from zarm_robot_import.self_collision import SAMPLES
 Array = NDArray[np.float64]
 
 _STEP = 1e-4
+_APART = 0.002
+"""At home links are at least so far (m) from each other."""
 
 
 def choose_home(model: RobotModel) -> tuple[float, ...]:
@@ -24,8 +27,9 @@ def choose_home(model: RobotModel) -> tuple[float, ...]:
     candidates = np.clip(candidates, lower, upper)
     best = sorted(zip(_score(model, candidates).tolist(), candidates.tolist(), strict=True), reverse=True)
     empty = World((), 0.005)
+    exact = MotionCheck(model)
     for _, q in best:
-        if is_free(model, empty, q):
+        if is_free(model, empty, q) and exact.check([0.0], [q], margin=_APART).free:
             return tuple(q)
     raise InvalidRequest(
         f"in none of {SAMPLES} configurations is the robot free of itself; look at the links in the report, and try "

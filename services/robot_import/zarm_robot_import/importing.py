@@ -93,13 +93,15 @@ def import_robot(
         sampled = Pairs(write(middle, ()), meshes)
         pairs = sampled.judged()
         share = dict.fromkeys(meshes, 1.0)
-        for round_ in range(_ROUNDS):
-            progress("covers of links", 0.8 + 0.1 * round_ / _ROUNDS)
-            crowding = sampled.crowding(pairs, {link.link: link.balls for link in fitted})
-            if max(crowding.values()) <= _CROWDED:
+        for round_ in range(_ROUNDS + 1):
+            progress("covers of links", 0.75 + 0.15 * round_ / _ROUNDS)
+            covers = {link.link: link.balls for link in fitted}
+            crowding = sampled.crowding([pair for pair in sampled.marked(pairs, covers) if not pair.exact], covers)
+            if round_ == _ROUNDS or max(crowding.values()) <= _CROWDED:
                 break
             share = {link: part * (_FINER if crowding[link] > _CROWDED else 1.0) for link, part in share.items()}
             fitted = fitting.links(share)
+        pairs = sampled.marked(pairs, covers)
         progress("home", 0.9)
         home = choose_home(write(middle, pairs))
         model = write(home, pairs)

@@ -100,7 +100,7 @@ class Report:
             lines.append(f"| {limit.joint} | {shown} | {', '.join(limit.assumed)} |")
         lines += ["", "## Self-collision", "", "| pair | checked | reason |", "|---|---|---|"]
         lines += [
-            f"| {pair.first}, {pair.second} | {'no' if pair.ignored else 'yes'} | {pair.reason} |"
+            f"| {pair.first}, {pair.second} | {'no' if pair.ignored else 'exactly' if pair.exact else 'yes'} | {pair.reason} |"
             for pair in self.pairs
         ]
         return "\n".join(lines) + "\n"

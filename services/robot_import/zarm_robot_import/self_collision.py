@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -21,6 +21,8 @@ SAMPLES = 4000
 """Configurations: of what none of them shows, less than 3/SAMPLES of all have it, with 95 % confidence."""
 CLEAR = 0.005
 """Meshes that come no nearer than this (m) in samples and in a search from the nearest of them are taken never to meet."""
+MOST_TAKEN = 0.3
+"""Share of all configurations that covers may take from a pair of links before the search leaves it out."""
 _CROWD = 300
 """Configurations in which the exact geometry is looked at."""
 _SEARCHES = 3
@@ -35,6 +37,8 @@ class Pair:
     second: str
     ignored: bool
     reason: str
+    exact: bool = False
+    """Whether the search leaves it to the exact check, because the covers of both nearly always overlap."""
 
 
 class Pairs:
@@ -61,23 +65,34 @@ class Pairs:
                 found.append(self._judge(i, j))
         return found
 
+    def marked(self, pairs: Sequence[Pair], covers: Mapping[str, Array]) -> list[Pair]:
+        """The same, with those `exact` whose covers (k, 4) take more than MOST_TAKEN of all configurations."""
+        found = []
+        for pair in pairs:
+            taken = 0.0 if pair.ignored else self._taken(pair, covers)
+            more = f"; their covers also overlap in another {taken:.0%} of all configurations, so the search leaves them out"
+            found.append(replace(pair, exact=True, reason=pair.reason + more) if taken > MOST_TAKEN else pair)
+        return found
+
     def crowding(self, pairs: Sequence[Pair], covers: Mapping[str, Array]) -> dict[str, float]:
         """For each link the share of configurations that its cover (k, 4) takes from it.
 
         There it overlaps with the cover of a link that it is checked against, and their exact geometry does not.
         """
         found = dict.fromkeys(self._model.links, 0.0)
-        poses = self._poses[:_CROWD]
         for pair in pairs:
             if not pair.ignored:
-                i, j = (self._model.links.index(link) for link in (pair.first, pair.second))
-                near = np.flatnonzero(
-                    _gaps(*(_placed(covers[self._model.links[k]], poses[:, k]) for k in (i, j))) < 0.0
-                )
-                taken = sum(not self._overlap(i, j, poses[k]) for k in near) / _CROWD
+                taken = self._taken(pair, covers)
                 for link in (pair.first, pair.second):
                     found[link] = max(found[link], taken)
         return found
+
+    def _taken(self, pair: Pair, covers: Mapping[str, Array]) -> float:
+        """The share of configurations in which the covers of two links overlap and their exact geometry does not."""
+        poses = self._poses[:_CROWD]
+        i, j = (self._model.links.index(link) for link in (pair.first, pair.second))
+        near = np.flatnonzero(_gaps(*(_placed(covers[self._model.links[k]], poses[:, k]) for k in (i, j))) < 0.0)
+        return sum(not self._overlap(i, j, poses[k]) for k in near) / _CROWD
 
     def _bounds(self, i: int) -> Array:
         """Balls (k, 4) around the primitives of a link."""

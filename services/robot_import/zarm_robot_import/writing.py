@@ -117,6 +117,9 @@ def descriptor_text(
     ignored = [pair for pair in pairs if pair.ignored]
     lines += ["", "self_collision_ignore:" if ignored else "self_collision_ignore: []"]
     lines += [f"  - [{plain(pair.first)}, {plain(pair.second)}]  # {pair.reason}" for pair in ignored]
+    if close := [pair for pair in pairs if pair.exact]:
+        lines += ["", "self_collision_exact:"]
+        lines += [f"  - [{plain(pair.first)}, {plain(pair.second)}]  # {pair.reason}" for pair in close]
     return "\n".join(lines) + "\n"
 
 
