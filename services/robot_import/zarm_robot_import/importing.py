@@ -27,8 +27,9 @@ from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import BUDGET
 from zarm_robot_import.writing import descriptor_text, urdf_text
 
-_ROUNDS, _FINER, _CROWDED = 3, 0.7, 0.03
-"""So often covers are found again, a link's finer by this factor if it takes more than this share of configurations from it."""
+_ROUNDS, _STEP, _CROWDED = 3, 1.5, 0.03
+"""So often covers are found again, by up to this factor finer for the links that take more than their part of configurations from
+the arm, and coarser for others, unless none takes more than this share."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,11 @@ def import_robot(
             crowding = sampled.crowding([pair for pair in sampled.marked(pairs, covers) if not pair.exact], covers)
             if round_ == _ROUNDS or max(crowding.values()) <= _CROWDED:
                 break
-            share = {link: part * (_FINER if crowding[link] > _CROWDED else 1.0) for link, part in share.items()}
+            typical = sum(crowding.values()) / len(crowding)
+            share = {
+                link: part * min(max((typical / (crowding[link] + _CROWDED)) ** 0.5, 1 / _STEP), _STEP)
+                for link, part in share.items()
+            }
             fitted = fitting.links(share)
         pairs = sampled.marked(pairs, covers)
         progress("home", 0.9)

@@ -76,11 +76,9 @@ class Covers:
     def fitted(self, share: Mapping[str, float]) -> dict[str, Array]:
         """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry.
 
-        They stand out the further, the thicker the link is, and of one by `share` of that.
+        They stand out equally far, but of a link by `share` of that.
         """
-        thick = {link: problem.places[:, 3].max() for link, problem in self._problems.items()}
-        shares = {link: share[link] * thick[link] / max(thick.values()) for link in thick}
-        chosen = _at_most(self._problems, shares, self._budget)
+        chosen = _at_most(self._problems, share, self._budget)
         return {
             link: _written(
                 around_shapes(_rounded(_placed(self._problems[link], places)), self._problems[link].rows, _FINEST)
