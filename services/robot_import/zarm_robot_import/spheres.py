@@ -50,13 +50,20 @@ class _Problem:
     def of(cls, rows: Array) -> Self:
         """Of a link whose exact geometry are `rows` (n, 17)."""
         points = outer_points(rows, _POINTS)
-        lower, upper = points.min(axis=0), points.max(axis=0)
-        grid = grid_in(lower, upper, _CELLS)
+        grid = np.concatenate([_within(row, _CELLS // len(rows)) for row in rows])
         deep = depths(grid, rows)
         places = np.column_stack((grid, deep))[deep > 0.0]
         points = np.concatenate([points, places[:: 1 + len(places) // _POINTS, :3]])
         lack = (cdist(places[:, :3], points) - places[:, 3:]).astype(np.float32)
         return cls(points, places, lack, rows)
+
+
+def _within(row: Array, count: int) -> Array:
+    """About `count` points (n, 3) of a grid over the box around a shape (17,), along its axes: thin ones have some, too."""
+    half = row[12:15] + row[16] + (row[15], row[15], 0.0)
+    frame = row[:12].reshape(3, 4)
+    found: Array = (grid_in(-half, half, count) - frame[:, 3]) @ frame[:, :3]
+    return found
 
 
 def depths(points: Array, rows: Array) -> Array:
