@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from zarm_contract.robot import CollisionPrimitive
 from zarm_robot_import.body import Body
 from zarm_robot_import.meshes import Surface
 from zarm_robot_import.primitives import Measure, Out, fit_primitives, rows_of
-from zarm_robot_import.spheres import Covers, ball_rows
+from zarm_robot_import.spheres import ball_rows, fit_covers
 
 Array = NDArray[np.float64]
 
@@ -32,26 +32,18 @@ class Fitted:
     cover_out: Out
 
 
-class Fitting:
-    """The exact geometry of all links, found once, for covers that may be found again."""
-
-    def __init__(self, surfaces: Sequence[Surface], budget: int, done: Callable[[str], None]) -> None:
-        """`budget` balls in all covers; `done` is told each link whose exact geometry is found."""
-        self._bodies = {surface.link: Body.of(surface.triangles) for surface in surfaces}
-        self._primitives: dict[str, list[CollisionPrimitive]] = {}
-        for link, body in self._bodies.items():
-            self._primitives[link] = fit_primitives(body)
-            done(link)
-        self._rows = {link: rows_of(primitives) for link, primitives in self._primitives.items()}
-        self._covers = Covers(self._rows, budget)
-
-    def links(self, share: Mapping[str, float] | None = None) -> list[Fitted]:
-        """All links; the cover of one stands out by `share` (0..1) of what others do, of 1 where that is not given."""
-        covers = self._covers.fitted(dict.fromkeys(self._bodies, 1.0) | dict(share or {}))
-        found = []
-        for link, body in self._bodies.items():
-            measure = Measure(body)
-            rows, balls = self._rows[link], covers[link]
-            outs = (Out.together(measure.all(list(table))) for table in (rows, ball_rows(balls)))
-            found.append(Fitted(link, self._primitives[link], rows, balls, *outs))
-        return found
+def fit(surfaces: Sequence[Surface], budget: int, done: Callable[[str], None]) -> list[Fitted]:
+    """Fit all links, with `budget` balls in all covers; `done` is told each link whose exact geometry is found."""
+    bodies = {surface.link: Body.of(surface.triangles) for surface in surfaces}
+    primitives: dict[str, list[CollisionPrimitive]] = {}
+    for link, body in bodies.items():
+        primitives[link] = fit_primitives(body)
+        done(link)
+    rows = {link: rows_of(each) for link, each in primitives.items()}
+    covers = fit_covers(rows, budget)
+    found = []
+    for link, body in bodies.items():
+        measure = Measure(body)
+        outs = (Out.together(measure.all(list(table))) for table in (rows[link], ball_rows(covers[link])))
+        found.append(Fitted(link, primitives[link], rows[link], covers[link], *outs))
+    return found

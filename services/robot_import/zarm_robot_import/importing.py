@@ -16,7 +16,7 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_robot_import.chain import choose_chain
 from zarm_robot_import.description import describe
-from zarm_robot_import.fitting import Fitting
+from zarm_robot_import.fitting import fit
 from zarm_robot_import.home import choose_home
 from zarm_robot_import.limits import limits_of
 from zarm_robot_import.meshes import link_surface
@@ -26,10 +26,6 @@ from zarm_robot_import.self_collision import Pair, Pairs
 from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import BUDGET
 from zarm_robot_import.writing import descriptor_text, urdf_text
-
-_ROUNDS, _STEP, _CROWDED = 3, 1.5, 0.03
-"""So often covers are found again, by up to this factor finer for the links that take more than their part of configurations from
-the arm, and coarser for others, unless none takes more than this share."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +71,7 @@ def import_robot(
         fitted_links += 1
         progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
 
-    fitting = Fitting(surfaces, options.spheres, counted)
-    fitted = fitting.links()
+    fitted = fit(surfaces, options.spheres, counted)
     meshes = {surface.link: surface.triangles for surface in surfaces}
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".import-") as draft:
@@ -93,20 +88,7 @@ def import_robot(
         progress("pairs of links", 0.7)
         sampled = Pairs(write(middle, ()), meshes)
         pairs = sampled.judged()
-        share = dict.fromkeys(meshes, 1.0)
-        for round_ in range(_ROUNDS + 1):
-            progress("covers of links", 0.75 + 0.15 * round_ / _ROUNDS)
-            covers = {link.link: link.balls for link in fitted}
-            crowding = sampled.crowding([pair for pair in sampled.marked(pairs, covers) if not pair.exact], covers)
-            if round_ == _ROUNDS or max(crowding.values()) <= _CROWDED:
-                break
-            typical = sum(crowding.values()) / len(crowding)
-            share = {
-                link: part * min(max((typical / (crowding[link] + _CROWDED)) ** 0.5, 1 / _STEP), _STEP)
-                for link, part in share.items()
-            }
-            fitted = fitting.links(share)
-        pairs = sampled.marked(pairs, covers)
+        pairs = sampled.marked(pairs, {link.link: link.balls for link in fitted})
         progress("home", 0.9)
         home = choose_home(write(middle, pairs))
         model = write(home, pairs)

@@ -74,19 +74,6 @@ class Pairs:
             found.append(replace(pair, exact=True, reason=pair.reason + more) if taken > MOST_TAKEN else pair)
         return found
 
-    def crowding(self, pairs: Sequence[Pair], covers: Mapping[str, Array]) -> dict[str, float]:
-        """For each link the share of configurations that its cover (k, 4) takes from it.
-
-        There it overlaps with the cover of a link that it is checked against, and their exact geometry does not.
-        """
-        found = dict.fromkeys(self._model.links, 0.0)
-        for pair in pairs:
-            if not pair.ignored:
-                taken = self._taken(pair, covers)
-                for link in (pair.first, pair.second):
-                    found[link] = max(found[link], taken)
-        return found
-
     def _taken(self, pair: Pair, covers: Mapping[str, Array]) -> float:
         """The share of configurations in which the covers of two links overlap and their exact geometry does not."""
         poses = self._poses[:_CROWD]

@@ -72,26 +72,16 @@ def depths(points: Array, rows: Array) -> Array:
     return found
 
 
-class Covers:
-    """Covers of the links of a robot, `budget` balls in all, at least one each."""
+def fit_covers(rows: Mapping[str, Array], budget: int = BUDGET) -> dict[str, Array]:
+    """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry (m, 17).
 
-    def __init__(self, rows: Mapping[str, Array], budget: int = BUDGET) -> None:
-        """`rows` (n, 17) are the exact geometry of each link."""
-        self._problems = {link: _Problem.of(table) for link, table in rows.items()}
-        self._budget = max(budget, len(rows))
-
-    def fitted(self, share: Mapping[str, float]) -> dict[str, Array]:
-        """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry.
-
-        They stand out equally far, but of a link by `share` of that.
-        """
-        chosen = _at_most(self._problems, share, self._budget)
-        return {
-            link: _written(
-                around_shapes(_rounded(_placed(self._problems[link], places)), self._problems[link].rows, _FINEST)
-            )
-            for link, places in chosen.items()
-        }
+    They are `budget` in all, at least one each, and stand out equally far as far as they can.
+    """
+    problems = {link: _Problem.of(table) for link, table in rows.items()}
+    return {
+        link: _written(around_shapes(_rounded(_placed(problems[link], places)), rows[link], _FINEST))
+        for link, places in _at_most(problems, max(budget, len(rows))).items()
+    }
 
 
 def ball_rows(balls: Array) -> Array:
@@ -168,11 +158,11 @@ def _settled(problem: _Problem, places: Array) -> Array:
     return np.column_stack((places[kept, :3], radii))
 
 
-def _at_most(problems: Mapping[str, _Problem], share: Mapping[str, float], count: int) -> dict[str, list[int]]:
+def _at_most(problems: Mapping[str, _Problem], count: int) -> dict[str, list[int]]:
     """Places for balls in each, `count` at most in all, that stand out as little as that allows."""
 
     def tried(out: float) -> dict[str, list[int]]:
-        return {link: _fewest(problem, out * share[link]) for link, problem in problems.items()}
+        return {link: _fewest(problem, out) for link, problem in problems.items()}
 
     low, high = 0.0, 0.1
     while _count(chosen := tried(high)) > count and high < 10.0:
