@@ -19,7 +19,7 @@ import zenoh
 
 from support.executor.driven import driven
 from support.faults import payloads
-from support.harness import PATIENCE, ServiceProcess
+from support.harness import PATIENCE, ServiceProcess, eventually
 from support.message_examples import by_class
 from support.resources import favour
 from support.trajectories import HOME, KEYS, ROBOT, moved, plan, rest_to_rest, rows
@@ -188,15 +188,16 @@ class Sizes:
         return [(p.num_threads(), p.num_fds(), p.memory_info().rss) for p in self.processes]
 
     def hold(self, before: list[tuple[int, int, int]]) -> None:
-        """Fails where one of them has grown since."""
-        for service, (threads, fds, rss), (threads_now, fds_now, rss_now) in zip(
-            self._services, before, self.now(), strict=True
-        ):
-            print(f"{service.service}: threads {threads} {threads_now}, descriptors {fds} {fds_now}, ", end="")  # noqa: T201
-            print(f"MiB {rss / 2**20:.0f} {rss_now / 2**20:.0f}, log {len(service.output())} bytes")  # noqa: T201
-            assert threads_now <= threads + POOLS
-            assert fds_now <= fds + 4
-            assert rss_now <= rss + GROWTH
+        """Fails where one of them has grown since, and stays so when all that was asked of it has ended."""
+        eventually(lambda: not self._grown(before), "the services are no larger than before")
+        for service, then, now in zip(self._services, before, self.now(), strict=True):
+            print(f"{service.service}: threads, descriptors, bytes {then} {now}, log {len(service.output())} bytes")  # noqa: T201
+
+    def _grown(self, before: list[tuple[int, int, int]]) -> bool:
+        return any(
+            threads_now > threads + POOLS or fds_now > fds + 4 or rss_now > rss + GROWTH
+            for (threads, fds, rss), (threads_now, fds_now, rss_now) in zip(before, self.now(), strict=True)
+        )
 
     def hold_logs(self, sent: int) -> None:
         """Fails where noise fills a log, or where one has the trace of an exception."""

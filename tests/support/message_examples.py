@@ -281,6 +281,7 @@ EXAMPLES: tuple[Message, ...] = (
         robot_hash="0123456789abcdef",
         uptime=1.5,
         pid=4242,
+        note="curobo_msgs of generation B",
     ),
 )
 

@@ -196,9 +196,10 @@ class GoalExecution:
             log.info("the goal goes on goal_id=%s", goal.goal_id)
             if goal.moving:
                 goal.monitor.go_on()
-                if self._blocked(now):
-                    return
-                self._strategy.move(self._speed_scale)
+                if not progress.finished:
+                    if self._blocked(now):
+                        return
+                    self._strategy.move(self._speed_scale)
             self._note()
         elif not goal.pausing and now - goal.hold_since > self._guard.patience:
             self.end(Outcome("aborted", given_up(goal.hold, self._guard.patience)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import pairwise
 from pathlib import Path as Folder
 
 import numpy as np
@@ -180,7 +181,17 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_th
     bench.until("idle")
     assert bench.last().status == "succeeded"
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.01)
-    assert itself or bench.commanded_acceleration() <= LIMIT * 1.001
+    assert itself or bench.acceleration() <= LIMIT * 1.1
+
+
+def test_a_goal_that_reaches_its_end_where_it_could_not_stop_any_more_is_over(bench: DriverBench) -> None:
+    path = bench.execute(timed=trapezoid)  # which brakes to its end at the limits
+    bench.run(path.duration - 0.2)
+    bench.machine.hear(Authority(servo="servo", sequence=1, goal_id="goal", until=0.5 * path.duration), bench.now)
+    bench.until("idle", patience=4.0)
+    assert bench.last().status == "succeeded"
+    holds = [state.hold is not None for state in bench.machine.changes]
+    assert sum(after and not before for before, after in pairwise(holds)) == 1
 
 
 @at_every_phase
