@@ -221,6 +221,8 @@ class RobotDescriptor(_Section):
     """For each link, its exact geometry. Every trajectory is verified against it."""
     self_collision_ignore: tuple[tuple[str, str], ...]
     """Pairs of links that are never checked against each other."""
+    self_collision_exact: tuple[tuple[str, str], ...] = ()
+    """Pairs that pass each other too closely for their spheres: the search leaves them to the exact check of its result."""
     interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.01
     """Maximum time between two samples of a planned trajectory (s)."""
     execution: ExecutionSettings = ExecutionSettings()
@@ -341,8 +343,9 @@ def _against_urdf(robot: RobotDescriptor, urdf: Urdf) -> list[tuple[KeyPath, str
     named |= {("spheres", link): link for link in robot.spheres}
     named |= {("collision", link): link for link in robot.collision}
     named |= {
-        ("self_collision_ignore", index, side): link
-        for index, pair in enumerate(robot.self_collision_ignore)
+        (key, index, side): link
+        for key in ("self_collision_ignore", "self_collision_exact")
+        for index, pair in enumerate(getattr(robot, key))
         for side, link in enumerate(pair)
     }
     faults: list[tuple[KeyPath, str]] = [

@@ -86,6 +86,8 @@ class RobotModel:
             for (i, a), (j, b) in combinations(enumerate(bodies), 2)
             if a.joint != b.joint and a.name not in b.touches and b.name not in a.touches
         ]
+        left = {frozenset(pair) for pair in descriptor.self_collision_exact}
+        searched = [(i, j) for i, j in pairs if frozenset((bodies[i].name, bodies[j].name)) not in left]
         pair_array = np.array(pairs, np.int32).reshape(-1, 2)
         lower, upper = np.array(robot.lower), np.array(robot.upper)
         spheres = [body.placed_balls for body in bodies]
@@ -114,7 +116,7 @@ class RobotModel:
                 link_first=np.cumsum([0, *(len(balls) for balls in spheres)], dtype=np.int32),
                 spheres=np.concatenate([np.empty((0, 4)), *spheres]).astype(np.float32),
                 bounds=np.array([_bounding_sphere(balls) for balls in spheres], np.float32).reshape(-1, 4),
-                pairs=pair_array,
+                pairs=np.array(searched, np.int32).reshape(-1, 2),
                 reach=reach,
             ),
         )

@@ -17,6 +17,7 @@ import typer
 from zarm.connection import Connection
 from zarm.robot import Robot
 from zarm_cli.client import SIGNALS, keys_of
+from zarm_cli.imported import descriptor_of
 from zarm_cli.interrupts import pause
 from zarm_cli.output import err, facts, numbers, out
 from zarm_cli.supervision import Supervisor
@@ -108,6 +109,7 @@ def launch(
             _ROS_PACKAGES,
             "`make ros` installs what is needed, and all else works without --ros",
         )
+    robot = descriptor_of(robot)
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
     endpoint = spoken(connect or listen)
@@ -175,7 +177,10 @@ def _refuse_second(bus: Bus, keys: Keys, endpoint: str) -> None:
 
 def up(
     robot: Annotated[
-        str, typer.Option(envvar="ZARM_ROBOT", help="A robot that comes with zarm, or a descriptor (.yaml).")
+        str,
+        typer.Option(
+            envvar="ZARM_ROBOT", help="A robot that comes with zarm, a descriptor (.yaml), or a URDF or xacro."
+        ),
     ] = ("doosan_m1013"),
     name: Annotated[
         str | None,

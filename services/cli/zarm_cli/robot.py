@@ -1,14 +1,17 @@
-"""`zarm robot`: the robots that zarm brings, and what is wrong with a descriptor."""
+"""`zarm robot`: the robots that zarm brings, a descriptor from any URDF, and what is wrong with one."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.table import Table
 
+from zarm_cli import imported
 from zarm_cli.client import AsJson
 from zarm_cli.output import degrees, err, facts, numbers, out, print_json
 from zarm_contract.errors import InvalidRequest
@@ -22,6 +25,84 @@ def show() -> None:
     """List the robots that come with zarm."""
     for file in sorted(ROBOTS.glob("*.yaml")):
         out.print(file.stem)
+
+
+class Geometry(StrEnum):
+    """Which of a URDF's geometries is taken."""
+
+    auto = "auto"
+    collision = "collision"
+    visual = "visual"
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(help="A URDF or xacro.", show_default=False)],
+    name: Annotated[str | None, typer.Option(help="Name of the robot (default: as in the file).")] = None,
+    base: Annotated[str | None, typer.Option(help="The link that does not move (default: the root).")] = None,
+    tip: Annotated[str | None, typer.Option(help="The link that goals are for (default: where the arm ends).")] = None,
+    output: Annotated[Path | None, typer.Option(help="Folder for the files (default: the name).")] = None,
+    packages: Annotated[
+        list[Path] | None, typer.Option(metavar="FOLDER", help="Where ROS packages lie, for package:// and $(find).")
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option(metavar="JOINT=POSITION", help="Where a joint beside the arm stands (rad, m).")
+    ] = None,
+    geometry: Annotated[
+        Geometry, typer.Option(help="auto: the collision meshes, with the visual ones where those stick out.")
+    ] = Geometry.auto,
+    spheres: Annotated[int, typer.Option(min=10, max=400, help="Spheres in the cover of the whole robot.")] = 80,
+) -> None:
+    """Make a descriptor, a URDF of the arm alone, a report and a picture from any URDF or xacro."""
+    chosen = imported.options(
+        name=name,
+        base=base,
+        tip=tip,
+        packages=packages or (),
+        fixed=dict(map(_position, fix or ())),
+        geometry=str(geometry),
+        spheres=spheres,
+    )
+    descriptor, report = imported.run_import(file, output or Path(name or file.name.split(".")[0]), chosen)
+    for warning in report.warnings:
+        err.print(f"note: {warning}", soft_wrap=True)
+    links = Table("link", "from", "exact: primitives, mean, largest", "cover: spheres, mean, largest", box=None)
+    for surface, link in zip(report.surfaces, report.fitted, strict=True):
+        links.add_row(
+            link.link,
+            surface.kind,
+            f"{len(link.primitives)}  {_millimetres(link.exact_out.mean, link.exact_out.most)}",
+            f"{len(link.balls)}  {_millimetres(link.cover_out.mean, link.cover_out.most)}",
+        )
+    out.print(
+        links,
+        "",
+        facts(
+            ("robot", f"{report.name}, {len(report.chain.joints)} joints, {report.chain.base} to {report.chain.tip}"),
+            ("spheres", str(report.spheres)),
+            ("home", f"{numbers(report.home, 2)} rad"),
+            ("assumed", "accelerations and jerks; see cspace in the descriptor"),
+            ("report", str(descriptor.with_suffix(".md"))),
+            ("picture", str(descriptor.with_suffix(".png"))),
+        ),
+        "",
+        sep="\n",
+    )
+    out.print(f"Next: zarm up --robot {descriptor}", soft_wrap=True)
+
+
+def _position(text: str) -> tuple[str, float]:
+    joint, _, value = text.rpartition("=")
+    try:
+        return joint, float(value)
+    except ValueError:
+        raise InvalidRequest(
+            f"{text!r} is no position of a joint; write --fix finger_joint=0.04", field="--fix"
+        ) from None
+
+
+def _millimetres(mean: float, most: float) -> str:
+    return f"{1e3 * mean:.1f}, {1e3 * most:.0f} mm"
 
 
 @app.command()

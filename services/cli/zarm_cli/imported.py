@@ -1,0 +1,69 @@
+"""A robot that is given as a URDF or xacro: imported once, and again when its files or zarm change."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from zarm_cli.output import err
+from zarm_contract.errors import Unavailable
+from zarm_runtime.version import version
+
+if TYPE_CHECKING:
+    from zarm_robot_import.importing import Options
+    from zarm_robot_import.report import Report
+
+_SUFFIXES = (".urdf", ".xacro", ".xml")
+_MESHES = (".stl", ".dae", ".obj", ".xacro")
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zarm" / "robots"
+
+
+def run_import(file: Path, folder: Path, options: Options) -> tuple[Path, Report]:
+    """Import with a progress bar on standard error. Raises InvalidRequest, or Unavailable without the packages."""
+    importing = _importing()
+    columns = (TextColumn("{task.description}", style="dim"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+        made: tuple[Path, Report] = importing.import_robot(
+            file, folder, options, lambda step, share: bar.update(task, description=step, completed=share)
+        )
+    return made
+
+
+def options(**chosen: object) -> Options:
+    """The options of an import. Raises Unavailable without the packages."""
+    made: Options = _importing().Options(**chosen)
+    return made
+
+
+def descriptor_of(robot: str) -> str:
+    """The descriptor of a robot that is given as a URDF or xacro; of any other what is given."""
+    file = Path(robot)
+    if file.suffix not in _SUFFIXES or not file.is_file():
+        return robot
+    # The meshes count by the time of their last change; they lie beside the file, or in its package.
+    digest = hashlib.sha256(file.read_bytes() + f"{file.resolve()}{version()}".encode())
+    for mesh in sorted(path for path in file.resolve().parent.parent.rglob("*") if path.suffix.lower() in _MESHES)[
+        :1000
+    ]:
+        digest.update(f"{mesh}{mesh.stat().st_mtime_ns}".encode())
+    folder = _CACHE / digest.hexdigest()[:16]
+    if not (made := next(iter(folder.glob("*.yaml")), None)):
+        made, _ = run_import(file, folder, options())
+        err.print(f"imported {file} to {folder}; `zarm robot import` keeps it and lets you choose", soft_wrap=True)
+    return str(made)
+
+
+def _importing() -> ModuleType:
+    try:
+        from zarm_robot_import import importing
+    except ImportError as error:
+        raise Unavailable(
+            f"robots cannot be imported, because {error.name} cannot be imported here; `pip install 'zarm[planner,import]'`"
+        ) from error
+    return importing

@@ -1,0 +1,1 @@
+"""A robot descriptor from any URDF or xacro, and what is wrong with one."""

@@ -1,0 +1,81 @@
+"""A link as a body: what is inside of its surface, what is outside, and how far from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from zarm_robot_import.kernels.winding import winding
+from zarm_robot_import.meshes import points_on
+
+Array = NDArray[np.float64]
+
+_CELLS = 12_000
+_BESIDE = 0.005
+"""The grid reaches so far (m) beyond the surface."""
+_AROUND = 2000
+"""Points outside that are enough to compare shapes by."""
+_WOUND = 700
+"""Triangles by which it is told what is inside."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The triangles (n, 3, 3) of a link, and points (m, 3) of a grid over the box around them.
+
+    `distance` (m,) of those to the surface, and whether they are `out` (m,) of it; each stands for `cell` (m^3). `surface` holds
+    points on the surface.
+    """
+
+    triangles: Array
+    points: Array
+    distance: Array
+    out: NDArray[np.bool_]
+    cell: float
+    surface: cKDTree
+
+    @classmethod
+    def of(cls, triangles: Array) -> Self:
+        """Where the surface is open, what it mostly winds around counts as inside."""
+        surface = cKDTree(points_on(triangles, 20_000)[0])
+        lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
+        points = grid_in(lower, upper, _CELLS)
+        cell = float((upper - lower).prod() / len(points))
+        out = np.abs(winding(points, thinned(triangles, _WOUND))) < 0.5
+        return cls(triangles, points, surface.query(points)[0], out, cell, surface)
+
+    def around(self, points: Array) -> tuple[Array, Array]:
+        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each the square of its distance (n,) times its volume."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        more = 0.2 * (high - low).max()
+        near = np.flatnonzero(
+            self.out & (self.points > low - more).all(axis=1) & (self.points < high + more).all(axis=1)
+        )
+        some = near[:: 1 + len(near) // _AROUND]
+        return self.points[some], self.distance[some] ** 2 * (self.cell * len(near) / max(len(some), 1))
+
+
+def thinned(triangles: Array, most: int) -> Array:
+    """At most `most` triangles near to these, whose corners are gathered in cells."""
+    size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 200, 1e-5)
+    given = triangles
+    while len(triangles) > most:
+        cells = np.round(given / size).astype(np.int64)
+        a, b, c = cells.transpose(1, 0, 2)
+        kept = (a != b).any(axis=1) & (b != c).any(axis=1) & (c != a).any(axis=1)
+        triangles = cells[kept] * size
+        size *= 1.4
+    return triangles
+
+
+def grid_in(lower: Array, upper: Array, count: int) -> Array:
+    """About `count` points (n, 3) of a grid over a box."""
+    size = np.maximum(upper - lower, 1e-3)
+    step = float((size.prod() / count) ** (1 / 3))
+    axes = [np.linspace(a, b, max(3, round((b - a) / step))) for a, b in zip(lower, upper, strict=True)]
+    found: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return found

@@ -1,0 +1,222 @@
+"""Which joints of a URDF are the arm, and what is fixed to each of its links."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest
+from zarm_robot_import.description import Description, Joint
+
+Array = NDArray[np.float64]
+
+MOST_JOINTS = 32
+"""As many as a descriptor takes."""
+_TIPS = ("tool0", "tcp", "ee_link", "tool", "flange", "end_effector")
+"""Names of tips, best first."""
+_GRIPPER = re.compile("grip|finger|jaw|hand", re.IGNORECASE)
+"""A single moving part of this name at the end is no joint of the arm."""
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """A link, and its pose (4, 4) in the link of the chain that carries it; `body` counts the moving joints before it."""
+
+    link: str
+    body: int
+    pose: Array
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The arm: its moving joints, and every link in the frame of the link that moves with it.
+
+    `carriers` (dof + 1) are the base link and the child of each moving joint. `origins` (dof, 4, 4) are the joints' frames in
+    the carrier before. `fixed` are the joints that move in the URDF and stand still here, with their positions.
+    """
+
+    base: str
+    tip: str
+    joints: tuple[Joint, ...]
+    carriers: tuple[str, ...]
+    origins: tuple[Array, ...]
+    mounted: tuple[Mounted, ...]
+    fixed: tuple[tuple[str, float], ...]
+    others: tuple[str, ...]
+
+
+def choose_chain(
+    robot: Description, base: str | None = None, tip: str | None = None, positions: Mapping[str, float] | None = None
+) -> Chain:
+    """The chain from `base` (default: the root) to `tip` (default: the only sensible one).
+
+    `positions` of joints beside the chain replace 0, or what is nearest to it within their limits. Raises InvalidRequest:
+    with the choices where there are several, and for what cannot be planned for.
+    """
+    base = _known(robot, base, "--base") if base else robot.root
+    tip = _known(robot, tip, "--tip") if tip else _tip(robot, base)
+    path = robot.path(base, tip)
+    if path is None:
+        raise InvalidRequest(
+            f"{robot.source.path}: {tip} does not hang on {base}; choose --base and --tip on one branch"
+        )
+    if (base == robot.root) and (start := next((j for j in path if j.type in ("floating", "planar")), None)):
+        # A base that floats, as simulators write it: the arm stands on what floats.
+        base, path = start.child, path[path.index(start) + 1 :]
+    joints = tuple(joint for joint in path if joint.type != "fixed")
+    for joint in joints:
+        if joint.type in ("floating", "planar"):
+            raise robot.source.fault(
+                joint.element,
+                f"joint {joint.name} is {joint.type}, which no arm's joint is; start behind it: --base {joint.child}",
+            )
+        if joint.mimic:
+            raise robot.source.fault(
+                joint.element,
+                f'joint {joint.name} mimics {joint.mimic[0]} within the chain; give it type="fixed" or drop <mimic>',
+            )
+    if not joints:
+        raise InvalidRequest(f"{robot.source.path}: no joint moves between {base} and {tip}; choose another --tip")
+    if len(joints) > MOST_JOINTS:
+        raise InvalidRequest(
+            f"{robot.source.path}: {len(joints)} joints move between {base} and {tip}, more than {MOST_JOINTS}; choose a --base "
+            "further out"
+        )
+    return _assembled(robot, base, tip, path, joints, dict(positions or {}))
+
+
+def _known(robot: Description, link: str, option: str) -> str:
+    if link in robot.links:
+        return link
+    close = difflib.get_close_matches(link, robot.links, 1)
+    hint = f"did you mean {close[0]}?" if close else f"the links are {', '.join(robot.links)}"
+    raise InvalidRequest(f"{robot.source.path}: there is no link {link}; {hint}", field=option)
+
+
+def _tip(robot: Description, base: str) -> str:
+    """Where the arm ends: at the first link on which two moving parts hang, such as fingers, or at the end."""
+    link = base
+    count = 0
+    while True:
+        branches = _moving_below(robot, link)
+        if len(branches) == 1 and not (count and _GRIPPER.search(f"{branches[0].name} {branches[0].child}")):
+            count += 1
+            link = branches[0].child
+            continue
+        longest = [branch for branch in branches if _length(robot, branch) >= 4]
+        if len(longest) == 1 and count < 4:  # an arm beside wheels, or a head
+            count += 1
+            link = longest[0].child
+            continue
+        if len(longest) > 1 or count == 0:
+            ends = [end for branch in branches for end in _ends(robot, branch.child)]
+            shown = ", ".join(f"--tip {end}" for end in ends[:12]) or "none"
+            raise InvalidRequest(
+                f"{robot.source.path}: {'several chains start' if branches else 'nothing moves'} at {link}; choose one: {shown}"
+            )
+        break
+    fixed = _rigid(robot, link)
+    leaves = [end for end in fixed if not any(j.child in fixed for j in robot.children.get(end, ()))]
+    for name in _TIPS:
+        named = [one for one in fixed if one == name or one.endswith((f"_{name}", f"-{name}"))]
+        if named:
+            return named[0]
+    return leaves[0] if len(leaves) == 1 else link
+
+
+def _moving_below(robot: Description, link: str) -> list[Joint]:
+    """The moving joints of what is rigid with a link."""
+    return [joint for one in _rigid(robot, link) for joint in robot.children.get(one, ()) if joint.type != "fixed"]
+
+
+def _rigid(robot: Description, link: str) -> list[str]:
+    """A link and all that fixed joints hang on it."""
+    found = [link]
+    for joint in robot.children.get(link, ()):
+        if joint.type == "fixed":
+            found += _rigid(robot, joint.child)
+    return found
+
+
+def _length(robot: Description, joint: Joint) -> int:
+    """The most moving joints in a row from a joint on."""
+    return 1 + max((_length(robot, one) for one in _moving_below(robot, joint.child)), default=0)
+
+
+def _ends(robot: Description, link: str) -> list[str]:
+    """Where the moving branches from a link on end."""
+    below = _moving_below(robot, link)
+    return [end for joint in below for end in _ends(robot, joint.child)] or [link]
+
+
+def _assembled(
+    robot: Description, base: str, tip: str, path: Sequence[Joint], joints: Sequence[Joint], positions: dict[str, float]
+) -> Chain:
+    moving = {joint.name for joint in joints}
+    every = {joint.name: joint for joint in robot.joint_of_child.values()}
+    for name in positions:
+        if name not in every or name in moving:
+            why = "moves with the arm" if name in moving else "is not in the file"
+            raise InvalidRequest(
+                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints beside the chain"
+            )
+
+    stands: dict[str, float] = {}
+
+    def position(joint: Joint) -> float:
+        if joint.name in stands:
+            return stands[joint.name]
+        if joint.name in positions:
+            value = positions[joint.name]
+        elif joint.mimic and joint.mimic[0] in every and joint.mimic[0] not in moving:
+            value = joint.mimic[1] * position(every[joint.mimic[0]]) + joint.mimic[2]
+        else:
+            low, high = joint.lower, joint.upper
+            value = min(max(0.0, low), high) if low is not None and high is not None and low <= high else 0.0
+        stands[joint.name] = value
+        return value
+
+    pose = {robot.root: np.eye(4)}  # all joints at their fixed positions, those of the chain at 0
+    order = [robot.root]
+    for link in order:
+        for joint in robot.children.get(link, ()):
+            still = joint.type == "fixed" or joint.name in moving or joint.type in ("floating", "planar")
+            pose[joint.child] = pose[link] @ joint.moved(0.0 if still else position(joint))
+            order.append(joint.child)
+    carriers = (base, *(joint.child for joint in joints))
+    number = {base: 0}
+    mounted = []
+    for link in _outwards(robot, base, order):
+        if link == base:
+            body = 0
+        else:
+            carried = robot.joint_of_child.get(link)
+            above = number.get(carried.parent, 0) if carried else 0
+            body = carriers.index(link) if link in carriers else above
+            if robot.path(base, link) is None:
+                body = 0
+        number[link] = body
+        mounted.append(Mounted(link, body, np.linalg.inv(pose[carriers[body]]) @ pose[link]))
+    origins = tuple(np.linalg.inv(pose[carriers[i]]) @ pose[joint.child] for i, joint in enumerate(joints))
+    fixed = tuple((name, value) for name, value in stands.items())
+    others = tuple(
+        joint.name
+        for joint in robot.joint_of_child.values()
+        if joint.type in ("floating", "planar") and joint not in path
+    )
+    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, others)
+
+
+def _outwards(robot: Description, base: str, order: Sequence[str]) -> list[str]:
+    """Links with the base first, then what hangs on it, then what it stands on."""
+    below = set(robot.below(base))
+    return [
+        base,
+        *(link for link in order if link in below and link != base),
+        *(link for link in order if link not in below),
+    ]

@@ -1,0 +1,270 @@
+"""Everything that a URDF says about a robot: links with their geometry, joints of all types, limits, mimics."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from zarm_contract.errors import InvalidRequest
+from zarm_robot_import.source import Source
+
+Array = NDArray[np.float64]
+
+TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """One <visual> or <collision>: a mesh `file` (as written) with `scale`, or a primitive of `size`; `pose` in the link."""
+
+    kind: str
+    pose: Array
+    element: ET.Element
+    file: str = ""
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    size: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Link:
+    """One <link>."""
+
+    name: str
+    element: ET.Element
+    visual: tuple[Geometry, ...]
+    collision: tuple[Geometry, ...]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One <joint>; `origin` (4, 4) in the parent, limits in rad (m where prismatic), None where they are not given."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    lower: float | None
+    upper: float | None
+    velocity: float | None
+    effort: float | None
+    mimic: tuple[str, float, float] | None
+    element: ET.Element
+
+    def moved(self, value: float) -> Array:
+        """The child's pose (4, 4) in the parent at a position of the joint."""
+        motion = np.eye(4)
+        if self.type in ("revolute", "continuous"):
+            motion[:3, :3] = Rotation.from_rotvec(self.axis * value).as_matrix()
+        elif self.type == "prismatic":
+            motion[:3, 3] = self.axis * value
+        return np.asarray(self.origin @ motion)
+
+
+@dataclass(frozen=True)
+class Description:
+    """A tree of links. `joint_of_child` holds the joint that carries each link, `children` the joints on each link."""
+
+    source: Source
+    name: str
+    root: str
+    links: dict[str, Link]
+    joint_of_child: dict[str, Joint]
+    children: dict[str, list[Joint]] = field(default_factory=dict)
+
+    def path(self, base: str, tip: str) -> list[Joint] | None:
+        """The joints from `base` to `tip`, None where `tip` does not hang on `base`."""
+        found: list[Joint] = []
+        link = tip
+        while link != base:
+            if link not in self.joint_of_child:
+                return None
+            found.append(self.joint_of_child[link])
+            link = found[-1].parent
+        return found[::-1]
+
+    def below(self, link: str) -> Iterator[str]:
+        """A link and all that hang on it."""
+        yield link
+        for joint in self.children.get(link, ()):
+            yield from self.below(joint.child)
+
+
+def describe(source: Source) -> Description:
+    """Read what a URDF says. Raises InvalidRequest with file, line and remedy."""
+    root = source.root
+    links: dict[str, Link] = {}
+    for element in root.findall("link"):
+        link = _link(source, element)
+        if link.name in links:
+            raise source.fault(element, f"two links are named {link.name}; rename one")
+        links[link.name] = link
+    joints: dict[str, Joint] = {}
+    carried: dict[str, Joint] = {}
+    children: dict[str, list[Joint]] = {}
+    for element in root.findall("joint"):
+        joint = _joint(source, element)
+        if joint.name in joints:
+            raise source.fault(element, f"two joints are named {joint.name}; rename one")
+        for end in (joint.parent, joint.child):
+            if end not in links:
+                raise source.fault(
+                    element, f"joint {joint.name} names the link {end}, which is not in the file; add it"
+                )
+        if joint.child in carried:
+            other = carried[joint.child].name
+            raise source.fault(
+                element, f"the link {joint.child} has two parent joints, {other} and {joint.name}; keep one"
+            )
+        joints[joint.name] = carried[joint.child] = joint
+        children.setdefault(joint.parent, []).append(joint)
+    for joint in joints.values():
+        seen, above = {joint.child}, joint.parent
+        while above in carried:
+            if above in seen:
+                raise source.fault(
+                    joint.element,
+                    f"joint {joint.name} closes a loop over the link {above}; a URDF is a tree, so cut it there",
+                )
+            seen.add(above)
+            above = carried[above].parent
+    roots = [name for name in links if name not in carried]
+    if not links:
+        raise source.fault(root, "there is no <link> in this file; is it a robot?")
+    if len(roots) > 1:
+        # Stray links, such as `world` in some files, carry nothing.
+        roots = [name for name in roots if children.get(name)] or roots
+    if len(roots) > 1:
+        raise source.fault(
+            links[roots[1]].element,
+            f"{' and '.join(roots)} hang on nothing; a URDF has one root, so join them with a joint",
+        )
+    kept = {roots[0]}
+    description = Description(source, root.get("name") or source.path.stem, roots[0], links, carried, children)
+    kept.update(description.below(roots[0]))
+    for stray in set(links) - kept:
+        del links[stray]
+    return description
+
+
+def _link(source: Source, element: ET.Element) -> Link:
+    name = _attribute(source, element, "name")
+    found = {tag: tuple(_geometries(source, element, tag, name)) for tag in ("visual", "collision")}
+    return Link(name, element, **found)
+
+
+def _geometries(source: Source, link: ET.Element, tag: str, name: str) -> Iterator[Geometry]:
+    for item in link.findall(tag):
+        shape = next(iter(item.findall("geometry/*")), None)
+        if shape is None:
+            continue
+        pose = _pose(source, item.find("origin"), f"link {name}")
+        match shape.tag:
+            case "mesh":
+                scale = _numbers(source, shape, "scale", 3, f"link {name}", (1.0, 1.0, 1.0))
+                file = _attribute(source, shape, "filename")
+                yield Geometry("mesh", pose, shape, file=file, scale=(scale[0], scale[1], scale[2]))
+            case "box":
+                yield Geometry("box", pose, shape, size=_numbers(source, shape, "size", 3, f"link {name}"))
+            case "cylinder" | "capsule":
+                radius, length = (_numbers(source, shape, key, 1, f"link {name}")[0] for key in ("radius", "length"))
+                yield Geometry(shape.tag, pose, shape, size=(radius, length))
+            case "sphere":
+                yield Geometry("sphere", pose, shape, size=_numbers(source, shape, "radius", 1, f"link {name}"))
+            case _:
+                raise source.fault(
+                    shape, f"link {name} has the geometry <{shape.tag}>; use mesh, box, cylinder or sphere"
+                )
+
+
+def _joint(source: Source, element: ET.Element) -> Joint:
+    name = _attribute(source, element, "name")
+    kind = _attribute(source, element, "type")
+    if kind not in TYPES:
+        raise source.fault(element, f"joint {name} has the type {kind}; known are {', '.join(TYPES)}")
+    ends = []
+    for tag in ("parent", "child"):
+        end = element.find(tag)
+        if end is None:
+            raise source.fault(element, f"joint {name} has no <{tag}>; write <{tag} link=.../>")
+        ends.append(_attribute(source, end, "link"))
+    axis = np.array(_numbers(source, element.find("axis"), "xyz", 3, f"joint {name}", (1.0, 0.0, 0.0)))
+    if kind in ("revolute", "continuous", "prismatic"):
+        if not np.any(axis):
+            raise source.fault(element, f"joint {name} has the axis 0 0 0; give it a direction")
+        axis = axis / np.linalg.norm(axis)
+    limit = element.find("limit")
+    bounds: dict[str, float | None] = {
+        key: _numbers(source, limit, key, 1, f"joint {name}")[0] if limit is not None and limit.get(key) else None
+        for key in ("lower", "upper", "velocity", "effort")
+    }
+    if limit is not None and kind in ("revolute", "prismatic"):
+        # The specification's default of each is 0.
+        bounds |= {key: bounds[key] or 0.0 for key in ("lower", "upper")}
+    mimic = element.find("mimic")
+    copied = None
+    if mimic is not None:
+        factor, shift = (
+            _numbers(source, mimic, key, 1, f"joint {name}", (default,))[0]
+            for key, default in (("multiplier", 1.0), ("offset", 0.0))
+        )
+        copied = (_attribute(source, mimic, "joint"), factor, shift)
+    return Joint(
+        name=name,
+        type=kind,
+        parent=ends[0],
+        child=ends[1],
+        origin=_pose(source, element.find("origin"), f"joint {name}"),
+        axis=axis,
+        mimic=copied,
+        element=element,
+        lower=bounds["lower"],
+        upper=bounds["upper"],
+        velocity=bounds["velocity"],
+        effort=bounds["effort"],
+    )
+
+
+def _attribute(source: Source, element: ET.Element, name: str) -> str:
+    value = element.get(name)
+    if not value:
+        raise source.fault(element, f"a <{element.tag}> has no {name}=")
+    return value
+
+
+def _numbers(
+    source: Source,
+    element: ET.Element | None,
+    name: str,
+    count: int,
+    owner: str,
+    default: tuple[float, ...] | None = None,
+) -> tuple[float, ...]:
+    text = element.get(name) if element is not None else None
+    if element is None or text is None:
+        if default is None:
+            raise InvalidRequest(f"{source.path}: {owner} has no {name}=; write it")
+        return default
+    try:
+        values = tuple(map(float, text.split()))
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(map(math.isfinite, values)):
+        hint = "; this is a xacro file: name it .xacro" if "$" in text else ""
+        raise source.fault(element, f"{owner}: {name}={text!r} must be {count} finite number(s){hint}")
+    return values
+
+
+def _pose(source: Source, origin: ET.Element | None, owner: str) -> Array:
+    pose = np.eye(4)
+    pose[:3, 3] = _numbers(source, origin, "xyz", 3, owner, (0.0, 0.0, 0.0))
+    rpy = _numbers(source, origin, "rpy", 3, owner, (0.0, 0.0, 0.0))
+    pose[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()  # about fixed axes, as the specification has it
+    return pose

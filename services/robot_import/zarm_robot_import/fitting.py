@@ -1,0 +1,49 @@
+"""Exact geometry and sphere cover of all links of a robot, and how far each stands out of the meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.robot import CollisionPrimitive
+from zarm_robot_import.body import Body
+from zarm_robot_import.meshes import Surface
+from zarm_robot_import.primitives import Measure, Out, fit_primitives, rows_of
+from zarm_robot_import.spheres import ball_rows, fit_covers
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The exact geometry of a link, also as rows (n, 17) of `zarm_geometry.rows`, and the balls (k, 4) of its cover.
+
+    The primitives contain the link's surface, and the cover contains them; `exact_out` and `cover_out` say how far they stand out.
+    """
+
+    link: str
+    primitives: list[CollisionPrimitive]
+    rows: Array
+    balls: Array
+    exact_out: Out
+    cover_out: Out
+
+
+def fit(surfaces: Sequence[Surface], budget: int, done: Callable[[str], None]) -> list[Fitted]:
+    """Fit all links, with `budget` balls in all covers; `done` is told each link whose exact geometry is found."""
+    bodies = {surface.link: Body.of(surface.triangles) for surface in surfaces}
+    primitives: dict[str, list[CollisionPrimitive]] = {}
+    for link, body in bodies.items():
+        primitives[link] = fit_primitives(body)
+        done(link)
+    rows = {link: rows_of(each) for link, each in primitives.items()}
+    covers = fit_covers(rows, budget)
+    found = []
+    for link, body in bodies.items():
+        measure = Measure(body)
+        outs = (Out.together(measure.all(list(table))) for table in (rows[link], ball_rows(covers[link])))
+        found.append(Fitted(link, primitives[link], rows[link], covers[link], *outs))
+    return found

@@ -1,0 +1,64 @@
+"""A pose to start from: free, far from joint limits and singularities, upright."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import InvalidRequest
+from zarm_geometry.collision import is_free
+from zarm_geometry.motion_check import MotionCheck
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_robot_import.self_collision import SAMPLES
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-4
+_APART = 0.002
+"""At home links are at least so far (m) from each other."""
+
+
+def choose_home(model: RobotModel) -> tuple[float, ...]:
+    """The best of random configurations near the middle. Raises InvalidRequest where none is free of self-collision."""
+    rng = np.random.default_rng(2)
+    lower, upper = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
+    candidates = np.round(rng.uniform(lower, upper, (SAMPLES, model.dof)), 2)
+    candidates = np.clip(candidates, lower, upper)
+    best = sorted(zip(_score(model, candidates).tolist(), candidates.tolist(), strict=True), reverse=True)
+    empty = World((), 0.005)
+    exact = MotionCheck(model)
+    for _, q in best:
+        if is_free(model, empty, q) and exact.check([0.0], [q], margin=_APART).free:
+            return tuple(q)
+    raise InvalidRequest(
+        f"in none of {SAMPLES} configurations is the robot free of itself; look at the links in the report, and try "
+        "--geometry visual, more --spheres, or another --tip"
+    )
+
+
+def _score(model: RobotModel, q: Array) -> Array:
+    """The higher, the better, for configurations (n, dof)."""
+    margin = np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower)
+    tip = model.fk_tip(q)
+    columns = []
+    for joint in range(model.dof):
+        moved = q.copy()
+        moved[:, joint] += _STEP
+        columns.append(_twist(tip, model.fk_tip(moved)) / _STEP)
+    reach = float(np.linalg.norm(tip[:, :3, 3], axis=1).max())
+    jacobian = np.stack(columns, axis=2) / np.array([reach, reach, reach, 1, 1, 1])[:, None]
+    smallest = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
+    # The tip in front of the base and above it, and no joint turned further than it needs to.
+    above = tip[:, 2, 3] > 0.1 * reach
+    ahead = np.abs(np.arctan2(tip[:, 1, 3], tip[:, 0, 3])) < 1.0
+    calm = 1.0 / (1.0 + 0.3 * np.linalg.norm(q - np.clip(0.0, model.lower, model.upper), axis=1))
+    found: Array = smallest * np.minimum(margin.min(axis=1), 0.2) * calm * (0.1 + above) * (0.5 + ahead)
+    return found
+
+
+def _twist(one: Array, other: Array) -> Array:
+    """The small motion (n, 6) from poses to poses: translation, rotation vector."""
+    turn = other[:, :3, :3] @ one[:, :3, :3].transpose(0, 2, 1)
+    rotation = [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]]
+    return np.column_stack([other[:, :3, 3] - one[:, :3, 3], *(half / 2 for half in rotation)])

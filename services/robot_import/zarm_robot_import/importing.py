@@ -1,0 +1,118 @@
+"""From a URDF or xacro to a robot that can be planned for: all steps, in order."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+import time
+import unicodedata
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.robot import load_robot
+from zarm_geometry.robot_model import RobotModel
+from zarm_robot_import.chain import choose_chain
+from zarm_robot_import.description import describe
+from zarm_robot_import.fitting import fit
+from zarm_robot_import.home import choose_home
+from zarm_robot_import.limits import limits_of
+from zarm_robot_import.meshes import link_surface
+from zarm_robot_import.picture import draw
+from zarm_robot_import.report import Report
+from zarm_robot_import.self_collision import Pair, Pairs
+from zarm_robot_import.source import read_source
+from zarm_robot_import.spheres import BUDGET
+from zarm_robot_import.writing import descriptor_text, urdf_text
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose; see `zarm robot import --help`."""
+
+    name: str | None = None
+    base: str | None = None
+    tip: str | None = None
+    packages: Sequence[Path] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    geometry: str = "auto"
+    spheres: int = BUDGET
+
+
+def import_robot(
+    file: Path, folder: Path, options: Options, progress: Callable[[str, float], None] = lambda step, share: None
+) -> tuple[Path, Report]:
+    """Make `<name>.yaml`, `.urdf`, `.md` and `.png` in `folder` from a URDF or xacro; returns the descriptor's path.
+
+    `progress` is told the step and the share that is done. Raises InvalidRequest with what is wrong in the file and what to
+    do, Unavailable where a package is missing; then nothing is written.
+    """
+    begun = time.process_time()
+    progress("reading", 0.0)
+    robot = describe(read_source(file, options.packages))
+    chain = choose_chain(robot, options.base, options.tip, options.fixed)
+    limits = limits_of(robot, chain.joints)
+    name = _checked(options.name) if options.name else _name(robot.name)
+    if (folder / f"{name}.urdf").resolve() == file.resolve():
+        raise InvalidRequest(f"{file} would be overwritten; choose another --output or --name")
+    surfaces = []
+    for index, mounted in enumerate(chain.mounted):
+        progress(f"meshes of {mounted.link}", 0.2 * index / len(chain.mounted))
+        if surface := link_surface(robot.source, robot.links[mounted.link], options.geometry):
+            surfaces.append(surface)
+    if not surfaces:
+        raise InvalidRequest(f"{file}: no link of the arm has geometry; zarm needs <collision> or <visual> elements")
+    fitted_links = 0
+
+    def counted(link: str) -> None:
+        nonlocal fitted_links
+        fitted_links += 1
+        progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
+
+    fitted = fit(surfaces, options.spheres, counted)
+    meshes = {surface.link: surface.triangles for surface in surfaces}
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".import-") as draft:
+        work = Path(draft)
+        (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder), encoding="utf-8")
+        descriptor = work / f"{name}.yaml"
+
+        def write(home: Sequence[float], pairs: Sequence[Pair]) -> RobotModel:
+            text = descriptor_text(name, file, chain, limits, fitted, home, pairs)
+            descriptor.write_text(text, encoding="utf-8")
+            return RobotModel.of(load_robot(str(descriptor)))
+
+        middle = [min(max(0.0, limit.lower), limit.upper) for limit in limits]
+        progress("pairs of links", 0.7)
+        sampled = Pairs(write(middle, ()), meshes)
+        pairs = sampled.judged()
+        pairs = sampled.marked(pairs, {link.link: link.balls for link in fitted})
+        progress("home", 0.9)
+        home = choose_home(write(middle, pairs))
+        model = write(home, pairs)
+        progress("picture", 0.95)
+        draw(work / f"{name}.png", model, home, meshes, fitted)
+        source = file.name
+        report = Report(name, source, chain, surfaces, fitted, limits, pairs, home, time.process_time() - begun)
+        (work / f"{name}.md").write_text(report.markdown(), encoding="utf-8")
+        for made in sorted(work.iterdir()):
+            shutil.move(made, folder / made.name)
+    progress("done", 1.0)
+    return folder / f"{name}.yaml", report
+
+
+def _name(text: str) -> str:
+    """The robot's name as a descriptor takes it."""
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
+    plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
+    return (plain if plain[:1].isalpha() else f"robot_{plain}".rstrip("_"))[:64]
+
+
+def _checked(name: str) -> str:
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
+        raise InvalidRequest(
+            f"{name!r} is no name for a robot; use small letters, digits and _, a letter first", field="--name"
+        )
+    return name

@@ -1,0 +1,69 @@
+"""Joint limits: what the URDF says, and careful assumptions for what it does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from zarm_robot_import.description import Description, Joint
+
+VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.1}
+"""Where the URDF gives none (rad/s, m/s): slow for any arm."""
+RAMP = 0.5
+"""Assumed time from rest to the highest velocity (s): half of what arms of 5 to 15 kg payload state or more."""
+JERK_RAMP = 0.1
+"""Assumed time from no acceleration to the highest (s)."""
+MOST_ACCELERATION = 5.0
+"""No higher acceleration is assumed (rad/s²): what the driver of the UR arms calls conservative."""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """The limits of one joint in rad or m, and s; `assumed` names those that the URDF does not give."""
+
+    joint: str
+    lower: float
+    upper: float
+    velocity: float
+    acceleration: float
+    jerk: float
+    assumed: tuple[str, ...]
+
+
+def limits_of(robot: Description, joints: Sequence[Joint]) -> list[JointLimits]:
+    """Limits of the arm's joints. Raises InvalidRequest for an inverted one."""
+    return [_limits(robot, joint) for joint in joints]
+
+
+def _limits(robot: Description, joint: Joint) -> JointLimits:
+    assumed = []
+    lower, upper = joint.lower, joint.upper
+    if joint.type == "continuous":
+        lower, upper = -2 * math.pi, 2 * math.pi
+    elif lower is not None and upper is not None and lower > upper:
+        raise robot.source.fault(
+            joint.element,
+            f"joint {joint.name} has its lower limit {lower:g} above its upper limit {upper:g}; swap them",
+        )
+    elif lower is None or upper is None or lower == upper:
+        if joint.type == "prismatic":
+            raise robot.source.fault(
+                joint.element, f"joint {joint.name} slides without limits; write <limit lower= upper=>"
+            )
+        lower, upper = -math.pi, math.pi
+        assumed.append("range")
+    velocity = joint.velocity
+    if not velocity or velocity <= 0.0:
+        velocity = VELOCITY[joint.type]
+        assumed.append("velocity")
+    acceleration = min(velocity / RAMP, MOST_ACCELERATION)
+    return JointLimits(
+        joint.name,
+        lower,
+        upper,
+        round(velocity, 4),
+        round(acceleration, 4),
+        round(acceleration / JERK_RAMP, 4),
+        (*assumed, "acceleration", "jerk"),
+    )

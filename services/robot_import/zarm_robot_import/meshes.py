@@ -1,0 +1,217 @@
+"""The surface of each link as triangles, from meshes and primitives."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_robot_import.description import Geometry, Link
+from zarm_robot_import.kernels.winding import winding
+from zarm_robot_import.source import Source
+
+Array = NDArray[np.float64]
+
+MOST_TRIANGLES = 3_000_000
+SMALLEST = 1e-3
+"""A link smaller than this (m) in all directions is taken for none."""
+LARGEST = 20.0
+"""A link larger than this (m) is in millimetres."""
+CONTAINED = 0.001
+"""Collision geometry that the visual one sticks out of by no more than this (m) contains it."""
+SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
+
+
+@dataclass
+class Surface:
+    """The triangles (n, 3, 3) of a link in its own frame, in m; where they come from and why; what is to be said of it."""
+
+    link: str
+    triangles: Array
+    kind: str
+    reason: str
+    warnings: list[str] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+
+
+def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | None:
+    """What a link's geometry is, None where it has none.
+
+    `prefer`: `collision`, `visual`, or `auto`: the collision geometry, together with the visual one where that sticks out of it.
+    Raises InvalidRequest for a mesh that cannot be read or is not there.
+    """
+    warnings: list[str] = []
+    files: list[Path] = []
+    found: dict[str, Array] = {}
+    missing: dict[str, str] = {}
+    for kind, geometries in (("collision", link.collision), ("visual", link.visual)):
+        if not geometries or (prefer not in ("auto", kind) and getattr(link, prefer)):
+            continue
+        parts = []
+        for geometry in geometries:
+            try:
+                triangles, file = _triangles(source, geometry, link.name)
+            except _Missing as error:
+                missing[kind] = str(error)
+                continue
+            if file:
+                files.append(file)
+            parts.append(triangles @ geometry.pose[:3, :3].T + geometry.pose[:3, 3])
+        if parts:
+            found[kind] = _cleaned(np.concatenate(parts))
+    for kind, text in missing.items():
+        # Half a link is no link: what is left of this kind is dropped where the other one is whole.
+        other = "visual" if kind == "collision" else "collision"
+        if other not in found or other in missing:
+            raise InvalidRequest(text)
+        found.pop(kind, None)
+        warnings.append(f"{text.split(';')[0]}; the {other} geometry is taken")
+    found = {kind: triangles for kind, triangles in found.items() if _size(triangles) > SMALLEST}
+    if not found:
+        return None
+    for kind, triangles in found.items():
+        if (size := _size(triangles)) > LARGEST:
+            raise InvalidRequest(
+                f"{source.place(link.element)}: link {link.name} is {size:.0f} m large, so its {kind} meshes are in mm; "
+                'write scale="0.001 0.001 0.001" into its <mesh> elements'
+            )
+    if len(found) == 1:
+        ((kind, triangles),) = found.items()
+        other = "visual" if kind == "collision" else "collision"
+        asked = prefer == kind and getattr(link, other)
+        return Surface(link.name, triangles, kind, "as asked" if asked else f"no {other} geometry", warnings, files)
+    out = sticks_out(found["visual"], found["collision"])
+    if out <= CONTAINED:
+        reason = "contains the visual mesh"
+        return Surface(link.name, found["collision"], "collision", reason, warnings, files)
+    both = np.concatenate([found["collision"], found["visual"]])
+    reason = f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry"
+    return Surface(link.name, both, "both", reason, warnings, files)
+
+
+def points_on(triangles: Array, count: int, seed: int = 0) -> tuple[Array, NDArray[np.intp]]:
+    """Points (count, 3) spread evenly over triangles (n, 3, 3), and the triangle of each."""
+    rng = np.random.default_rng(seed)
+    sizes = areas(triangles)
+    steps = (np.arange(count) + rng.random(count)) / count * sizes.sum()
+    which = np.minimum(np.searchsorted(np.cumsum(sizes), steps), len(sizes) - 1)
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    a, b, c = triangles[which].transpose(1, 0, 2)
+    return a + u * (b - a) + v * (c - a), which
+
+
+def sticks_out(inner: Array, outer: Array) -> float:
+    """How far (m) the farthest of 2000 points on the triangles `inner` is outside of the surface `outer`, less what sampling
+    adds; 0 where none is."""
+    count = 40_000
+    beyond = points_on(inner, 2000)[0]
+    cloud = points_on(outer, count)[0]
+    spacing = float(np.sqrt(areas(outer).sum() / count))
+    apart = cKDTree(cloud).query(beyond)[0] - spacing
+    for i in np.argsort(-apart)[:200:5]:
+        if apart[i] <= CONTAINED:
+            return 0.0
+        if abs(winding(beyond[i : i + 1], outer)[0]) < 0.5:
+            return float(apart[i])
+    return 0.0
+
+
+def areas(triangles: Array) -> Array:
+    """Of triangles (n, 3, 3), in m^2."""
+    found: Array = (
+        np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
+    )
+    return found
+
+
+class _Missing(Exception):
+    pass
+
+
+def _size(triangles: Array) -> float:
+    return float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) if len(triangles) else 0.0
+
+
+def _cleaned(triangles: Array) -> Array:
+    """Without those that are not finite."""
+    kept: Array = triangles[np.isfinite(triangles).all(axis=(1, 2))]
+    return kept
+
+
+def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Path | None]:
+    """The triangles of a geometry in its own frame, and its file."""
+    place = source.place(geometry.element)
+    if geometry.kind != "mesh":
+        if any(size <= 0.0 for size in geometry.size):
+            return np.empty((0, 3, 3)), None
+        return _primitive(geometry), None
+    file = source.file(geometry.file)
+    if file is None:
+        raise _Missing(
+            f"{place}: link {link}: there is no file {geometry.file}; name the folder that holds its package with --packages"
+        )
+    if file.suffix.lower() not in SUFFIXES:
+        raise InvalidRequest(f"{place}: link {link}: {file.name} is of no known format; convert it to STL, OBJ or DAE")
+    if any(factor == 0.0 for factor in geometry.scale):
+        raise InvalidRequest(f"{place}: link {link}: the scale {geometry.scale} makes nothing of the mesh; write 1 1 1")
+    try:
+        triangles = _load(file)
+    except _Unreadable as error:
+        raise InvalidRequest(f"{place}: link {link}: {error}") from error
+    return triangles * geometry.scale, file
+
+
+class _Unreadable(Exception):
+    pass
+
+
+@lru_cache(maxsize=64)
+def _load(file: Path) -> Array:
+    """The triangles of a file, in m where the file says its unit."""
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    try:
+        loaded = trimesh.load_scene(file, process=False, skip_materials=True)
+        meshes = loaded.dump()
+    except ImportError as error:
+        if file.suffix.lower() == ".dae":
+            raise Unavailable(f"{file} needs the package pycollada; `pip install zarm[import]`") from error
+        raise _Unreadable(f"{file} cannot be read: {error}; export it again") from error
+    except Exception as error:  # parsers of broken files raise whatever they stumble over
+        raise _Unreadable(f"{file} cannot be read: {' '.join(str(error).split())[:200]}; export it again") from error
+    parts = [np.asarray(mesh.triangles, np.float64) for mesh in meshes if hasattr(mesh, "triangles")]
+    if not parts or not sum(map(len, parts)):
+        raise _Unreadable(f"{file} holds no triangles; export it again")
+    count = sum(map(len, parts))
+    if count > MOST_TRIANGLES:
+        raise _Unreadable(f"{file} has {count} triangles, more than {MOST_TRIANGLES}; simplify it")
+    triangles = np.concatenate(parts)
+    return triangles * _unit(file) if file.suffix.lower() == ".dae" else triangles
+
+
+def _unit(file: Path) -> float:
+    """Metres per unit of a COLLADA file, as RViz takes it."""
+    import collada
+
+    unit = collada.Collada(str(file), ignore=[collada.common.DaeError]).assetInfo.unitmeter
+    return float(unit) if unit else 1.0
+
+
+def _primitive(geometry: Geometry) -> Array:
+    match geometry.kind:
+        case "box":
+            mesh = trimesh.creation.box(geometry.size)
+        case "cylinder":
+            mesh = trimesh.creation.cylinder(geometry.size[0], geometry.size[1], sections=48)
+        case "capsule":
+            mesh = trimesh.creation.capsule(geometry.size[1], geometry.size[0])
+        case _:
+            mesh = trimesh.creation.icosphere(subdivisions=3, radius=geometry.size[0])
+    return np.asarray(mesh.triangles, np.float64)

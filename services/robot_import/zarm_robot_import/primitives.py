@@ -1,0 +1,384 @@
+"""Exact geometry of a link: the convex primitives that contain its surface, few and tight.
+
+A link is cut by planes, as in convex decomposition (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh approximate
+convex decomposition", 2009), and around what is in each cell goes the smallest box, cylinder, capsule or ball. The one that stands
+out the most is cut next, where that leaves the least volume. A convex primitive contains a piece of surface once it contains the
+corners of its triangles, so containment is exact: triangles are cut at the same planes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import NamedTuple, Self
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from zarm_contract.robot import (
+    CollisionCapsule,
+    CollisionCuboid,
+    CollisionCylinder,
+    CollisionPrimitive,
+    CollisionSphere,
+)
+from zarm_geometry.frames import rotation_to
+from zarm_geometry.rows import distances
+from zarm_geometry.shapes import link_shape
+from zarm_robot_import.body import Body, thinned
+from zarm_robot_import.kernels.middles import middles
+from zarm_robot_import.kernels.outside import outside
+from zarm_robot_import.kernels.winding import winding
+from zarm_robot_import.meshes import areas, points_on
+
+Array = NDArray[np.float64]
+
+MEAN, MOST = 0.004, 0.012
+"""A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
+COUNT = 20
+"""... nor one of so many primitives."""
+_POINTS = 400
+"""Points that stand for the surface while planes are looked for."""
+_SAMPLES = 400
+"""Points on each primitive from which it is told how far it stands out."""
+_CUTS = 11
+"""Planes that are tried along each axis."""
+_FEWEST = 40
+"""Points on each side of a plane, at least."""
+_SAME = math.cos(math.radians(1.0))
+"""Axes whose angle has a larger cosine are one."""
+_FLAT = 0.002
+"""All volume counts as if it were so far (m) outside: between the points of the body's grid there is room for thin shapes."""
+_ANGLES = np.linspace(0.0, np.pi, 12, endpoint=False)
+_FAN = np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(12)))
+_QUARTER = len(_FAN) // 2
+_TURNS = Rotation.from_rotvec(np.column_stack((np.zeros((12, 2)), _ANGLES))).as_matrix()
+_THINNEST = 5e-4
+"""No primitive is thinner (m) to each side, ..."""
+_SLACK = 5e-6
+"""... and each is larger by this (m) to all sides, for what rounding takes."""
+
+
+def written(row: Array) -> CollisionPrimitive:
+    """A row (17,) of `zarm_geometry.rows` as the descriptor has it."""
+    frame = row[:12].reshape(3, 4)
+    turn = frame[:, :3].T
+    middle = -turn @ frame[:, 3]
+    core, disc, rounding = row[12:15], round(float(row[15]), 7), round(float(row[16]), 7)
+    if not disc and not rounding:
+        x, y, z, w = np.round(Rotation.from_matrix(turn).as_quat(canonical=True), 9).tolist()
+        return CollisionCuboid(
+            kind="cuboid", center=_numbers(middle), orientation=(x, y, z, w), size=_numbers(2 * core)
+        )
+    if not core[2]:
+        return CollisionSphere(center=_numbers(middle), radius=rounding)
+    a, b = (_numbers(middle + end * core[2] * turn[:, 2]) for end in (-1.0, 1.0))
+    if disc:
+        return CollisionCylinder(kind="cylinder", a=a, b=b, radius=disc)
+    return CollisionCapsule(kind="capsule", a=a, b=b, radius=rounding)
+
+
+def rows_of(primitives: Sequence[CollisionPrimitive]) -> Array:
+    """Primitives of a link (n, 17) in its frame, see `zarm_geometry.rows`."""
+    found = []
+    for shape in (link_shape("", primitive) for primitive in primitives):
+        turn = shape.pose[:3, :3].T
+        frame = np.column_stack((turn, -turn @ shape.pose[:3, 3]))
+        found.append(np.concatenate([frame.ravel(), shape.core, [shape.disc, shape.rounding]]))
+    return np.array(found).reshape(-1, 17)
+
+
+def triangles_of(row: Array) -> Array:
+    """The surface (n, 3, 3) of a primitive (17,), in its link's frame, to 1 % of its radius."""
+    core, disc, rounding = row[12:15], row[15], row[16]
+    if disc:
+        mesh = trimesh.creation.cylinder(disc, 2 * core[2], sections=48)
+    elif rounding:
+        mesh = trimesh.creation.capsule(2 * core[2], rounding, count=[24, 24])
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    else:
+        mesh = trimesh.creation.box(2 * core)
+    frame = row[:12].reshape(3, 4)
+    found: Array = (mesh.triangles - frame[:, 3]) @ frame[:, :3]
+    return found
+
+
+@dataclass(eq=False)
+class _Cell:
+    """What is between planes: triangles, points on them, and the row of what contains them; `out` as in `_tightest`.
+
+    `final` where no plane makes it tighter.
+    """
+
+    triangles: Array
+    points: Array
+    row: Array
+    out: float
+    final: bool = False
+
+
+def fit_primitives(body: Body) -> list[CollisionPrimitive]:
+    """Primitives that contain all triangles of a link's surface."""
+    axes = _axes(body)
+    measure = Measure(body)
+    cells = [_cell(body.triangles, axes, body)]
+    while len(cells) < COUNT:
+        outs = measure.all([cell.row for cell in cells])
+        worth = [out.most for out in outs]
+        if max(worth) <= MOST:
+            worth = [out.total for out in outs]
+            if Out.together(outs).mean <= MEAN:
+                break
+        left = [i for i, cell in enumerate(cells) if not cell.final]
+        if not left:
+            break
+        worst = max(left, key=lambda i: worth[i])
+        halves = _halves(cells[worst], axes, body)
+        if halves:
+            cells[worst : worst + 1] = halves
+        else:
+            cells[worst].final = True
+    return [written(cell.row) for cell in _merged(cells, axes, body, measure)]
+
+
+def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> list[_Cell]:
+    """The same with cells made one again where that stands out no more than is wanted, or than what there is."""
+    tried: dict[tuple[_Cell, _Cell], _Cell] = {}
+    while len(cells) > 1:
+        outs = dict(zip(cells, measure.all([cell.row for cell in cells]), strict=True))
+        now = Out.together(list(outs.values()))
+        best, chosen = np.inf, None
+        for a, b in combinations(cells, 2):
+            if (a, b) not in tried:
+                tried[a, b] = _cell(np.concatenate([a.triangles, b.triangles]), axes, body)
+            union = tried[a, b]
+            added = union.out - a.out - b.out
+            if added >= best:
+                continue
+            rest = [cell for cell in cells if cell not in (a, b)]
+            out = measure.one(union.row, np.array([cell.row for cell in rest]).reshape(-1, 17))
+            allowed = max(MEAN * now.area, now.total) - now.total + outs[a].total + outs[b].total
+            if out.most <= max(MOST, outs[a].most, outs[b].most) and out.total <= allowed:
+                best, chosen = added, [*rest, union]
+        if chosen is None:
+            break
+        cells = chosen
+    return cells
+
+
+@dataclass(frozen=True)
+class Out:
+    """How far (m) the outside of a primitive is from the body: at most, and in all over its `area` (m^2)."""
+
+    most: float
+    total: float
+    area: float
+
+    @property
+    def mean(self) -> float:
+        """On average (m)."""
+        return self.total / self.area if self.area else 0.0
+
+    @classmethod
+    def together(cls, outs: Sequence[Self]) -> Self:
+        """Of several primitives as one."""
+        return cls(max(out.most for out in outs), sum(out.total for out in outs), sum(out.area for out in outs))
+
+
+class Measure:
+    """How far primitives stand out of a body."""
+
+    def __init__(self, body: Body) -> None:
+        corners = body.triangles.reshape(-1, 3)
+        self._cloud = cKDTree(np.concatenate([points_on(body.triangles, 20_000)[0], corners[:100_000]]))
+        self._coarse = thinned(body.triangles, 700)
+
+    def all(self, rows: Sequence[Array]) -> list[Out]:
+        """Of each primitive (17,), without what is within the body or another one."""
+        return [self.one(row, np.array([*rows[:i], *rows[i + 1 :]]).reshape(-1, 17)) for i, row in enumerate(rows)]
+
+    def one(self, row: Array, others: Array) -> Out:
+        """Of one primitive (17,), without what is within the body or one of `others` (n, 17); sampled, so from above."""
+        triangles = triangles_of(row)
+        points = points_on(triangles, _SAMPLES)[0]
+        outer = points[distances(points, others).min(axis=1, initial=np.inf) > 1e-5]
+        out = self._cloud.query(outer)[0]
+        far = np.flatnonzero(out > MEAN)
+        out[far[np.abs(winding(outer[far], self._coarse)) > 0.5]] = 0.0
+        each = float(areas(triangles).sum()) / len(points)
+        return Out(float(out.max(initial=0.0)), each * float(out.sum()), each * len(out))
+
+
+def _axes(body: Body) -> Array:
+    """Frames (n, 3, 3) with z along the directions in which planes and primitives are tried.
+
+    They are the axes of the link, the main ones of the points on its surface, and those of its largest flat faces.
+    """
+    points = body.surface.data
+    found = [np.eye(3)]
+    main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
+    main[:, 2] *= np.linalg.det(main)  # right-handed
+    for triple in (main, _faces(body.triangles)):
+        known = np.concatenate(found, axis=1)
+        if np.abs(triple.T @ known).max(axis=1).min() < _SAME:
+            found.append(triple)
+    return np.array([triple[:, order] for triple in found for order in ([1, 2, 0], [2, 0, 1], [0, 1, 2])])
+
+
+def _faces(triangles: Array) -> Array:
+    """Axes (3, 3): the direction that the most area faces, that of the most area across it, and the one across both."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    sizes = np.linalg.norm(normals, axis=1)
+    normals, sizes = normals[sizes > 0.0] / sizes[sizes > 0.0, None], sizes[sizes > 0.0]
+    normals *= np.where(normals @ (1.0, 0.1, 0.01) < 0.0, -1.0, 1.0)[:, None]
+    names, group = np.unique(np.round(normals, 2), axis=0, return_inverse=True)
+    total = np.bincount(group, sizes, len(names))
+
+    def largest(which: int) -> Array:
+        found: Array = normals[np.argmax(np.where(group == which, sizes, 0.0))]
+        return found
+
+    first = largest(int(total.argmax()))
+    across = total * (np.abs(names @ first) < 0.05)
+    if not across.any():
+        return rotation_to(first)
+    second = np.cross(np.cross(first, largest(int(across.argmax()))), first)
+    second /= np.linalg.norm(second)
+    return np.column_stack((first, second, np.cross(first, second)))
+
+
+def _cell(triangles: Array, axes: Array, body: Body) -> _Cell:
+    corners = triangles.reshape(-1, 3)
+    along = corners @ axes[:, :, 2].T
+    furthest = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))
+    points = np.concatenate([points_on(triangles, _POINTS)[0], corners[furthest]])
+    which, form, out = _tightest(points, axes, body.around(points))
+    form = _Form(*(frames[[which % len(frames)]] for frames in form))
+    return _Cell(triangles, points, _around(corners, form)[which // len(axes)], out)
+
+
+def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
+    """A cell cut in two by the plane that leaves the least outside of the body; nothing where there is none."""
+    best, chosen = np.inf, None
+    near = body.around(cell.points)
+
+    def left(axis: Array, offset: float) -> float:
+        below = cell.points @ axis < offset
+        if not _FEWEST <= np.count_nonzero(below) <= len(below) - _FEWEST:
+            return np.inf
+        out = _tightest(cell.points[below], axes, near)[2]
+        return out if out >= best else out + _tightest(cell.points[~below], axes, near)[2]
+
+    for axis in axes[:, :, 2]:
+        along = cell.points @ axis
+        low, high = float(along.min()), float(along.max())
+        for offset in low + (high - low) * (np.arange(_CUTS) + 1) / (_CUTS + 1):
+            if (out := left(axis, offset)) < best:
+                best, chosen, step = out, (axis, float(offset)), (high - low) / (_CUTS + 1)
+    if chosen is None:
+        return []
+    for _ in range(4):
+        step /= 2
+        axis, middle = chosen
+        for offset in (middle - step, middle + step):
+            if (out := left(axis, offset)) < best:
+                best, chosen = out, (axis, offset)
+    return [_cell(part, axes, body) for part in cut(cell.triangles, *chosen) if len(part)]
+
+
+class _Form(NamedTuple):
+    """What is known of primitives before their sizes: frames (n, 3, 3) of round ones with z along them, and of boxes; a point (n, 3) on
+    the axis; the centre (n, 3) of balls."""
+
+    turn: Array
+    box: Array
+    axis: Array
+    middle: Array
+
+
+def _tightest(points: Array, axes: Array, outer: tuple[Array, Array]) -> tuple[int, _Form, float]:
+    """The primitive around points, of those with an axis among `axes`, that has the least outside of the body: which, and how much.
+
+    `outer` are points outside, and what each counts. It is the integral over the primitive of the squared distance to the body, in m^5.
+    """
+    local = points @ axes
+    # The rectangle of least area among some angles.
+    widths = np.ptp(local @ _FAN.T, axis=1)
+    narrow = np.argmin(widths[:, :_QUARTER] * widths[:, _QUARTER:], axis=1)
+    flat = np.concatenate([middles(local[:, :, :2].copy()), np.zeros((len(axes), 1))], axis=1)
+    middle = np.repeat(middles(points[None]), len(axes), axis=0)
+    form = _Form(axes, axes @ _TURNS[narrow], np.einsum("nij,nj->ni", axes, flat), middle)
+    rows = _around(points, form)[: 3 * len(axes) + 1]  # what follows is the same ball
+    outs = outside(rows, *outer) + _FLAT**2 * _volumes(rows)
+    best = int(np.argmin(outs))
+    return best, form, float(outs[best])
+
+
+def _around(points: Array, form: _Form) -> Array:
+    """Boxes, cylinders, capsules and balls (4 n, 17), see `zarm_geometry.rows`, that contain all of the points (m, 3)."""
+    count = len(form.turn)
+    rows = np.zeros((4, count, 17))
+    local = points @ form.box
+    low, high = local.min(axis=1), local.max(axis=1)
+    rows[0, :, :12] = _frames(form.box, np.einsum("nij,nj->ni", form.box, (low + high) / 2))
+    rows[0, :, 12:15] = np.maximum((high - low) / 2, _THINNEST) + _SLACK
+    local = (points - form.axis[:, None]) @ form.turn
+    across = local[:, :, 0] ** 2 + local[:, :, 1] ** 2
+    radius = np.maximum(np.sqrt(across.max(axis=1)), _THINNEST)
+    dome = np.sqrt(radius[:, None] ** 2 - np.minimum(across, radius[:, None] ** 2))
+    flat = (local[:, :, 2].min(axis=1), local[:, :, 2].max(axis=1), _THINNEST)
+    # Where the domes at both ends overlap, less than a capsule would do.
+    domed = ((local[:, :, 2] + dome).min(axis=1), (local[:, :, 2] - dome).max(axis=1), 1e-4)
+    for kind, (low, high, least) in ((1, flat), (2, domed)):
+        rows[kind, :, :12] = _frames(form.turn, form.axis + form.turn[:, :, 2] * ((low + high) / 2)[:, None])
+        rows[kind, :, 14] = np.maximum((high - low) / 2, least) + _SLACK
+        rows[kind, :, 14 + kind] = radius + _SLACK
+    rows[3, :, :12] = _frames(form.turn, form.middle)
+    rows[3, :, 16] = np.sqrt(((points - form.middle[:, None]) ** 2).sum(axis=2).max(axis=1)) + _SLACK
+    return rows.reshape(-1, 17)
+
+
+def _frames(turn: Array, middle: Array) -> Array:
+    """The first 12 numbers (n, 12) of rows with axes `turn` (n, 3, 3) and centres (n, 3)."""
+    back = turn.transpose(0, 2, 1)
+    return np.concatenate([back, -back @ middle[:, :, None]], axis=2).reshape(-1, 12)
+
+
+def _volumes(rows: Array) -> Array:
+    """Volumes (n,) in m^3."""
+    x, y, z, disc, rounding = rows[:, 12:].T
+    found: Array = 8 * x * y * z + math.pi * (2 * disc**2 * z + rounding**2 * (2 * z + 4 / 3 * rounding))
+    return found
+
+
+def cut(triangles: Array, normal: Array, offset: float) -> tuple[Array, Array]:
+    """The triangles (n, 3, 3) below and above the plane of points x with normal * x = offset, cut where it goes through them."""
+    away = triangles @ normal - offset
+    above = away > 0.0
+    count = above.sum(axis=1)
+    low, high = triangles[count == 0], triangles[count == 3]
+    crossing = (count == 1) | (count == 2)
+    some, heights, lone_above = triangles[crossing], away[crossing], count[crossing] == 1
+    lone = np.argmax(above[crossing] == lone_above[:, None], axis=1)
+    each = np.arange(len(some))
+    turned = [(lone + k) % 3 for k in range(3)]
+    a, b, c = (some[each, k] for k in turned)
+    ha, hb, hc = (heights[each, k][:, None] for k in turned)
+    ab, ac = a + (b - a) * (ha / (ha - hb)), a + (c - a) * (ha / (ha - hc))
+    tip = np.stack((a, ab, ac), axis=1)
+    rest = np.concatenate([np.stack((ab, b, c), axis=1), np.stack((ab, c, ac), axis=1)])
+    twice = np.tile(lone_above, 2)
+    return (
+        np.concatenate([low, tip[~lone_above], rest[twice]]),
+        np.concatenate([high, tip[lone_above], rest[~twice]]),
+    )
+
+
+def _numbers(values: Array) -> tuple[float, float, float]:
+    x, y, z = (np.round(values, 7) + 0.0).tolist()
+    return x, y, z

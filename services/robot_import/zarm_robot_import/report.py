@@ -1,0 +1,111 @@
+"""What an import found, as a page to read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from zarm_robot_import.chain import Chain
+from zarm_robot_import.fitting import Fitted
+from zarm_robot_import.limits import JointLimits
+from zarm_robot_import.meshes import Surface
+from zarm_robot_import.self_collision import Pair
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that was decided, and why."""
+
+    name: str
+    source: str
+    chain: Chain
+    surfaces: Sequence[Surface]
+    fitted: Sequence[Fitted]
+    limits: Sequence[JointLimits]
+    pairs: Sequence[Pair]
+    home: Sequence[float]
+    seconds: float
+
+    @property
+    def warnings(self) -> list[str]:
+        """What somebody should look at."""
+        found = [f"{surface.link}: {warning}" for surface in self.surfaces for warning in surface.warnings]
+        for limit in self.limits:
+            for what in ("range", "velocity"):
+                if what in limit.assumed:
+                    found.append(
+                        f"{limit.joint}: the URDF gives no {what}; assumed, correct it in the descriptor or URDF"
+                    )
+        found += [
+            f"the joint {name} is {kind} and was fixed" for name, kind in ((name, "free") for name in self.chain.others)
+        ]
+        return found
+
+    @property
+    def spheres(self) -> int:
+        """In the cover."""
+        return sum(len(link.balls) for link in self.fitted)
+
+    def markdown(self) -> str:
+        """The page."""
+        chain = self.chain
+        lines = [
+            f"# {self.name}",
+            "",
+            f"Made by `zarm robot import` from `{self.source}` in {self.seconds:.0f} s of computing time.",
+            "",
+            f"![{self.name}]({self.name}.png)",
+            "",
+            f"The chain leads from `{chain.base}` to `{chain.tip}` over {len(chain.joints)} joints. Home: "
+            f"{', '.join(f'{value:.2f}' for value in self.home)} rad.",
+        ]
+        if chain.fixed:
+            lines += [
+                "",
+                "Joints beside the chain, fixed: "
+                + ", ".join(f"`{name}` at {value:g}" for name, value in chain.fixed)
+                + ".",
+            ]
+        if self.warnings:
+            lines += ["", "## Look at this", "", *(f"- {warning}" for warning in self.warnings)]
+        lines += [
+            "",
+            "## Geometry",
+            "",
+            f"The exact geometry contains the surface of every mesh, and the sphere cover ({self.spheres} spheres) the exact "
+            "geometry; both are proven, not sampled. How far they stand out of the meshes is sampled, from above.",
+            "",
+            "| link | taken | because | triangles | exact geometry | mean, largest (mm) | cover | mean, largest (mm) |",
+            "|---|---|---|---|---|---|---|---|",
+        ]
+        for surface, link in zip(self.surfaces, self.fitted, strict=True):
+            numbers = (
+                f"{count} | {1e3 * out.mean:.1f}, {1e3 * out.most:.1f}"
+                for count, out in ((_counted(link), link.exact_out), (len(link.balls), link.cover_out))
+            )
+            lines.append(
+                f"| {surface.link} | {surface.kind} | {surface.reason} | {len(surface.triangles)} | {' | '.join(numbers)} |"
+            )
+        lines += [
+            "",
+            "## Limits",
+            "",
+            "| joint | lower | upper | velocity | acceleration | jerk | assumed |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        for limit in self.limits:
+            values = (limit.lower, limit.upper, limit.velocity, limit.acceleration, limit.jerk)
+            shown = " | ".join(f"{value:.4g}" for value in values)
+            lines.append(f"| {limit.joint} | {shown} | {', '.join(limit.assumed)} |")
+        lines += ["", "## Self-collision", "", "| pair | checked | reason |", "|---|---|---|"]
+        lines += [
+            f"| {pair.first}, {pair.second} | {'no' if pair.ignored else 'exactly' if pair.exact else 'yes'} | {pair.reason} |"
+            for pair in self.pairs
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def _counted(link: Fitted) -> str:
+    kinds = Counter(primitive.kind for primitive in link.primitives)
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))

@@ -1,0 +1,154 @@
+"""What is imported: a URDF or xacro as XML with the line of each element, and where the files are that it names."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from urllib.parse import unquote
+from xml.parsers import expat
+
+from zarm_contract.errors import InvalidRequest, Unavailable
+
+_ABOVE = 6
+"""Folders above the source in which packages are looked for."""
+_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A robot's XML. `lines` are those of the elements; in an expanded xacro they count in the expanded text."""
+
+    path: Path
+    root: ET.Element
+    lines: dict[ET.Element, int]
+    expanded: bool
+    packages: tuple[Path, ...]
+
+    def fault(self, element: ET.Element, message: str) -> InvalidRequest:
+        """An error with file, line and remedy."""
+        return InvalidRequest(f"{self.place(element)}: {message}")
+
+    def place(self, element: ET.Element) -> str:
+        """`file:line`."""
+        return f"{self.path}:{self.lines[element]}{' (of the expanded xacro)' if self.expanded else ''}"
+
+    def file(self, name: str) -> Path | None:
+        """The file that a URI in the XML names, None where there is none."""
+        scheme, _, rest = name.rpartition("://")
+        rest = unquote(rest)
+        if scheme == "package" or scheme == "model":
+            package, _, inside = rest.partition("/")
+            folder = find_package(package, self.path, self.packages)
+            # A package that was copied without its folder: what it holds lies beside or above the source.
+            folders = [folder] if folder else [*self.path.parents][:_ABOVE]
+            candidates = [place / inside for place in folders] + [place / rest for place in folders]
+        else:
+            candidates = [Path("/") / rest if scheme == "file" else self.path.parent / rest]
+            candidates += [place / rest.lstrip("/") for place in [*self.path.parents][1:_ABOVE]]
+        return next((path for path in candidates if path.is_file()), None)
+
+
+def read_source(path: Path, packages: Sequence[Path] = ()) -> Source:
+    """Read a URDF, or expand a xacro. Raises InvalidRequest with file and line, Unavailable without the package xacro."""
+    path = path.resolve()
+    packages = tuple(packages)
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise InvalidRequest(f"cannot read {path}: {error.strerror or error}") from error
+    expanded = b"xacro:" in text or path.suffix == ".xacro"
+    if expanded:
+        text = _expanded(path, packages)
+    lines: dict[ET.Element, int] = {}
+    builder = ET.TreeBuilder()
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = builder.end
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise InvalidRequest(
+            f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}; correct this line"
+        ) from error
+    root = builder.close()
+    source = Source(path, root, lines, expanded, packages)
+    if root.tag != "robot":
+        raise source.fault(root, f"a URDF starts with <robot>; this file starts with <{root.tag}>")
+    return source
+
+
+def find_package(name: str, path: Path, packages: Sequence[Path]) -> Path | None:
+    """The folder of a ROS package: in `packages`, in what ROS's environment names, else around the file `path`."""
+    stated = [*packages]
+    for variable in _PATHS:
+        for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            stated += [Path(entry), Path(entry) / "share"]
+    for folder in stated:
+        if folder.name == name or _named(folder) == name:
+            return folder
+        if (folder / name).is_dir():
+            return folder / name
+        if found := _within(folder).get(name):
+            return found
+    for folder in [*path.parents][:_ABOVE]:
+        if folder.name == name or _named(folder) == name:
+            return folder
+        if (folder / name).is_dir():
+            return folder / name
+    # A package whose folder goes by another name: kuka_kr6_support in kuka_kr6.
+    for folder in [*path.parents][1:3]:
+        if found := _within(folder).get(name):
+            return found
+    return None
+
+
+@cache
+def _within(folder: Path) -> dict[str, Path]:
+    """Packages up to two folders below, by the name in their package.xml."""
+    files = [*folder.glob("*/package.xml"), *folder.glob("*/*/package.xml")]
+    return {name: file.parent for file in sorted(files, reverse=True) if (name := _named(file.parent))}
+
+
+def _named(folder: Path) -> str | None:
+    try:
+        return ET.parse(folder / "package.xml").getroot().findtext("name")  # noqa: S314 - a file of the user's own
+    except (OSError, ET.ParseError):
+        return None
+
+
+def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
+    try:
+        from xacrodoc import XacroDoc
+        from xacrodoc import packages as finder
+    except ImportError as error:
+        raise Unavailable(
+            f"{path} is a xacro file, which needs the package xacrodoc; `pip install zarm[import]`, or expand it with xacro"
+        ) from error
+    finder.reset()
+    finder.look_in([str(folder) for folder in packages])
+    while True:
+        try:
+            # xacro takes an include without a folder to lie in the working directory.
+            with redirect_stdout(StringIO()), redirect_stderr(StringIO()), chdir(path.parent):
+                text: str = XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string()
+            return text.encode()
+        except finder.PackageNotFoundError as error:
+            name = error.args[0]
+            if (folder := find_package(name, path, packages)) is None:
+                raise InvalidRequest(
+                    f"{path}: there is no package {name} around this file; name the folder that holds it with --packages"
+                ) from error
+            finder.update_package_cache({name: folder})
+        except Exception as error:  # xacro raises whatever its expressions do
+            reason = " ".join(str(error).split())
+            raise InvalidRequest(f"{path}: xacro cannot expand it: {reason}; try `xacro {path.name}`") from error

@@ -1,0 +1,150 @@
+"""The files of an imported robot: its URDF with the arm alone, and its descriptor."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import re
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from zarm_contract.robot import CollisionPrimitive
+from zarm_robot_import.chain import Chain
+from zarm_robot_import.description import Description
+from zarm_robot_import.fitting import Fitted
+from zarm_robot_import.limits import JointLimits
+from zarm_robot_import.self_collision import Pair
+
+Array = NDArray[np.float64]
+
+_PLAIN = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)
+_WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
+
+
+def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], folder: Path) -> str:
+    """The arm as a URDF for a file in `folder`: its links with what the source says of them, and only its joints move."""
+    root = ET.Element("robot", name=robot.name)
+    root.append(ET.Comment(f" Made by zarm robot import from {robot.source.path.name}. "))
+    for mounted in chain.mounted:
+        link = copy.deepcopy(robot.links[mounted.link].element)
+        for mesh in link.iter("mesh"):
+            if found := robot.source.file(mesh.get("filename", "")):
+                mesh.set("filename", os.path.relpath(found, folder))
+        for visual in link.findall("visual"):
+            for material in visual.findall("material"):
+                if not len(material):  # one that the source defines elsewhere
+                    visual.remove(material)
+        link.tail = "\n"
+        root.append(link)
+    for index, (joint, limit) in enumerate(zip(chain.joints, limits, strict=True)):
+        element = _joint(joint.name, joint.type, chain.carriers[index], chain.carriers[index + 1], chain.origins[index])
+        ET.SubElement(element, "axis", xyz=_numbers(joint.axis))
+        effort = f"{joint.effort if joint.effort is not None else 0:g}"
+        bounds = {} if joint.type == "continuous" else {"lower": f"{limit.lower:.9g}", "upper": f"{limit.upper:.9g}"}
+        ET.SubElement(element, "limit", bounds | {"velocity": f"{limit.velocity:.9g}", "effort": effort})
+        root.append(element)
+    for mounted in chain.mounted:
+        carrier = chain.carriers[mounted.body]
+        if mounted.link != carrier:
+            root.append(_joint(f"{mounted.link}_fixed", "fixed", carrier, mounted.link, mounted.pose))
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _joint(name: str, kind: str, parent: str, child: str, origin: Array) -> ET.Element:
+    element = ET.Element("joint", name=name, type=kind)
+    ET.SubElement(element, "parent", link=parent)
+    ET.SubElement(element, "child", link=child)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # at a pitch of 90 degrees the third angle is free: any will do
+        rpy = Rotation.from_matrix(origin[:3, :3]).as_euler("xyz")
+    ET.SubElement(element, "origin", xyz=_numbers(origin[:3, 3]), rpy=_numbers(rpy))
+    return element
+
+
+def _numbers(values: Array) -> str:
+    return " ".join(f"{value:.12g}" for value in np.where(np.abs(values) < 1e-12, 0.0, values))
+
+
+def descriptor_text(
+    name: str,
+    source: Path,
+    chain: Chain,
+    limits: Sequence[JointLimits],
+    fitted: Sequence[Fitted],
+    home: Sequence[float],
+    pairs: Sequence[Pair],
+) -> str:
+    """The descriptor."""
+    assumed = sorted({what for limit in limits for what in limit.assumed})
+    lines = [
+        f"# {name}, made by `zarm robot import` from {source.name}; {name}.md says how each number was found.",
+        "# docs/reference/robot.md explains the keys and units. Lengths in m, angles in rad, times in s.",
+        "",
+        f"name: {name}",
+        f"urdf: {name}.urdf",
+        f"base_link: {plain(chain.base)}",
+        f"tip_link: {plain(chain.tip)}",
+        f"joints: [{', '.join(plain(joint.name) for joint in chain.joints)}]",
+        "",
+        "# Free, far from joint limits and singularities.",
+        f"home: {_list(home)}",
+        "",
+        f"# Assumed, because the URDF does not say it: {', '.join(assumed)}. Replace it by what the arm's manual says.",
+        "cspace:",
+        *(
+            f"  {key}: {_list([getattr(limit, key) for limit in limits])}"
+            for key in ("velocity", "acceleration", "jerk")
+        ),
+        "",
+        "strategy: emulator",
+        "",
+        "# Exact geometry: it contains the whole surface of the meshes.",
+        "collision:",
+    ]
+    for link in fitted:
+        lines += _primitives(link.link, link.primitives)
+    lines += ["", "# The sphere cover of the search: it contains the geometry above.", "spheres:"]
+    for link in fitted:
+        lines += _spheres(link.link, link.balls)
+    ignored = [pair for pair in pairs if pair.ignored]
+    lines += ["", "self_collision_ignore:" if ignored else "self_collision_ignore: []"]
+    lines += [f"  - [{plain(pair.first)}, {plain(pair.second)}]  # {pair.reason}" for pair in ignored]
+    if close := [pair for pair in pairs if pair.exact]:
+        lines += ["", "self_collision_exact:"]
+        lines += [f"  - [{plain(pair.first)}, {plain(pair.second)}]  # {pair.reason}" for pair in close]
+    return "\n".join(lines) + "\n"
+
+
+def plain(text: str) -> str:
+    """A name as YAML takes it for a text."""
+    return text if _PLAIN.fullmatch(text) and text.lower() not in _WORDS else json.dumps(text)
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"[{', '.join(f'{value:.9g}' for value in values)}]"
+
+
+def _primitives(link: str, primitives: Sequence[CollisionPrimitive]) -> list[str]:
+    """As they are given: rounding here would let the surface out."""
+    rows = []
+    for primitive in primitives:
+        values = primitive.model_dump().items()
+        shown = (f"{key}: {_list(value) if isinstance(value, tuple) else value}" for key, value in values)
+        rows.append(f"    - {{{', '.join(shown)}}}")
+    return [f"  {plain(link)}:", *rows]
+
+
+def _spheres(link: str, balls: Array) -> list[str]:
+    rows = [
+        f"    - {{center: [{x + 0.0:.4f}, {y + 0.0:.4f}, {z + 0.0:.4f}], radius: {radius:.4f}}}"
+        for x, y, z, radius in np.round(balls, 4).tolist()
+    ]
+    return [f"  {plain(link)}:", *rows]

@@ -1,0 +1,147 @@
+"""`zarm robot import`: a real arm, untouched, is planned for, and nothing that is planned touches itself or a post."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import fcl
+import numpy as np
+import pytest
+import trimesh
+
+from support.command_line import zarm
+from support.tiers import sampled
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import JointGoal, Sphere
+from zarm_contract.robot import RobotDescription, load_robot
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.rows import bounds, distances
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_robot_import.description import describe
+from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.source import read_source
+from zarm_trajectory.limits import Limits
+
+PATIENCE = 600.0
+POST = (-0.35, 0.3, 0.4)
+RADIUS = 0.05
+
+
+def source(arm: str) -> Path:
+    """The vendor's description, as the package airo-models carries it."""
+    spec = find_spec("airo_models")
+    assert spec is not None
+    assert spec.submodule_search_locations
+    return Path(spec.submodule_search_locations[0]) / "arms" / arm / f"{arm}.urdf"
+
+
+@pytest.fixture(scope="module", params=sampled("ur5e", "ur3e"))
+def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
+    folder = tmp_path_factory.mktemp(request.param)
+    made = zarm(
+        "robot",
+        "import",
+        str(source(request.param)),
+        "--geometry",
+        "collision",
+        "--output",
+        str(folder),
+        timeout=PATIENCE,
+    )
+    assert made.returncode == 0, made.stderr
+    assert {file.suffix for file in folder.iterdir()} == {".yaml", ".urdf", ".md", ".png"}
+    return load_robot(str(folder / f"{request.param}.yaml"))
+
+
+@pytest.fixture(scope="module")
+def model(arm: RobotDescription) -> RobotModel:
+    return RobotModel.of(arm)
+
+
+@pytest.fixture(scope="module")
+def meshes(arm: RobotDescription) -> dict[str, np.ndarray]:
+    """The triangles of the original collision geometry, read by this test itself."""
+    file = source(arm.descriptor.name)
+    found = {}
+    for link in describe(read_source(file)).links.values():
+        parts = []
+        for item in link.collision:
+            if item.kind == "mesh":
+                mesh = trimesh.load_mesh(file.parent / item.file, process=False)
+            else:
+                mesh = trimesh.creation.icosphere(radius=item.size[0])
+            mesh.apply_transform(item.pose)
+            parts.append(mesh.triangles)
+        if parts:
+            found[link.name] = np.concatenate(parts)
+    return found
+
+
+@pytest.mark.timeout(PATIENCE)
+def test_every_point_of_the_meshes_is_within_the_exact_geometry_and_that_within_the_cover(
+    arm: RobotDescription, meshes: dict[str, np.ndarray]
+) -> None:
+    rng = np.random.default_rng(5)
+    for link, triangles in meshes.items():
+        exact = rows_of(arm.descriptor.collision[link])
+        balls = np.array([(*ball.center, ball.radius) for ball in arm.descriptor.spheres[link]])
+        points = np.einsum("nk,nki->ni", rng.dirichlet((1, 1, 1), len(triangles)), triangles)
+        assert distances(np.concatenate([points, triangles.reshape(-1, 3)]), exact).min(axis=1).max() < 1e-9
+        lower, upper = bounds(exact)
+        around = rng.uniform(lower.min(axis=0), upper.max(axis=0), (20_000, 3))
+        inside = around[distances(around, exact).min(axis=1) < 0.0]
+        assert (np.linalg.norm(inside[:, None] - balls[:, :3], axis=2) - balls[:, 3]).min(axis=1).max() < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(PATIENCE)
+def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_original_meshes(
+    model: RobotModel, meshes: dict[str, np.ndarray]
+) -> None:
+    world = World([Sphere(kind="sphere", name="post", position=POST, radius=RADIUS)], 0.005)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    rng = np.random.default_rng(3)
+    home = np.array(model.robot.descriptor.home)
+    bodies = {link: bvh(triangles) for link, triangles in meshes.items()}
+    post = fcl.CollisionObject(fcl.Sphere(RADIUS), fcl.Transform(np.array(POST)))
+    planned = 0
+    for goal in rng.uniform(np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi), (15, model.dof)):
+        try:
+            context = PlanningContext(scene, Limits.of(model.robot), Deadline(60.0), seed=0)
+            found = plan(FreePlanner(), context, home, JointGoal(kind="joints", position=tuple(goal)))
+        except PlanningFailed:
+            continue
+        planned += 1
+        for q in found.trajectory.position[::5]:
+            objects = placed(model, bodies, q)
+            for i, j in model.pairs.tolist():
+                assert not touch(objects[model.links[i]], objects[model.links[j]])
+            for link, joint in zip(model.links, model.link_joint.tolist(), strict=True):
+                assert joint < 0 or not touch(objects[link], post)
+    assert planned >= 3
+
+
+def placed(model: RobotModel, bodies: dict[str, fcl.BVHModel], q: np.ndarray) -> dict[str, fcl.CollisionObject]:
+    return {
+        link: fcl.CollisionObject(bodies[link], fcl.Transform(pose[:3, :3], pose[:3, 3]))
+        for link, pose in zip(model.links, model.link_transforms(q), strict=True)
+    }
+
+
+def touch(one: fcl.CollisionObject, other: fcl.CollisionObject) -> bool:
+    return bool(fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()))
+
+
+def bvh(triangles: np.ndarray) -> fcl.BVHModel:
+    mesh = fcl.BVHModel()
+    mesh.beginModel(len(triangles), 3 * len(triangles))
+    mesh.addSubModel(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+    mesh.endModel()
+    return mesh

@@ -1,0 +1,66 @@
+"""The exact geometry of a link: few primitives that contain its surface and hardly more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from zarm_geometry.rows import distances
+from zarm_robot_import.body import Body
+from zarm_robot_import.primitives import MEAN, MOST, Measure, Out, cut, fit_primitives, rows_of
+
+Array = np.ndarray
+
+
+def turned(mesh: trimesh.Trimesh, angles: tuple[float, float, float], to: tuple[float, float, float]) -> Array:
+    mesh.apply_transform(trimesh.transformations.euler_matrix(*angles))
+    mesh.apply_translation(to)
+    return np.array(mesh.triangles)
+
+
+BOX = turned(trimesh.creation.box((0.1, 0.2, 0.3)), (0.3, 0.7, 0.2), (0.1, 0.0, 0.2))
+TUBE = turned(trimesh.creation.cylinder(0.05, 0.4), (0.0, 0.5, 0.0), (0.0, 0.1, 0.0))
+BALL = turned(trimesh.creation.icosphere(3, 0.07), (0.0, 0.0, 0.0), (0.0, 0.1, 0.0))
+CAPSULE = turned(trimesh.creation.capsule(0.3, 0.05), (0.0, 0.5, 0.0), (0.0, 0.1, 0.0))
+ELBOW = np.concatenate(
+    [
+        turned(trimesh.creation.cylinder(0.05, 0.3), (0.0, 0.0, 0.0), (0.0, 0.0, 0.15)),
+        turned(trimesh.creation.cylinder(0.05, 0.3), (np.pi / 2, 0.0, 0.0), (0.0, -0.1, 0.3)),
+    ]
+)
+SHAPES = {"box": BOX, "tube": TUBE, "ball": BALL, "capsule": CAPSULE, "elbow": ELBOW}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(name: str) -> None:
+    triangles = SHAPES[name]
+    body = Body.of(triangles)
+    rows = rows_of(fit_primitives(body))
+    corners = triangles.reshape(-1, 3)
+    rng = np.random.default_rng(1)
+    inner = np.einsum("kn,nki->ni", rng.dirichlet((1, 1, 1), len(triangles)).T, triangles)
+    assert distances(np.concatenate([corners, inner]), rows).min(axis=1).max() <= 0.0
+    out = Out.together(Measure(body).all(list(rows)))
+    assert out.most < MOST + 0.001
+    assert out.mean < MEAN
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("box", "cuboid"), ("tube", "cylinder"), ("ball", "sphere"), ("capsule", "capsule")]
+)
+def test_a_link_that_is_a_primitive_is_taken_for_that(name: str, kind: str) -> None:
+    assert [primitive.kind for primitive in fit_primitives(Body.of(SHAPES[name]))] == [kind]
+
+
+def test_cut_triangles_lie_on_their_sides_of_the_plane_and_keep_their_area() -> None:
+    normal = np.array((0.6, 0.0, 0.8))
+    below, above = cut(ELBOW, normal, 0.11)
+    assert (below @ normal).max() <= 0.11 + 1e-12
+    assert (above @ normal).min() >= 0.11 - 1e-12
+    assert area(below) + area(above) == pytest.approx(area(ELBOW))
+
+
+def area(triangles: Array) -> float:
+    a, b, c = triangles.transpose(1, 0, 2)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)

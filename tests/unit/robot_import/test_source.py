@@ -1,0 +1,131 @@
+"""What is wrong with a URDF is said in one sentence, with file and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from zarm_contract.errors import InvalidRequest
+from zarm_robot_import.chain import Chain, choose_chain
+from zarm_robot_import.description import describe
+from zarm_robot_import.limits import limits_of
+from zarm_robot_import.meshes import link_surface
+from zarm_robot_import.source import read_source
+
+LIMIT = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = LIMIT) -> str:
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
+
+
+def urdf(*joints: str, links: str = "abcd", geometry: str = "") -> str:
+    return "\n".join(
+        ['<robot name="Arm é">', *(f'<link name="{link}">{geometry}</link>' for link in links), *joints, "</robot>"]
+    )
+
+
+THREE = (joint("one", "a", "b"), joint("two", "b", "c"), joint("three", "c", "d"))
+
+
+def imported(folder: Path, text: str, **options: str) -> Chain:
+    file = folder / "arm.urdf"
+    file.write_text(text)
+    robot = describe(read_source(file))
+    chain = choose_chain(robot, **options)
+    limits_of(robot, chain.joints)
+    for link in robot.links.values():
+        link_surface(robot.source, link)
+    return chain
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "sentence"),
+    [
+        ("<robot>\n<link", 2, "not well-formed"),
+        ("<sdf/>", 1, "a URDF starts with <robot>"),
+        (urdf(*THREE, joint("three", "c", "d")), 9, "two joints are named three"),
+        (urdf(*THREE, joint("four", "b", "d")), 9, "two parent joints"),
+        (urdf(joint("one", "a", "b"), joint("two", "c", "d"), joint("back", "d", "c")), 7, "closes a loop"),
+        (urdf(*THREE, links="abc"), 7, "names the link d"),
+        (urdf(*THREE, links="abcdd"), 6, "two links are named d"),
+        (urdf(joint("one", "a", "b", inside='<limit lower="1" upper="-1"/>'), links="ab"), 4, "above its upper limit"),
+        (urdf(joint("one", "a", "b", inside='<axis xyz="0 0 0"/>'), links="ab"), 4, "axis 0 0 0"),
+        (
+            urdf(joint("one", "a", "b", "planar"), joint("two", "b", "c"), joint("three", "c", "d", "planar")),
+            8,
+            "is planar",
+        ),
+        (urdf(*THREE[:2], joint("three", "c", "d", inside=LIMIT + '<mimic joint="one"/>')), 8, "mimics one"),
+        (
+            urdf(
+                *THREE, geometry='<collision><geometry><mesh filename="package://none/a.stl"/></geometry></collision>'
+            ),
+            2,
+            "there is no file package://none/a.stl",
+        ),
+        (
+            urdf(*THREE, geometry='<visual><geometry><box size="500 200 200"/></geometry></visual>'),
+            2,
+            "are in mm",
+        ),
+        (urdf(*THREE, geometry='<visual><geometry><box size="1 1"/></geometry></visual>'), 2, "must be 3 finite"),
+    ],
+)
+def test_what_is_wrong_is_said_with_file_and_line(tmp_path: Path, text: str, line: int, sentence: str) -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        imported(tmp_path, text, tip="d" if 'name="d"' in text else "b")
+    message = refused.value.problem.message
+    assert sentence in message
+    assert message.startswith(f"{tmp_path / 'arm.urdf'}:{line}:")
+    assert "\n" not in message
+
+
+def test_a_broken_mesh_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_bytes(b"no mesh")
+    text = urdf(*THREE, geometry='<visual><geometry><mesh filename="a.stl"/></geometry></visual>')
+    with pytest.raises(InvalidRequest, match=r"arm\.urdf:2: link a: .*a\.stl"):
+        imported(tmp_path, text)
+
+
+def test_fingers_are_no_joints_of_the_arm_and_stand_still(tmp_path: Path) -> None:
+    left, right = (
+        joint("left", "c", "d", "prismatic"),
+        joint("right", "c", "e", "prismatic", LIMIT + '<mimic joint="left"/>'),
+    )
+    chain = imported(tmp_path, urdf(*THREE[:2], left, right, links="abcde"))
+    assert [one.name for one in chain.joints] == ["one", "two"]
+    assert dict(chain.fixed) == {"left": 0.0, "right": 0.0}
+
+
+def test_of_several_arms_one_must_be_chosen(tmp_path: Path) -> None:
+    arms = [joint(f"{side}{i}", "a" if i == 0 else f"{side}{i - 1}", f"{side}{i}") for side in "lr" for i in range(5)]
+    links = "".join(f'<link name="{side}{i}"/>' for side in "lr" for i in range(5))
+    text = f'<robot name="two"><link name="a"/>{links}{"".join(arms)}</robot>'
+    with pytest.raises(InvalidRequest, match="--tip l4, --tip r4"):
+        imported(tmp_path, text)
+    assert [one.name for one in imported(tmp_path, text, tip="r4").joints] == [f"r{i}" for i in range(5)]
+
+
+def test_a_joint_without_limits_gets_assumed_ones(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf(joint("one", "a", "b", inside=""), links="ab"))
+    robot = describe(read_source(file))
+    (limits,) = limits_of(robot, choose_chain(robot).joints)
+    assert limits.assumed == ("range", "velocity", "acceleration", "jerk")
+
+
+def test_a_xacro_is_expanded_with_the_packages_around_it(tmp_path: Path) -> None:
+    package = tmp_path / "arms" / "arm_description"
+    (package / "urdf").mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>my_arm</name></package>")
+    (package / "urdf" / "part.xacro").write_text(
+        f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">{joint("one", "a", "b")}</robot>'
+    )
+    file = package / "urdf" / "arm.xacro"
+    file.write_text(
+        '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/><link name="b"/>'
+        '<xacro:include filename="$(find my_arm)/urdf/part.xacro"/></robot>'
+    )
+    assert [one.name for one in choose_chain(describe(read_source(file))).joints] == ["one"]
