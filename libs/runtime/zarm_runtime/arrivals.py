@@ -23,11 +23,11 @@ class Arrivals:
 
     Zenoh fills the channels without Python, so that nothing that keeps the interpreter busy holds up the network. In each look
     the keys that overtake others come first and get the larger numbers: what came on another key before a stop is found in the same
-    look at the latest, and numbered before it. `hurried` says how often to look.
+    look at the latest, and numbered before it. `urgent` says how often to look.
     """
 
-    def __init__(self, hurried: Callable[[], bool]) -> None:
-        self._hurried = hurried
+    def __init__(self, urgent: Callable[[], bool]) -> None:
+        self._urgent = urgent
         self._overtaking: list[tuple[Any, Callable[[Any, int], None]]] = []
         self._overtaken: list[tuple[Any, Callable[[Any, int], None]]] = []
         self._numbers = itertools.count(1)
@@ -46,7 +46,7 @@ class Arrivals:
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._closed.wait(PERIOD if self._hurried() else UNHURRIED):
+        while not self._closed.wait(PERIOD if self._urgent() else UNHURRIED):
             last = self._drained(self._overtaking)
             for message, take in (*self._drained(self._overtaken), *last):
                 try:

@@ -62,7 +62,7 @@ class Bus:
     def __init__(self, endpoint: str = DEFAULT_ENDPOINT, *, timeout: float = 5.0, role: Role | None = None) -> None:
         self.role = (role or client_role()) if security_on() else None
         self.endpoint = spoken(endpoint)
-        self.hurried: Callable[[], bool] = lambda: True
+        self.urgent: Callable[[], bool] = lambda: True
         """Whether what is served or subscribed to in order must be known within 2 ms now, and not within 10 ms: set it to save CPU."""
         self._session = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
@@ -276,7 +276,7 @@ class Bus:
 
     def _arrivals(self) -> Arrivals:
         if self._ordered is None:
-            self._ordered = Arrivals(lambda: self.hurried())
+            self._ordered = Arrivals(lambda: self.urgent())
         return self._ordered
 
     # -- publications --

@@ -122,7 +122,7 @@ def start(service: Service) -> Iterator[None]:
         _wait_for(first, service)
         kept_speed = StateFile(folder / "speed.json", Speed)
         machine = Machine(first, period, Guard(robot.descriptor), speed_scale=_first_speed(robot, kept_speed))
-        bus.hurried = machine.moves
+        bus.urgent = machine.moves
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
             reporter = Reporter(

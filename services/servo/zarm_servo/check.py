@@ -12,7 +12,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.motion_check import MotionCheck, MotionVerdict, MovingObject
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_servo.world import Seen
+from zarm_servo.scene_monitor import SceneSnapshot
 from zarm_trajectory.trajectory import TimedTrajectory
 
 CONTACT = 0.002
@@ -28,7 +28,7 @@ _UPDATES = 100
 
 
 @dataclass(frozen=True)
-class Way:
+class PathValidity:
     """A robot may go up to the path time `until` (s); None: to the end. `obstruction` is what comes then."""
 
     until: float | None = None
@@ -63,20 +63,22 @@ class Checker:
     def __init__(self, model: RobotModel, meshes: Meshes) -> None:
         self._scene = SceneCheck(model, meshes)
 
-    def way(self, trajectory: TimedTrajectory, begin: float, seen: Seen, verified: Seen | None) -> Way:
-        """How far `trajectory` is free in what is `seen`, from the path time `begin` (s) on.
+    def validity(
+        self, trajectory: TimedTrajectory, begin: float, scene: SceneSnapshot, verified: SceneSnapshot | None
+    ) -> PathValidity:
+        """How far `trajectory` is free in the scene, from the path time `begin` (s) on.
 
         In the scene `verified` it was checked as a whole, so what has not changed since then need not be looked at: other objects, and
         the robot's own links, which may pass one another closely. The robot brakes along the trajectory, so its braking is free where the trajectory is. Raises Unavailable where a mesh cannot be read.
         """
         same = verified is not None and (verified.attached, verified.ignored_links) == (
-            seen.attached,
-            seen.ignored_links,
+            scene.attached,
+            scene.ignored_links,
         )
         before = verified.objects if same and verified is not None else {}
-        objects = {name: item for name, item in seen.objects.items() if before.get(name) != item}
+        objects = {name: item for name, item in scene.objects.items() if before.get(name) != item}
         if (same and not objects) or begin >= trajectory.duration:
-            return Way()
+            return PathValidity()
         self._scene.load(objects)
         times = np.append(np.arange(begin, trajectory.duration, _SAMPLE), trajectory.duration)
         times = times[np.append(np.diff(times) > 1e-6, True)]
@@ -87,8 +89,8 @@ class Checker:
                 times,
                 positions,
                 margin=CONTACT,
-                attached=seen.attached,
-                ignored_links=seen.ignored_links,
+                attached=scene.attached,
+                ignored_links=scene.ignored_links,
                 moving=grown,
                 self_collision=not same,
             )
@@ -96,9 +98,9 @@ class Checker:
         contact = first()
         time, what = contact.contact_time, contact.object or ""
         if time is None:
-            return Way()
+            return PathValidity()
         until = time
         if what in objects:  # the distance is kept to it alone: much else may be nearer to the trajectory all the time
             grown = MovingObject(objects[what], speed=DISTANCE / _LONG, time=begin - _LONG)
             until = first(grown).contact_time or time
-        return Way(until, Obstruction(object=what, link=contact.link or "", time=time))
+        return PathValidity(until, Obstruction(object=what, link=contact.link or "", time=time))

@@ -14,9 +14,9 @@ from zarm_contract.errors import Problem, ZarmError
 from zarm_contract.messages import Authority, ExecutorState, GoalState, GoalTrajectory, JointState, ServoState
 from zarm_runtime.bus import Latched, Latest, Publisher
 from zarm_runtime.metrics import Metrics
-from zarm_servo.check import Checker, Way
+from zarm_servo.check import Checker, PathValidity
+from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_servo.session import Session
-from zarm_servo.world import Mirror, Seen
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ class Guard:
         instance: str,
         metrics: Metrics,
     ) -> None:
-        self.mirror = Mirror(self.wake)
+        self.monitor = SceneMonitor(self.wake)
         self.session: Session | None = None
         self._joints = joints
         self._checker = checker
@@ -74,8 +74,8 @@ class Guard:
         self._sequence = 0
         self._planner_gone = False
         self._state: ServoState | None = None
-        self._done: tuple[Followed | None, Seen] | None = None
-        self._way: Way | ZarmError = Way()
+        self._done: tuple[Followed | None, SceneSnapshot] | None = None
+        self._validity: PathValidity | ZarmError = PathValidity()
         self._took = 0.0
         self._news = threading.Event()
         self._closing = False
@@ -155,22 +155,22 @@ class Guard:
             self._news.clear()
 
     def _look(self) -> None:
-        seen = self.mirror.seen(time.monotonic())
+        scene = self.monitor.snapshot(time.monotonic())
         with self._lock:
             followed = self._followed
             if followed is not None and self._running != followed.message.goal_id and _old(followed):
                 followed = self._followed = None
-        way: Way | ZarmError = Way()
+        validity: PathValidity | ZarmError = PathValidity()
         session = self.session if followed is None and self.session is not None and not self.session.ended else None
         if followed is None:
             self._done = None
         else:
-            way = self._way_of(followed, seen)
+            validity = self._validity_of(followed, scene)
         goal_id = session.goal_id if session is not None else None if followed is None else followed.message.goal_id
         if session is not None:
-            seen = replace(seen, revision=session.revision)
-        problem = way.problem if isinstance(way, ZarmError) else None
-        found = Way() if isinstance(way, ZarmError) else way
+            scene = replace(scene, revision=session.revision)
+        problem = validity.problem if isinstance(validity, ZarmError) else None
+        found = PathValidity() if isinstance(validity, ZarmError) else validity
         if problem is None:
             self._sequence += 1
             self._authorities.put(
@@ -179,29 +179,29 @@ class Guard:
                     sequence=self._sequence,
                     goal_id=goal_id,
                     trajectory=1 if followed is None else followed.message.number,
-                    scene_revision=seen.revision,
+                    scene_revision=scene.revision,
                     until=found.until,
                     obstruction=found.obstruction,
                 )
             )
-        self._tell(goal_id, session, seen, found, problem)
+        self._tell(goal_id, session, scene, found, problem)
 
-    def _way_of(self, followed: Followed, seen: Seen) -> Way | ZarmError:
+    def _validity_of(self, followed: Followed, scene: SceneSnapshot) -> PathValidity | ZarmError:
         """How far it may go; looked at again where the trajectory or the scene is another than the last time."""
         done = self._done
-        if done is not None and done[0] is not None and done[0].message is followed.message and done[1] is seen:
-            return self._way
+        if done is not None and done[0] is not None and done[0].message is followed.message and done[1] is scene:
+            return self._validity
         before = time.perf_counter()
         try:
-            verified = self.mirror.at(followed.message.scene_revision)
-            self._way = self._checker.way(followed.trajectory, self._reached(followed), seen, verified)
+            verified = self.monitor.at(followed.message.scene_revision)
+            self._validity = self._checker.validity(followed.trajectory, self._reached(followed), scene, verified)
         except ZarmError as error:
-            self._way = error
+            self._validity = error
             log.error("a goal is not guarded goal_id=%s reason=%s", followed.message.goal_id, error)
         self._took = time.perf_counter() - before
         self._metrics.time("zarm_check_seconds", "How long checks of goals took.", self._took)
-        self._done = followed, seen
-        return self._way
+        self._done = followed, scene
+        return self._validity
 
     def _reached(self, followed: Followed) -> float:
         """The path time (s) at which the robot is, or somewhat earlier."""
@@ -214,15 +214,20 @@ class Guard:
         return trajectory.nearest(np.array(measured.position)[order], first, max(first, last))
 
     def _tell(
-        self, goal_id: str | None, session: Session | None, seen: Seen, way: Way, problem: Problem | None
+        self,
+        goal_id: str | None,
+        session: Session | None,
+        scene: SceneSnapshot,
+        validity: PathValidity,
+        problem: Problem | None,
     ) -> None:
         state = ServoState(
             activity="idle" if goal_id is None else "guarding" if session is None else "following",
             goal_id=goal_id,
-            scene_revision=seen.revision,
-            scene_lost=seen.lost or self._planner_gone,
-            until=way.until,
-            obstruction=way.obstruction,
+            scene_revision=scene.revision,
+            scene_lost=scene.lost or self._planner_gone,
+            until=validity.until,
+            obstruction=validity.obstruction,
             problem=problem,
             check=self._took if session is None and goal_id is not None else 0.0,
             session=None if session is None else session.state(),
@@ -230,7 +235,7 @@ class Guard:
         before = self._state
         if state == before:
             return
-        found = way.obstruction
+        found = validity.obstruction
         if found is not None and (before is None or before.obstruction != found):
             log.warning(
                 "something is in the way goal_id=%s object=%s link=%s time=%.2f until=%.2f",
@@ -238,7 +243,7 @@ class Guard:
                 found.object,
                 found.link,
                 found.time,
-                way.until or 0.0,
+                validity.until or 0.0,
             )
         if state.scene_lost and not (before and before.scene_lost):
             log.warning("the planner is gone or has lost its scene; what is known of it still counts")

@@ -72,11 +72,11 @@ def start(service: Service) -> Iterator[None]:
 
         def receive(key: str, payload: bytes) -> None:
             try:
-                guard.mirror.hear_object(_OBJECT.validate_json(payload[: Message.max_bytes]), time.monotonic())
+                guard.monitor.hear_object(_OBJECT.validate_json(payload[: Message.max_bytes]), time.monotonic())
             except ValidationError as error:
                 log.warning("dropped a message key=%s reason=%s", key, error.errors()[0]["msg"])
 
-        bus.watch(keys.scene, Scene, guard.mirror.hear_scene)
+        bus.watch(keys.scene, Scene, guard.monitor.hear_scene)
         bus.listen(keys.scene_object("*"), receive)
         for hear_state in (guard.hear_state, sessions.hear_state):
             bus.watch(keys.executor_state, ExecutorState, hear_state)

@@ -31,8 +31,8 @@ from zarm_servo.clock import StreamClock
 from zarm_servo.controller import PERIOD, RANGE, STALE, Controller, Limitation, Surroundings
 from zarm_servo.course import Course
 from zarm_servo.inbox import Inbox, ahead
+from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
-from zarm_servo.world import Mirror, Seen
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -99,7 +99,7 @@ class Session:
         request: ServoStart,
         robot: RobotDescription,
         check: SceneCheck,
-        mirror: Mirror,
+        monitor: SceneMonitor,
         measured: Latest[JointState],
         chunks: Publisher[StreamChunk],
         position: Array,
@@ -110,9 +110,9 @@ class Session:
         self.inbox = Inbox(len(position))
         self._joints = robot.descriptor.joints
         self._model: RobotModel = check.model
-        self._check, self._mirror, self._measured = check, mirror, measured
+        self._check, self._monitor, self._measured = check, monitor, measured
         self._chunks, self._changed = chunks, changed
-        self._load(mirror.seen(time.monotonic()))
+        self._load(monitor.snapshot(time.monotonic()))
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
         self._course = Course(0.0, self._controller.state, self._controller.braking)
@@ -137,7 +137,7 @@ class Session:
     @property
     def revision(self) -> SceneRevision | None:
         """The scene that its steps are checked in."""
-        return self._seen.revision
+        return self._scene.revision
 
     @property
     def ended(self) -> bool:
@@ -261,9 +261,9 @@ class Session:
         return not self._closing or self._snapshot.moving
 
     def _cycle(self, now: float) -> None:
-        seen = self._mirror.seen(now)
-        if seen is not self._seen:
-            self._load(seen)
+        scene = self._monitor.snapshot(now)
+        if scene is not self._scene:
+            self._load(scene)
         target, age = self.inbox.newest(now)
         if target is not None and age is not None and age <= STALE:
             self._used = now
@@ -307,9 +307,9 @@ class Session:
             self._told_at = now
             self._changed()
 
-    def _load(self, seen: Seen) -> None:
-        self._check.load(seen.objects)
-        self._seen, self._around = seen, Surroundings(seen.attached, seen.ignored_links)
+    def _load(self, scene: SceneSnapshot) -> None:
+        self._check.load(scene.objects)
+        self._scene, self._around = scene, Surroundings(scene.attached, scene.ignored_links)
 
     def _put(
         self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False

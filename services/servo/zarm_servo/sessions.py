@@ -77,7 +77,7 @@ class Sessions:
                 )
             if executor.goal_id is not None and executor.goal_id not in self._ended:
                 raise Busy(f"{executor.goal_id} is not at its end; cancel it or wait, then start the session again")
-            if self._guard.mirror.seen(time.monotonic()).revision is None:
+            if self._guard.monitor.snapshot(time.monotonic()).revision is None:
                 raise Unavailable(
                     "the scene is not known, so nothing could be kept away from; start the planner, then start the session again"
                 )
@@ -87,7 +87,7 @@ class Sessions:
                 request,
                 self._robot,
                 self._check,
-                self._guard.mirror,
+                self._guard.monitor,
                 self._measured,
                 self._chunks,
                 self._position(),

@@ -15,8 +15,8 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.controller import Controller
+from zarm_servo.scene_monitor import SceneSnapshot
 from zarm_servo.targets import TwistTarget
-from zarm_servo.world import Seen
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -25,7 +25,7 @@ def warm_up(checker: Checker, check: SceneCheck) -> None:
     """Check a robot at rest once, with an object far away, and take a step of a session there."""
     model, box = check.model, Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
     home = np.array(model.robot.descriptor.home)
-    checker.way(TimedTrajectory.standing(home), 0.0, Seen(objects={"far": box}), None)
+    checker.validity(TimedTrajectory.standing(home), 0.0, SceneSnapshot(objects={"far": box}), None)
     check.load({"far": box})
     controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
     controller.step(TwistTarget(np.zeros(6)), 0.0)

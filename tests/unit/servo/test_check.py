@@ -10,16 +10,16 @@ from zarm_contract.messages import Attached, Cuboid, SceneObject
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.check import Checker
-from zarm_servo.world import Seen
+from zarm_servo.scene_monitor import SceneSnapshot
 from zarm_trajectory.trajectory import TimedTrajectory
 
 MODEL = RobotModel.of(ROBOT)
 WAY = TimedTrajectory.of(rest_to_rest(np.array(BEHIND_POST), HOME), ROBOT.descriptor.joints)
-EMPTY = Seen("1-000000000000")
+EMPTY = SceneSnapshot("1-000000000000")
 
 
-def seen(*objects: SceneObject, attached: tuple[Attached, ...] = ()) -> Seen:
-    return Seen("2-000000000000", {item.name: item for item in objects}, attached)
+def seen(*objects: SceneObject, attached: tuple[Attached, ...] = ()) -> SceneSnapshot:
+    return SceneSnapshot("2-000000000000", {item.name: item for item in objects}, attached)
 
 
 @pytest.fixture
@@ -28,29 +28,29 @@ def checker() -> Checker:
 
 
 def test_it_says_before_which_time_the_robot_must_rest_and_what_it_would_touch(checker: Checker) -> None:
-    way = checker.way(WAY, 0.0, seen(POST), EMPTY)
-    assert way.obstruction is not None
-    assert way.until is not None
-    assert way.obstruction.object == "post"
+    found = checker.validity(WAY, 0.0, seen(POST), EMPTY)
+    assert found.obstruction is not None
+    assert found.until is not None
+    assert found.obstruction.object == "post"
     collisions = Collisions(ROBOT, (POST,))
     touching = next(time for time in np.arange(0.0, WAY.duration, 0.002) if collisions.at(WAY.at(time)[0]))
-    assert touching - 0.1 < way.obstruction.time <= touching
-    assert way.obstruction.time - 0.3 < way.until < way.obstruction.time
+    assert touching - 0.1 < found.obstruction.time <= touching
+    assert found.obstruction.time - 0.3 < found.until < found.obstruction.time
 
 
 def test_what_the_robot_has_passed_does_not_matter(checker: Checker) -> None:
-    first = checker.way(WAY, 0.0, seen(POST), EMPTY)
+    first = checker.validity(WAY, 0.0, seen(POST), EMPTY)
     assert first.obstruction is not None
     collisions = Collisions(ROBOT, (POST,))
     last = max(time for time in np.arange(0.0, WAY.duration, 0.01) if collisions.at(WAY.at(time)[0]))
-    assert checker.way(WAY, last + 0.1, seen(POST), EMPTY).until is None
+    assert checker.validity(WAY, last + 0.1, seen(POST), EMPTY).until is None
 
 
 def test_what_has_not_changed_since_it_was_verified_is_not_looked_at_again(checker: Checker) -> None:
-    assert checker.way(WAY, 0.0, seen(POST), seen(POST)).until is None
-    assert checker.way(WAY, 0.0, seen(POST), None).until is not None
+    assert checker.validity(WAY, 0.0, seen(POST), seen(POST)).until is None
+    assert checker.validity(WAY, 0.0, seen(POST), None).until is not None
     moved = POST.model_copy(update={"position": (0.37, 0.38, 0.4)})
-    assert checker.way(WAY, 0.0, seen(moved), seen(POST)).until is not None
+    assert checker.validity(WAY, 0.0, seen(moved), seen(POST)).until is not None
 
 
 def test_links_that_pass_one_another_closely_as_verified_do_not_hold_the_robot_when_the_scene_changes(
@@ -58,23 +58,23 @@ def test_links_that_pass_one_another_closely_as_verified_do_not_hold_the_robot_w
 ) -> None:
     monkeypatch.setattr("zarm_servo.check.CONTACT", 0.05)  # the M1013 has 16 mm at home
     far = POST.model_copy(update={"position": (-1.5, 0.0, 0.0)})
-    assert checker.way(WAY, 0.0, seen(far), EMPTY).until is None
-    assert checker.way(WAY, 0.0, seen(far), None).until is not None
+    assert checker.validity(WAY, 0.0, seen(far), EMPTY).until is None
+    assert checker.validity(WAY, 0.0, seen(far), None).until is not None
 
 
 def test_with_another_object_attached_everything_is_looked_at(checker: Checker) -> None:
     stick = Cuboid(kind="cuboid", name="stick", position=(0.0, 0.0, 0.3), size=(0.02, 0.02, 0.5))
     x, y, z = MODEL.fk_tip(WAY.at(WAY.duration / 2)[0])[:3, 3].tolist()
     shelf = Cuboid(kind="cuboid", name="shelf", position=(x, y, z - 0.4), size=(0.05, 0.05, 0.05))
-    assert checker.way(WAY, 0.0, seen(shelf), seen(shelf)).until is None
-    way = checker.way(WAY, 0.0, seen(shelf, attached=(Attached(object=stick),)), seen(shelf))
-    assert way.obstruction is not None
-    assert (way.obstruction.object, way.obstruction.link) == ("shelf", "stick")
+    assert checker.validity(WAY, 0.0, seen(shelf), seen(shelf)).until is None
+    found = checker.validity(WAY, 0.0, seen(shelf, attached=(Attached(object=stick),)), seen(shelf))
+    assert found.obstruction is not None
+    assert (found.obstruction.object, found.obstruction.link) == ("shelf", "stick")
 
 
 def test_after_any_number_of_changes_the_last_objects_count(checker: Checker) -> None:
     for turn in range(150):
         far = POST.model_copy(update={"name": f"far{turn}", "position": (-1.5, 0.0, 0.01 * turn)})
-        assert checker.way(WAY, 0.0, seen(far), EMPTY).until is None
-    assert checker.way(WAY, 0.0, seen(POST), EMPTY).until is not None
-    assert checker.way(WAY, 0.0, seen(), EMPTY).until is None
+        assert checker.validity(WAY, 0.0, seen(far), EMPTY).until is None
+    assert checker.validity(WAY, 0.0, seen(POST), EMPTY).until is not None
+    assert checker.validity(WAY, 0.0, seen(), EMPTY).until is None

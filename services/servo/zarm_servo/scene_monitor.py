@@ -16,7 +16,7 @@ EARLY = 2.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class SceneSnapshot:
     """What is known of the scene. `revision`: None before the first one.
 
     `objects` by their names. They may be newer than the scene: an object is told before the scene that it belongs to. Where
@@ -30,24 +30,24 @@ class Seen:
     lost: bool = False
 
 
-class Mirror:
-    """Keeps `Seen` up to date; `changed` is called after every change. Safe from any thread."""
+class SceneMonitor:
+    """Keeps `SceneSnapshot` up to date; `changed` is called after every change. Safe from any thread."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
         self._lock = threading.Lock()
-        self._scene = self._seen = Seen()
+        self._scene = self._latest = SceneSnapshot()
         self._early_until = 0.0
-        self._past: OrderedDict[SceneRevision, Seen] = OrderedDict()
+        self._past: OrderedDict[SceneRevision, SceneSnapshot] = OrderedDict()
 
-    def seen(self, now: float) -> Seen:
+    def snapshot(self, now: float) -> SceneSnapshot:
         """What is known at the moment `now` (s, monotonic); it never changes."""
         with self._lock:
             if now > self._early_until:
-                self._seen = self._scene
-            return self._seen
+                self._latest = self._scene
+            return self._latest
 
-    def at(self, revision: SceneRevision | None) -> Seen | None:
+    def at(self, revision: SceneRevision | None) -> SceneSnapshot | None:
         """The scene of this revision, where it was seen and is not long gone."""
         with self._lock:
             return None if revision is None else self._past.get(revision)
@@ -55,10 +55,10 @@ class Mirror:
     def hear_object(self, item: SceneObject, now: float) -> None:
         """An object was added, or put elsewhere; the scene that it belongs to follows."""
         with self._lock:
-            before = self._seen
+            before = self._latest
             if before.objects.get(item.name) == item:
                 return
-            self._seen = replace(before, objects={**before.objects, item.name: item})
+            self._latest = replace(before, objects={**before.objects, item.name: item})
             self._early_until = now + EARLY
         self._changed()
 
@@ -73,7 +73,9 @@ class Mirror:
                 lost = before.revision is not None and _edits(scene.revision) <= _edits(before.revision)
             kept = before.objects if lost else {}
             objects = {**kept, **{item.name: item for item in scene.objects}}
-            self._scene = self._seen = Seen(scene.revision, objects, scene.attached, scene.ignored_links, lost)
+            self._scene = self._latest = SceneSnapshot(
+                scene.revision, objects, scene.attached, scene.ignored_links, lost
+            )
             self._past[scene.revision] = self._scene
             self._past.move_to_end(scene.revision)
             if len(self._past) > REMEMBERED:
