@@ -298,12 +298,7 @@ class JointTrajectory(DriverStrategy):
         measured, execution = self.link.measured(), self.link.execution
         if measured is None or self._trajectory is None or self._braking or self._index == command.last:
             return False
-        if (
-            self._told <= 0.0
-            or self._clock < command.last
-            or now - self._told_at < _SILENT
-            or not self.link.standing()
-        ):
+        if self._told <= 0.0 or self._clock < command.last or now - self._told_at < _SILENT or not self.link.standing():
             return False
         end, left = self._trajectory.end, command.points.position[int(self._told) :]
         there = np.abs(measured.position - end) <= execution.goal_tolerance
