@@ -59,8 +59,9 @@ def start(service: Service) -> Iterator[None]:
     with service.open_bus() as command_bus:
         measured = bus.latest(keys.joint_states, JointState)
         guard = Guard(
-            service.robot.descriptor.joints,
+            service.robot.descriptor,
             checker,
+            meshes,
             measured,
             command_bus.publisher(keys.authority, Authority, realtime=True),
             bus.latched(keys.servo_state, ServoState),
@@ -96,6 +97,7 @@ def start(service: Service) -> Iterator[None]:
         with guard:
             bus.serve(keys.servo_start, ServoStart, sessions.start)
             bus.serve(keys.servo_end, ServoEnd, sessions.end)
+            bus.listen(keys.object_pose("*"), guard.moving.hear)
             command_bus.listen(keys.servo_target, sessions.hear_target)
             service.ready()
             try:
