@@ -15,6 +15,7 @@ from zarm_contract.messages import Authority, ExecutorState, GoalState, GoalTraj
 from zarm_runtime.bus import Latched, Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker, PathValidity
+from zarm_servo.replanning import Replanner
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_servo.session import Session
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -47,6 +48,7 @@ class Guard:
     """Gives authority, in a thread of its own while it is used in `with`. `instance` is that of the service.
 
     A `session` that is open checks its own steps: where no other goal runs, its goal has all authority.
+    A `replanner` hears of every goal that is to be replanned.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class Guard:
     ) -> None:
         self.monitor = SceneMonitor(self.wake)
         self.session: Session | None = None
+        self.replanner: Replanner | None = None
         self._joints = joints
         self._checker = checker
         self._measured = measured
@@ -185,6 +188,11 @@ class Guard:
                 )
             )
         self._tell(goal_id, session, scene, found, problem)
+        if self.replanner is not None:
+            if followed is not None and followed.message.replan and problem is None:
+                self.replanner.see(followed.message, followed.trajectory, found.until)
+            else:
+                self.replanner.forget()
 
     def _validity_of(self, followed: Followed, scene: SceneSnapshot) -> PathValidity | ZarmError:
         """How far it may go; looked at again where the trajectory or the scene is another than the last time."""
