@@ -70,6 +70,11 @@ class TimedTrajectory:
             acceleration=acceleration,
         )
 
+    @property
+    def begin(self) -> float:
+        """The time of the first sample, s."""
+        return float(self.time[0])
+
     @cached_property
     def duration(self) -> float:
         """The time of the last sample, s."""
