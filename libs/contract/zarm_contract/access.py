@@ -67,7 +67,7 @@ def _published(*by: Role) -> Rights:
 
 
 TABLE: Mapping[str, Rights] = {
-    "plan": _request("planner"),
+    "plan": _request("planner", by=(*_DRIVES, "servo")),
     "plan_cancel": _request("planner"),
     "ik": _request("planner"),
     "fk": _request("planner", by=_EVERYONE),  # where the tip is

@@ -188,9 +188,7 @@ class Controller:
         pairs = self._nearby(position, RANGE, around)
         nearest_distance = pairs[0].distance if pairs else RANGE
         self._leaving = nearest_distance < self._margin + (_KEPT / 2 if self._leaving else 0.0)
-        bounds = [
-            (pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9
-        ]
+        bounds = [(pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9]
         bounds = [(pair, least) for pair, least in bounds if pair.gradient @ inside < least or least > -RANGE]
         speed = np.minimum(self._limits.velocity, _CREEPING) if self._leaving else self._limits.velocity
         slowest = within_speed(np.clip(_projected(inside, asked.metric, bounds), lowest, highest), speed)
