@@ -104,7 +104,9 @@ CASES = (
     Case("free space, 0.8 m away", (), moved(-0.1, 0.8, 0.0)),
     Case("past a ball", (ball("ball", (0.0, 0.3, 0.03), 0.06),), moved(0.0, 0.55, 0.0)),
     Case("behind a panel", (box("panel", (0.0, 0.25, 0.0), (0.5, 0.04, 0.5)),), moved(0.0, 0.5, 0.0)),
-    Case("down to a table, 20 mm above it", (box("table", (0.0, 0.0, -0.35), (0.8, 0.8, 0.1)),), moved(0.0, 0.1, -0.28)),
+    Case(
+        "down to a table, 20 mm above it", (box("table", (0.0, 0.0, -0.35), (0.8, 0.8, 0.1)),), moved(0.0, 0.1, -0.28)
+    ),
     Case("inside a wall", (box("wall", (0.3, 0.0, 0.0), (0.1, 3.0, 2.0)),), moved(0.3, 0.1, 0.0)),
     Case("out of reach", (), moved(1.5, 0.0, 0.5)),
 )
@@ -221,7 +223,7 @@ def run(servo: Servo, case: Case, world: World) -> Outcome:
     coarse = positions[::5]
     jerk = np.diff(coarse, 3, axis=0) / (5 * PERIOD) ** 3
     scene = ExactScene(MODEL, world)
-    distances = np.array([scene.nearest(position).distance for position in positions[:: 5]])
+    distances = np.array([scene.nearest(position).distance for position in positions[::5]])
     return Outcome(
         last * PERIOD if last < len(positions) - 1 else np.inf,
         float((np.abs(jerk) / LIMITS.jerk).max()),
@@ -274,12 +276,16 @@ def main() -> None:
 
 def draw(outcomes: dict[tuple[str, str], Outcome]) -> None:
     """What is left to the target, and the distance that is kept, over time."""
-    figure, axes = pyplot.subplots(2, len(CASES), figsize=(3.2 * len(CASES), 6), sharex=True, sharey="row", squeeze=False)
+    figure, axes = pyplot.subplots(
+        2, len(CASES), figsize=(3.2 * len(CASES), 6), sharex=True, sharey="row", squeeze=False
+    )
     for column, case in enumerate(CASES):
         for (of, name), outcome in outcomes.items():
             if of == case.name:
                 axes[0][column].semilogy(PERIOD * np.arange(len(outcome.errors)), 1e3 * outcome.errors, label=name)
-                axes[1][column].plot(5 * PERIOD * np.arange(len(outcome.distances)), 1e3 * outcome.distances, label=name)
+                axes[1][column].plot(
+                    5 * PERIOD * np.arange(len(outcome.distances)), 1e3 * outcome.distances, label=name
+                )
         axes[0][column].set_title(case.name, fontsize=9)
         axes[1][column].axhline(0.0, color="black", linewidth=0.5)
         axes[1][column].set_xlabel("s")

@@ -231,6 +231,32 @@ def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cel
     assert cell.client.stands()
 
 
+def test_targets_out_of_order_and_a_clock_that_was_set_back_are_refused_by_field(cell: Cell) -> None:
+    with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
+
+        def refused(sequence: int, stamp: float) -> str | None:
+            target = '{"kind": "twist", "frame": "base", "linear": [0, 0, 0]}'
+            session.put(
+                KEYS.servo_target,
+                f'{{"goal_id": "{jogging.goal_id}", "sequence": {sequence}, "stamp": {stamp}, "target": {target}}}',
+            )
+            state = jogging.state
+            return None if state is None or state.refused is None else state.refused.field
+
+        eventually(lambda: refused(7, 50.0) == "sequence", "the same number again is refused")
+        eventually(lambda: refused(8, 40.0) == "stamp", "what was made before is refused")
+    assert cell.client.stands()
+
+
+def test_of_a_thousand_targets_a_second_the_newest_counts_and_the_robot_never_jumps(cell: Cell) -> None:
+    with cell.robot.jog() as jogging:
+        for sent in range(1000):
+            jogging.joint_speed((0.2 if sent % 2 else -0.2, 0.0, 0.0, 0.0, 0.0, 0.1))
+            time.sleep(0.001)
+        eventually(lambda: jogging.state is not None and jogging.state.sequence == 1000, "the newest has come")
+    cell.assert_sound()
+
+
 def test_a_pause_ends_a_session_and_leaves_its_goal_paused(cell: Cell) -> None:
     session = cell.bus.call(KEYS.servo_start, ServoStart(), Accepted, timeout=PATIENCE)
     cell.client.mode("running")
