@@ -193,7 +193,9 @@ class Controller:
         speed = np.minimum(self._limits.velocity, _CREEPING) if self._leaving else self._limits.velocity
         slowest = within_speed(np.clip(_projected(inside, asked.metric, bounds), lowest, highest), speed)
         if bounds and np.abs(slowest - inside).max() > 1e-3:
-            nearest = min(bounds, key=lambda bound: float(bound[0].gradient @ inside) - bound[1])[0]
+            nearest = pairs[0]
+            if not self._leaving:
+                nearest = min(bounds, key=lambda bound: float(bound[0].gradient @ inside) - bound[1])[0]
             limitation = Limitation("slowing", (nearest.link, nearest.object), nearest.distance)
         return slowest, limitation
 
