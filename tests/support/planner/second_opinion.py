@@ -195,7 +195,9 @@ class Clearance:
             (link, pose, fcl.CollisionObject(geometry))
             for link, items in robot.descriptor.collision.items()
             for geometry, pose in map(_link_shape, items)
-            if any(joint.name in robot.descriptor.joints for joint in robot.urdf.chain(robot.descriptor.base_link, link))
+            if any(
+                joint.name in robot.descriptor.joints for joint in robot.urdf.chain(robot.descriptor.base_link, link)
+            )
         ]
         geometry, self._turned = _object_shape(item)
         self._object = fcl.CollisionObject(geometry)

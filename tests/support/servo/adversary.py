@@ -18,12 +18,22 @@ from typing import Any, Literal
 import numpy as np
 from pytest import MonkeyPatch
 
-from support.executor.bench import LIMITS, Bench
 from support.arrivals import arrival
+from support.executor.bench import LIMITS, Bench
 from support.planner.second_opinion import Clearance, link_pose
 from support.trajectories import ROBOT, SCENE, rest_to_rest
 from zarm_contract.codec import encode
-from zarm_contract.messages import Cuboid, GoalState, GoalTrajectory, JointState, ObjectPose, Scene, ServoStart, ServoTarget, Sphere
+from zarm_contract.messages import (
+    Cuboid,
+    GoalState,
+    GoalTrajectory,
+    JointState,
+    ObjectPose,
+    Scene,
+    ServoStart,
+    ServoTarget,
+    Sphere,
+)
 from zarm_contract.messages import JointTarget as JointTargetMessage
 from zarm_executor.goal import Chunk, Goal
 from zarm_executor.monitor import Monitor
@@ -180,7 +190,9 @@ class _Run:
         self._period, self._delay = float(rng.uniform(0.01, 0.05)), float(rng.uniform(0.001, 0.03))
         self._offset = float(rng.uniform(-0.018, 0.018))
         if rng.random() < 0.5:
-            item: Sphere | Cuboid = Sphere(kind="sphere", name="box", position=(0.0, 0.0, 5.0), radius=float(rng.uniform(0.03, 0.15)))
+            item: Sphere | Cuboid = Sphere(
+                kind="sphere", name="box", position=(0.0, 0.0, 5.0), radius=float(rng.uniform(0.03, 0.15))
+            )
         else:
             x, y, z = rng.uniform(0.05, 0.3, 3).tolist()
             item = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 5.0), size=(x, y, z))
@@ -288,7 +300,9 @@ class _Run:
         elif step % _CYCLE == 0:
             if step % 10 == 0:
                 target = JointTargetMessage(kind="joints", position=tuple(self._goal.tolist()))
-                message = ServoTarget(goal_id="servo-1", sequence=next(self._sequence), stamp=self._time.now, target=target)
+                message = ServoTarget(
+                    goal_id="servo-1", sequence=next(self._sequence), stamp=self._time.now, target=target
+                )
                 session.inbox.hear(message, self._time.now)
             session._cycle(self._time.now)
             if session._news.is_set():
