@@ -30,8 +30,6 @@ CLOSED_LOOP = ("mpc", "retarget")
 """The planners that close a loop, and make no trajectory."""
 FEEDBACK_UNIT = 0.2
 """Seconds between two feedbacks at a time_dilation_factor of 1."""
-SMALLEST_MARGIN = 0.005
-"""m; the servo keeps no less to what is near."""
 _WARN_SECONDS = 5.0
 
 
@@ -42,7 +40,6 @@ class _Steps:
     step: float
     horizon: int
     most: int
-    margin: float
     feedback: float
     approach: Approach
 
@@ -108,7 +105,7 @@ class ClosedLoop:
         steps = self._steps()
         run.go_on()
         try:
-            with self._engine.client.track(margin=steps.margin) as tracking, self._led(live, steps):
+            with self._engine.client.track() as tracking, self._led(live, steps):
                 run.becomes(tracking.goal_id)
                 began = told_at = time.monotonic()
                 told = ""
@@ -151,7 +148,6 @@ class ClosedLoop:
             step=step,
             horizon=value("mpc_horizon") if first else value("mpc_horizon_steps"),
             most=value("max_mpc_iterations"),
-            margin=max(SMALLEST_MARGIN, value("collision_activation_distance")),
             feedback=max(0.1, FEEDBACK_UNIT * value("time_dilation_factor")),
             approach=Approach(
                 position=value("convergence_threshold"),

@@ -84,7 +84,7 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     yield _Declared(
         "collision_activation_distance",
         0.025,
-        "Kept to objects on the way (m); in closed loop at least 0.005.",
+        "Kept to objects on the way by plans (m).",
         (0.0, 0.2),
     )
     yield _Declared(

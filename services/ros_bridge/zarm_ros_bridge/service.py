@@ -73,7 +73,7 @@ def start(service: Service) -> Iterator[None]:
             topics,
             StrategyServices(ros, first, engine, parameters, generation),
             ExecutionActions(ros, engine, parameters, motions, generation),
-            ServoCommands(ros, engine, parameters),
+            ServoCommands(ros, engine),
             Availability(engine, parameters),
         ):
             ros.spin()

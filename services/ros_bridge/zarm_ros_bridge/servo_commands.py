@@ -20,7 +20,6 @@ from std_msgs.msg import Int8, String
 from zarm.servoing import Jogging, Tracking, limited
 from zarm_contract.errors import Cancelled, ZarmError
 from zarm_contract.messages import ServoSession
-from zarm_ros_bridge.closed_loop import SMALLEST_MARGIN
 from zarm_ros_bridge.convert.servo_commands import (
     INVALID,
     NO_WARNING,
@@ -32,7 +31,6 @@ from zarm_ros_bridge.convert.servo_commands import (
 )
 from zarm_ros_bridge.convert.times import NANOSECONDS
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import Ros
 
 log = logging.getLogger(__name__)
@@ -86,8 +84,8 @@ class ServoCommands:
     The first command on a topic opens a session, which belongs to that topic until it pauses.
     """
 
-    def __init__(self, ros: Ros, engine: Engine, parameters: Parameters) -> None:
-        self._engine, self._parameters = engine, parameters
+    def __init__(self, ros: Ros, engine: Engine) -> None:
+        self._engine = engine
         self._log = ros.node.get_logger()
         self._came = threading.Condition()
         self._newest: dict[str, _Command] = {}
@@ -145,7 +143,7 @@ class ServoCommands:
     def _run(self) -> None:
         while (command := self._next()) is not None:
             try:
-                with self._opens[command.topic](margin=self._margin()) as session:
+                with self._opens[command.topic]() as session:
                     self._follow(session, command)
             except ZarmError as error:
                 text = self._engine.terms.of(str(error))
@@ -194,10 +192,6 @@ class ServoCommands:
     def _wait_for_release(self) -> None:
         while self._next(timeout=RELEASE_SECONDS) is not None:
             pass
-
-    def _margin(self) -> float:
-        margin: float = self._parameters.value("collision_activation_distance")
-        return max(SMALLEST_MARGIN, margin)
 
     def _tell_of(self, state: ServoSession | None) -> None:
         if state is not None and state.refused is not None:
