@@ -130,6 +130,7 @@ def test_retarget_without_a_target_holds_the_tip_and_follows_a_stream_of_poses(a
     start = arm.tip()
     markers, paths = arm.ros.heard(Marker, "/mpc_goal_marker"), arm.ros.heard(Path, "/mpc_predicted_path")
     goal = arm.execute.send()
+    assert goal.accepted
     on_target(goal)
     assert arm.away_from(start) < 0.002
     x, y, z = _xyz(start.position)
@@ -183,6 +184,7 @@ def test_goals_that_a_closed_loop_cannot_follow_are_refused_with_the_field(arm: 
 def test_a_second_goal_takes_the_place_of_one_in_closed_loop_where_that_is_configured(arm: Arm) -> None:
     arm.choose(MPC)
     first = arm.execute.send(target_pose=arm.tip())
+    assert first.accepted
     on_target(first)
     assert not arm.move.send(target_pose=arm.tip()).accepted
     arm.ros.configure(preempt=True)
