@@ -16,7 +16,7 @@ from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
-from pytest import MonkeyPatch
+import pytest
 
 from support.arrivals import arrival
 from support.executor.bench import LIMITS, Bench
@@ -92,7 +92,7 @@ def _clock() -> Iterator[SimpleNamespace]:
     """The monotonic clock of guard and session, as `now`."""
     clock = SimpleNamespace(now=100.0)
     turned = SimpleNamespace(monotonic=lambda: clock.now, perf_counter=real_time.perf_counter, sleep=lambda _: None)
-    with MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         for module in (guard_module, session_module):
             patch.setattr(module, "time", turned)
         yield clock
