@@ -10,17 +10,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import viser
+from viser import GuiTabGroupHandle
 
 from zarm.robot import Robot
 from zarm_contract.access import Role
 from zarm_contract.errors import ZarmError
 from zarm_contract.robot import RobotDescription
+from zarm_viewer.aim import Goal
 from zarm_viewer.desk import Desk
 from zarm_viewer.gate import Gate
+from zarm_viewer.jog_panel import JogPanel
+from zarm_viewer.motion_panel import MotionPanel
+from zarm_viewer.named_poses import NamedPoses
+from zarm_viewer.objects_panel import ObjectsPanel
 from zarm_viewer.picture import Picture
+from zarm_viewer.plots_panel import PlotsPanel
 from zarm_viewer.status_panel import EventsPanel, StatusPanel
 from zarm_viewer.stop import Stop
-from zarm_viewer.watching import Watching
+from zarm_viewer.watching import News, Watching
 
 log = logging.getLogger(__name__)
 
@@ -41,14 +48,14 @@ class Shown:
 class Page:
     """The page of these robots, served behind a gate until `close`."""
 
-    def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, meshes: tuple[Path, ...]) -> None:
+    def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, meshes: tuple[Path, ...], state: Path) -> None:
         self.server = gate.serve("zarm")
         self.address = gate.address(self.server.get_port())
         self._furnish()
         moves = role != "viewer"
         self._stops: list[Stop] = []
         self._add_stop()
-        self._parts = [_Part(self.server, shown, moves, meshes, BESIDE * at) for at, shown in enumerate(robots)]
+        self._parts = [_Part(self.server, shown, moves, meshes, state, BESIDE * at) for at, shown in enumerate(robots)]
         self._choose_between(self._parts)
         for shown, part in zip(robots, self._parts, strict=True):
             endpoint = shown.robot.connection.bus.endpoint
@@ -117,7 +124,7 @@ class _Part:
     """One robot's share of the page."""
 
     def __init__(
-        self, server: viser.ViserServer, shown: Shown, moves: bool, meshes: tuple[Path, ...], aside: float
+        self, server: viser.ViserServer, shown: Shown, moves: bool, meshes: tuple[Path, ...], state: Path, aside: float
     ) -> None:
         name = shown.robot.name
         self.desk = Desk(server, shown.robot, shown.description, f"/{name}", moves)
@@ -126,7 +133,12 @@ class _Part:
         self._folder = server.gui.add_folder(name)
         with self._folder:
             self._status = StatusPanel(self.desk)
+            if moves:
+                self._add_reset(shown.robot)
             tabs = server.gui.add_tab_group()
+            self._controls = _Controls(self.desk, self._picture, tabs, state) if moves else None
+            with tabs.add_tab("Plots"):
+                self._plots = PlotsPanel(self.desk)
             with tabs.add_tab("Events"):
                 self._events = EventsPanel(self.desk)
         self._watching = Watching(shown.robot, shown.description.descriptor.joints)
@@ -134,6 +146,8 @@ class _Part:
     def chosen(self, yes: bool) -> None:
         """Show its panels, or those of another robot."""
         self._folder.visible = yes
+        if self._controls is not None:
+            self._controls.chosen(yes)
 
     def stopped(self, name: str, error: ZarmError | None) -> None:
         """Say what came of a stop."""
@@ -147,4 +161,37 @@ class _Part:
         news = self._watching.take()
         self._picture.draw(news)
         self._status.draw(news, self._watching.age(time.monotonic()))
+        if news.state is not None and self._controls is not None:
+            self._reset.visible = news.state.mode == "fault"
+        self._plots.draw(news)
+        if self._controls is not None:
+            self._controls.draw(news)
         self._events.draw()
+
+    def _add_reset(self, robot: Robot) -> None:
+        self._reset = self.desk.server.gui.add_button("Reset the fault", color="orange", visible=False)
+        self._reset.on_click(lambda event: self.desk.attempt("reset", robot.reset, event.client))
+
+
+class _Controls:
+    """What moves a robot; a page of a viewer has none of it."""
+
+    def __init__(self, desk: Desk, picture: Picture, tabs: GuiTabGroupHandle, state: Path) -> None:
+        self._goal = Goal(desk)
+        poses = NamedPoses(state, desk.robot.name, desk.description.descriptor.home)
+        with tabs.add_tab("Move"):
+            self._motion = MotionPanel(desk, self._goal, poses)
+        with tabs.add_tab("Scene"):
+            self._objects = ObjectsPanel(desk, picture.scene)
+        with tabs.add_tab("Jog"):
+            self._jog = JogPanel(desk, self._goal)
+
+    def chosen(self, yes: bool) -> None:
+        """Show the gizmo, or not."""
+        self._goal.show(gizmo=yes)
+
+    def draw(self, news: News) -> None:
+        """Show what is new."""
+        self._motion.draw(news)
+        self._objects.draw(news.scene)
+        self._jog.draw(news.servo)

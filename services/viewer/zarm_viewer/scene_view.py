@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from viser import SceneNodeHandle
+from viser.transforms import SE3
 
 from zarm_contract.messages import Scene, SceneObject
 from zarm_viewer.desk import Desk
@@ -43,6 +44,12 @@ class SceneView:
                     self._desk.note(f"{name} is not drawn: its mesh is in none of the viewer's --meshes folders")
                 elif not carried_too:
                     self._listen(handle, name)
+
+    def place(self, name: str, at: SE3) -> None:
+        """Show an object elsewhere while somebody drags it; the next scene says where it is."""
+        _, handle = self._drawn.get(f"{self._desk.root}/scene/{name}", (None, None))
+        if handle is not None:
+            handle.position, handle.wxyz = at.translation(), at.rotation().wxyz
 
     def _listen(self, handle: SceneNodeHandle, name: str) -> None:
         if self._desk.moves and hasattr(handle, "on_click"):

@@ -19,6 +19,7 @@ from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 from zarm_runtime import signals
 from zarm_runtime.logs import setup_logging
 from zarm_runtime.security import client_role, security_on
+from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT
 from zarm_viewer.gate import Gate
 from zarm_viewer.page import Page, Shown
@@ -61,6 +62,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="a folder with meshes of the scene, besides those in $ZARM_MESHES: those of the planner; repeatable",
     )
+    parser.add_argument("--state", type=Path, default=default_state(), help="the folder for saved state: named poses")
     return parser
 
 
@@ -77,7 +79,7 @@ def main() -> int:
             for name, description in _described(options.robot, options.connect, role):
                 bus = stack.enter_context(opened(options.connect, role, timeout=10.0))
                 shown.append(Shown(Robot(Connection.of(bus, keys_of(name))), description))
-            page = Page(shown, gate, role, tuple(options.meshes))
+            page = Page(shown, gate, role, tuple(options.meshes), options.state / "viewer")
             stack.callback(page.close)
             log.info("ready page=%s role=%s robots=%s", page.address, role, ",".join(one.robot.name for one in shown))
             print(page.address, flush=True)  # noqa: T201 - what is opened in the browser
