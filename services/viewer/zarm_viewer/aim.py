@@ -78,6 +78,7 @@ class Goal:
         self._changed = threading.Condition()
         self._wanted: tuple[float, SE3 | Array, Array] | None = None
         self._aim = Aim(desk.chain.tip(desk.joints), ())
+        self._place_gizmo(self._aim.pose)
         self.aimed = False
         """Whether somebody has chosen a goal; until then the gizmo stays at the tip."""
         self.dragged: Callable[[SE3, ClientHandle | None], object] = lambda *_: None

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 import viser
+from numpy.typing import NDArray
 from viser import MeshHandle, SceneNodeHandle
 from viser.transforms import SE3
 
@@ -51,7 +52,7 @@ class Brush:
     def file(self, name: str, file: Path, scale: tuple[float, float, float], at: SE3) -> SceneNodeHandle:
         """The triangles of a file, times `scale`. Raises ValueError and OSError for one that cannot be read."""
         mesh = trimesh.load_mesh(file, process=False, skip_materials=True)
-        mesh.apply_scale(scale)
+        mesh.apply_scale(scale)  # type: ignore[no-untyped-call]
         return self._mesh(name, mesh, at, flat=True)
 
     def voxels(self, name: str, item: Voxels, at: SE3) -> SceneNodeHandle:
@@ -124,13 +125,11 @@ def _draw_mesh(brush: Brush, name: str, item: Mesh, at: SE3, meshes: tuple[Path,
     return None
 
 
-def _between(
-    a: np.ndarray[tuple[int], np.dtype[np.float64]], b: np.ndarray[tuple[int], np.dtype[np.float64]]
-) -> tuple[SE3, float]:
+def _between(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[SE3, float]:
     """The pose half-way from a to b whose z leads along it, and the distance (m)."""
     length = float(np.linalg.norm(b - a))
     pose = np.eye(4)
     pose[:3, 3] = (a + b) / 2
     if length > 0.0:
-        pose[:3, :3] = trimesh.geometry.align_vectors((0.0, 0.0, 1.0), b - a)[:3, :3]
+        pose[:3, :3] = trimesh.geometry.align_vectors((0.0, 0.0, 1.0), b - a)[:3, :3]  # type: ignore[no-untyped-call]
     return SE3.from_matrix(pose), length

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from viser import ClientHandle
 from viser.transforms import SE3
@@ -75,7 +75,7 @@ class JogPanel:
     def _twist(self, client: ClientHandle | None, axis: int, sign: int, **hold: float) -> None:
         vectors = [[0.0] * 3, [0.0] * 3]
         vectors[axis // 3][axis % 3] = sign * self._scale.value * (LINEAR if axis < 3 else ANGULAR)
-        frame = self._frame.value
+        frame: Literal["base", "tool"] = "tool" if self._frame.value == "tool" else "base"
 
         def send(session: Jogging | Tracking) -> None:
             if isinstance(session, Jogging):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
+from viser import Icon
 from viser.transforms import SE3, SO3
 
 from zarm.values import AXES, Axis, PathConstraint, Waypoints, invalid, pose_of
@@ -15,6 +16,7 @@ from zarm.values import Goal as Target
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.aim import Goal
+from zarm_viewer.controls import button, changed, put
 from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import message_of
 from zarm_viewer.named_poses import NamedPoses
@@ -29,34 +31,22 @@ class MotionPanel:
         self._plan: Plan | None = None
         self._timed: TimedTrajectory | None = None
         self._waypoints: list[Any] = []
-        self._shown = -1
+        self._shown = 0
         gui = desk.server.gui
         self._say = gui.add_markdown("Drag the handle at the tip, or choose a pose.")
-        self._button("Plan", "route", self._plan_it)
-        self._button("Execute", "player-play", self._execute)
-        self._button("Plan and execute", "player-track-next", lambda: self._plan_it() or self._execute())
+        button(self._desk, "Plan", Icon.ROUTE, self._plan_it)
+        button(self._desk, "Execute", Icon.PLAYER_PLAY, self._execute)
+        button(self._desk, "Plan and execute", Icon.PLAYER_TRACK_NEXT, self._plan_and_execute)
         self._scrub = gui.add_slider("time (s)", 0.0, 1.0, 0.01, 0.0, disabled=True, hint="Look through the plan")
-        self._scrub.on_update(lambda event: event.client_id is not None and self._scrub_to(self._scrub.value))
+        changed(desk, self._scrub, "look through the plan", self._scrub_to)
         robot = desk.robot
         self._group("motion", {"Pause": robot.pause, "Resume": robot.resume, "Cancel": robot.cancel})
         self._speed = gui.add_slider("speed", 0.05, 1.0, 0.05, 1.0)
-        self._speed.on_update(
-            lambda event: (
-                event.client_id is not None
-                and self._desk.attempt("speed", lambda: robot.speed(self._speed.value), event.client)
-            )
-        )
+        changed(desk, self._speed, "speed", lambda: robot.speed(self._speed.value))
         self._strategy = gui.add_dropdown("strategy", ["-"])
-        self._strategy.on_update(
-            lambda event: (
-                event.client_id is not None
-                and self._desk.attempt("strategy", lambda: robot.strategy(self._strategy.value), event.client)
-            )
-        )
+        changed(desk, self._strategy, "strategy", lambda: robot.strategy(self._strategy.value))
         self._branch = gui.add_dropdown("branch", ["1"], visible=False)
-        self._branch.on_update(
-            lambda event: event.client_id is not None and goal.choose(int(self._branch.value.split()[0]) - 1)
-        )
+        changed(desk, self._branch, "branch", self._choose_branch)
         with gui.add_folder("Poses", expand_by_default=False):
             self._add_poses()
         with gui.add_folder("Joints (deg)", expand_by_default=False):
@@ -71,10 +61,10 @@ class MotionPanel:
     def draw(self, news: News) -> None:
         """Show what is new."""
         if news.state is not None:
-            _set(self._speed, news.state.speed_scale)
+            put(self._speed, news.state.speed_scale)
         if news.strategies is not None:
             self._strategy.options = [each.name for each in news.strategies.strategies if each.available] or ["-"]
-            _set(self._strategy, news.strategies.active)
+            put(self._strategy, news.strategies.active)
         if self._goal.revision != self._shown:
             self._shown = self._goal.revision
             self._draw_goal()
@@ -85,9 +75,9 @@ class MotionPanel:
     def _add_poses(self) -> None:
         gui = self._desk.server.gui
         choice = gui.add_dropdown("pose", self._poses.names())
-        self._button("Aim there", "target", lambda: self._aim_at(np.array(self._poses.joints(choice.value))))
-        self._button("Home", "home", lambda: self._aim_at(np.array(self._poses.joints("home"))))
-        self._button("Back to the robot", "arrow-back-up", self._goal.forget)
+        button(self._desk, "Aim there", Icon.TARGET, lambda: self._aim_at(np.array(self._poses.joints(choice.value))))
+        button(self._desk, "Home", Icon.HOME, lambda: self._aim_at(np.array(self._poses.joints("home"))))
+        button(self._desk, "Back to the robot", Icon.ARROW_BACK_UP, self._goal.forget)
         name = gui.add_text("name", "here")
 
         def keep() -> None:
@@ -98,9 +88,9 @@ class MotionPanel:
             except ValidationError as error:
                 raise invalid("the name", error) from None
             choice.options = self._poses.names()
-            choice.value = name.value
+            put(choice, name.value)
 
-        self._button("Keep the goal under this name", "bookmark", keep)
+        button(self._desk, "Keep the goal under this name", Icon.BOOKMARK, keep)
 
     def _add_joints(self) -> None:
         robot, gui = self._desk.description, self._desk.server.gui
@@ -111,27 +101,25 @@ class MotionPanel:
             )
         ]
 
-        def slide(event: Any) -> None:
-            if event.client_id is not None:
-                self._goal.at(np.radians([slider.value for slider in self._sliders]))
+        def slide() -> None:
+            self._goal.at(np.radians([slider.value for slider in self._sliders]))
 
         for slider in self._sliders:
-            slider.on_update(slide)
+            changed(self._desk, slider, "joints", slide)
 
     def _add_numbers(self) -> None:
         gui = self._desk.server.gui
         self._position = gui.add_vector3("xyz (m)", (0.0, 0.0, 0.0), step=0.001)
         self._turn = gui.add_vector3("rpy (deg)", (0.0, 0.0, 0.0), step=0.1)
 
-        def aim(event: Any) -> None:
-            if event.client_id is not None:
-                turn = SO3.from_rpy_radians(*np.radians(self._turn.value))
-                pose = SE3.from_rotation_and_translation(turn, np.array(self._position.value))
-                self._goal.gizmo.position, self._goal.gizmo.wxyz = pose.translation(), turn.wxyz
-                self._goal.reach(pose)
+        def aim() -> None:
+            turn = SO3.from_rpy_radians(*np.radians(self._turn.value))
+            pose = SE3.from_rotation_and_translation(turn, np.array(self._position.value))
+            self._goal.gizmo.position, self._goal.gizmo.wxyz = pose.translation(), turn.wxyz
+            self._goal.reach(pose)
 
-        self._position.on_update(aim)
-        self._turn.on_update(aim)
+        for numbers in (self._position, self._turn):
+            changed(self._desk, numbers, "tip", aim)
 
     def _add_waypoints(self) -> None:
         self._through = self._desk.server.gui.add_markdown("none: straight to the goal")
@@ -144,8 +132,8 @@ class MotionPanel:
             self._waypoints.clear()
             self._through.content = "none: straight to the goal"
 
-        self._button("Pass through here", "map-pin-plus", add)
-        self._button("Forget them", "map-pin-off", clear)
+        button(self._desk, "Pass through here", Icon.MAP_PIN_PLUS, add)
+        button(self._desk, "Forget them", Icon.MAP_PIN_OFF, clear)
 
     def _add_options(self) -> None:
         gui = self._desk.server.gui
@@ -158,20 +146,12 @@ class MotionPanel:
         self._held = [gui.add_checkbox(f"hold {axis}", False) for axis in AXES]
         self._frame = gui.add_dropdown("hold in", ["base", "tool"])
 
-    def _button(self, label: str, icon: str, work: Callable[[], object]) -> None:
-        button = self._desk.server.gui.add_button(label, icon=icon)  # type: ignore[arg-type]
-
-        @button.on_click
-        def _(event: Any) -> None:
-            button.disabled = True
-            try:
-                self._desk.attempt(label, work, event.client)
-            finally:
-                button.disabled = False
-
     def _group(self, label: str, actions: dict[str, Callable[[], object]]) -> None:
         group = self._desk.server.gui.add_button_group(label, list(actions))
-        group.on_click(lambda event: self._desk.attempt(group.value, actions[group.value], event.client))
+
+        @group.on_click
+        def _(event: Any) -> None:
+            self._desk.attempt(group.value, actions[group.value], event.client)
 
     # -- what it does --
 
@@ -190,7 +170,9 @@ class MotionPanel:
         held: list[Axis] = [axis for axis, box in zip(AXES, self._held, strict=True) if box.value]  # type: ignore[misc]
         plan = self._desk.robot.plan(
             self._target(bool(held)),
-            path_constraint=PathConstraint(held, frame=self._frame.value) if held else None,
+            path_constraint=PathConstraint(held, frame="tool" if self._frame.value == "tool" else "base")
+            if held
+            else None,
             velocity_scale=self._velocity.value,
             acceleration_scale=self._acceleration.value,
             margin=self._margin.value,
@@ -200,37 +182,39 @@ class MotionPanel:
         )
         self._plan = plan
         self._timed = TimedTrajectory.of(plan.trajectory, self._desk.description.descriptor.joints)
-        self._scrub.max, self._scrub.value, self._scrub.disabled = self._timed.duration, 0.0, False
+        self._scrub.max, self._scrub.disabled = self._timed.duration, False
+        put(self._scrub, 0.0)
 
     def _execute(self) -> None:
         self._desk.robot.start(self._plan)
         self._goal.forget()
 
-    def _scrub_to(self, time: float) -> None:
+    def _plan_and_execute(self) -> None:
+        self._plan_it()
+        self._execute()
+
+    def _choose_branch(self) -> None:
+        self._goal.choose(int(self._branch.value.split()[0]) - 1)
+
+    def _scrub_to(self) -> None:
         if self._timed is not None:
-            self._goal.preview(self._timed.at(time)[0])
+            self._goal.preview(self._timed.at(self._scrub.value)[0])
 
     def _draw_goal(self) -> None:
         aim = self._goal.now
-        _set(self._say, aim.describe(), "content")
+        put(self._say, aim.describe(), "content")
         options = [f"{at + 1} {'collides' if each.in_collision else 'free'}" for at, each in enumerate(aim.branches)]
         if options and list(self._branch.options) != options:
             self._branch.options = options
         if options:
-            _set(self._branch, options[aim.chosen])
+            put(self._branch, options[aim.chosen])
         self._branch.visible = len(options) > 1
         if aim.branch is not None:
             for slider, value in zip(self._sliders, np.degrees(aim.branch.joints), strict=True):
                 with contextlib.suppress(ValueError):
-                    _set(slider, round(float(np.clip(value, slider.min, slider.max)), 1))
-        _set(self._position, tuple(np.round(aim.pose.translation(), 4).tolist()))
-        _set(self._turn, tuple(np.round(np.degrees(tuple(aim.pose.rotation().as_rpy_radians())), 2).tolist()))
-
-
-def _set(handle: Any, value: object, name: str = "value") -> None:
-    """Set what is shown, where it is another."""
-    if getattr(handle, name) != value:
-        setattr(handle, name, value)
+                    put(slider, round(float(np.clip(value, slider.min, slider.max)), 1))
+        put(self._position, tuple(np.round(aim.pose.translation(), 4).tolist()))
+        put(self._turn, tuple(np.round(np.degrees(tuple(aim.pose.rotation().as_rpy_radians())), 2).tolist()))
 
 
 def _degrees(low: float, high: float) -> tuple[float, float]:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from viser import TransformControlsEvent, TransformControlsHandle
+from viser import (
+    GuiButtonHandle,
+    GuiEvent,
+    GuiUploadButtonHandle,
+    Icon,
+    TransformControlsEvent,
+    TransformControlsHandle,
+)
 from viser.transforms import SE3, SO3
 
 from zarm.values import Capsule, Cuboid, Cylinder, Sphere
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Scene, SceneObject
+from zarm_viewer.controls import button, put
 from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import message_of, pose_of
 from zarm_viewer.scene_view import SceneView
@@ -33,21 +40,29 @@ class ObjectsPanel:
         self._choice = gui.add_dropdown("object", [_NOTHING])
         self._choice.on_update(lambda _: self._choose())
         self._size = gui.add_vector3("size (m)", (0.1, 0.1, 0.1), min=(0.001,) * 3, step=0.01, hint=_SIZES)
-        self._button("Resize", "resize", self._resize)
-        self._button("Remove", "trash", lambda: desk.robot.scene.remove(self._name()))
-        self._button("Attach to the tip", "magnet", lambda: desk.robot.scene.attach(self._name()))
-        self._button("Detach", "magnet-off", lambda: desk.robot.scene.detach(self._name()))
+        button(self._desk, "Resize", Icon.RESIZE, self._resize)
+        button(self._desk, "Remove", Icon.TRASH, lambda: desk.robot.scene.remove(self._name()))
+        button(self._desk, "Attach to the tip", Icon.MAGNET, lambda: desk.robot.scene.attach(self._name()))
+        button(self._desk, "Detach", Icon.MAGNET_OFF, lambda: desk.robot.scene.detach(self._name()))
         with gui.add_folder("Add"):
             self._kind = gui.add_dropdown("kind", KINDS)
             self._new_name = gui.add_text("name", "box")
             self._new_size = gui.add_vector3("size (m)", (0.15, 0.15, 0.15), min=(0.001,) * 3, step=0.01, hint=_SIZES)
             self._new_place = gui.add_vector3("place (m)", (0.5, 0.4, 0.2), step=0.01)
-            self._button("Add", "plus", self._add)
+            button(self._desk, "Add", Icon.PLUS, self._add)
         with gui.add_folder("File", expand_by_default=False):
-            upload = gui.add_upload_button("Load", icon="upload", mime_type=".yaml,.yml")
-            upload.on_upload(lambda event: desk.attempt("load", lambda: self._load(upload.value.content), event.client))
-            save = gui.add_button("Save", icon="download")
-            save.on_click(lambda event: desk.attempt("save", lambda: self._save(event.client), event.client))
+            upload = gui.add_upload_button("Load", icon=Icon.UPLOAD, mime_type=".yaml,.yml")
+
+            @upload.on_upload
+            def _(event: GuiEvent[GuiUploadButtonHandle]) -> None:
+                desk.attempt("load", lambda: self._load(upload.value.content), event.client)
+
+            save = gui.add_button("Save", icon=Icon.DOWNLOAD)
+
+            @save.on_click
+            def _(event: GuiEvent[GuiButtonHandle]) -> None:
+                desk.attempt("save", lambda: self._save(event.client), event.client)
+
         view.clicked = self._click
 
     def draw(self, scene: Scene | None) -> None:
@@ -63,7 +78,7 @@ class ObjectsPanel:
 
     def _click(self, name: str) -> None:
         if name in self._choice.options:
-            self._choice.value = name
+            put(self._choice, name)
 
     def _object(self) -> SceneObject | None:
         objects = self._scene.objects if self._scene else ()
@@ -83,7 +98,7 @@ class ObjectsPanel:
                 self._gizmo = None
             return
         at = _pose(item)
-        self._size.value = _size(item)
+        put(self._size, _size(item))
         if self._gizmo is None:
             self._gizmo = self._desk.server.scene.add_transform_controls(
                 f"{self._desk.root}/object", scale=0.2, depth_test=False
@@ -124,10 +139,6 @@ class ObjectsPanel:
             file = Path(folder, "scene.yaml")
             self._desk.robot.scene.save(file)
             client.send_file_download("scene.yaml", file.read_bytes())
-
-    def _button(self, label: str, icon: str, work: Callable[[], object]) -> None:
-        button = self._desk.server.gui.add_button(label, icon=icon)  # type: ignore[arg-type]
-        button.on_click(lambda event: self._desk.attempt(label, work, event.client))
 
 
 _SIZES = "cuboid: edges; sphere: radius first; cylinder and capsule: radius, -, length"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import viser
-from viser import GuiTabGroupHandle
+from viser import GuiButtonHandle, GuiEvent, GuiTabGroupHandle, Icon
 
 from zarm.robot import Robot
 from zarm_contract.access import Role
@@ -76,12 +76,12 @@ class Page:
         scene, gui = self.server.scene, self.server.gui
         scene.set_up_direction("+z")
         scene.add_grid("/floor", width=6.0, height=6.0, cell_size=0.25, section_size=1.0, plane="xy")
-        self.server.initial_camera.position = (1.9, -1.7, 1.4)
-        self.server.initial_camera.look_at = (0.1, 0.0, 0.5)
+        self.server.initial_camera.position = (1.7, -1.1, 1.15)
+        self.server.initial_camera.look_at = (0.25, -0.1, 0.45)
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
 
     def _add_stop(self) -> None:
-        button = self.server.gui.add_button("STOP", color="red", icon="hand-stop", hint="Brake to rest now (Escape)")
+        button = self.server.gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         escape = self.server.gui.add_command("Stop", hotkey="escape", description="Brake every robot to rest now")
 
         @button.on_click
@@ -170,7 +170,10 @@ class _Part:
 
     def _add_reset(self, robot: Robot) -> None:
         self._reset = self.desk.server.gui.add_button("Reset the fault", color="orange", visible=False)
-        self._reset.on_click(lambda event: self.desk.attempt("reset", robot.reset, event.client))
+
+        @self._reset.on_click
+        def _(event: GuiEvent[GuiButtonHandle]) -> None:
+            self.desk.attempt("reset", robot.reset, event.client)
 
 
 class _Controls:

@@ -58,7 +58,7 @@ class Picture:
             self._draw_path(news.trajectory.trajectory)
 
     def _extend_trail(self, joints: Array) -> None:
-        at = self._desk.chain.tip(joints).translation()
+        at = np.asarray(self._desk.chain.tip(joints).translation(), dtype=np.float64)
         if not self._trail or np.linalg.norm(at - self._trail[-1]) > TRAIL_STEP:
             self._trail.append(at)
             self._line("trail", np.array(self._trail), TRAIL)

@@ -38,7 +38,9 @@ class PlotsPanel:
         self._choice = gui.add_dropdown("of the plan", QUANTITIES, initial_value="velocity")
         self._choice.on_update(lambda _: self._draw_plan())
         self._of_plan = self._plot("share of the limit (%)")
-        self._live = gui.add_dropdown("live", ("off", "position", "velocity", "tracking error (mrad)"), initial_value="off")
+        self._live = gui.add_dropdown(
+            "live", ("off", "position", "velocity", "tracking error (mrad)"), initial_value="off"
+        )
         self._of_now = self._plot("live")
         self._of_now.visible = False
 

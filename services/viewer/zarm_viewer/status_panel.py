@@ -6,6 +6,7 @@ import time
 
 from zarm.servoing import limited
 from zarm_contract.messages import ExecutorState, GoalState, Plan, ServoState
+from zarm_viewer.controls import put
 from zarm_viewer.desk import Desk
 from zarm_viewer.watching import News
 
@@ -81,7 +82,7 @@ class StatusPanel:
         if self._progress.visible != running:
             self._progress.visible = running
         if goal is not None and running and abs(self._progress.value - 100 * goal.progress) >= 1.0:
-            self._progress.value = 100 * goal.progress
+            put(self._progress, 100 * goal.progress)
 
 
 class EventsPanel:
