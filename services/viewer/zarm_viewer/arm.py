@@ -12,7 +12,7 @@ from viser import MeshHandle, SceneNodeHandle
 from viser.transforms import SE3, SO3
 
 from zarm_contract.robot import RobotDescription
-from zarm_viewer.drawing import Brush, Colour, draw_primitive
+from zarm_viewer.drawing import Brush, Colour, file_mesh, link_mesh
 from zarm_viewer.kinematics import Array, motion, origin
 
 STILL = 1e-4
@@ -36,7 +36,7 @@ class Arm:
 
     def __init__(self, api: viser.SceneApi, root: str, robot: RobotDescription, colour: Colour, opacity: float) -> None:
         self._frame = api.add_frame(root, show_axes=False)
-        self._shapes: list[SceneNodeHandle] = []
+        self._shapes: list[MeshHandle] = []
         self._at: Array | None = None
         brush = Brush(api, colour, opacity)
         joints = {joint.child: joint for joint in robot.urdf.joint_of_child.values()}
@@ -64,10 +64,10 @@ class Arm:
         self, brush: Brush, node: str, robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]
     ) -> None:
         for index, visual in enumerate(visuals):
-            self._shapes.append(brush.file(f"{node}/visual_{index}", visual.file, visual.scale, visual.at))
-        if not visuals:
-            for index, primitive in enumerate(robot.descriptor.collision.get(link, ())):
-                self._shapes.append(draw_primitive(brush, f"{node}/shape_{index}", primitive))
+            mesh = file_mesh(visual.file, visual.scale)
+            self._shapes.append(brush.mesh(f"{node}/visual_{index}", mesh, visual.at))
+        if not visuals and (primitives := robot.descriptor.collision.get(link)):
+            self._shapes.append(brush.mesh(f"{node}/shape", link_mesh(primitives), SE3.identity()))
 
     def move(self, joints: Array) -> bool:
         """Draw the robot at joint positions (J,) in rad; whether that changes anything."""
@@ -86,7 +86,7 @@ class Arm:
     def paint(self, colour: Colour) -> None:
         """Give every link this colour."""
         for shape in self._shapes:
-            if isinstance(shape, MeshHandle) and tuple(shape.color) != colour:
+            if tuple(shape.color) != colour:
                 shape.color = colour
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,40 +21,31 @@ Colour = tuple[int, int, int]
 
 MOST_POINTS = 20_000
 """So many voxels of one object are drawn at most; of more, every second, third, ..."""
-_SEGMENTS = 24
+_SEGMENTS = 16
 
 
 @dataclass(frozen=True)
 class Brush:
-    """How a shape is drawn; `opacity` 1 hides what is behind it."""
+    """How shapes are drawn; `opacity` 1 hides what is behind it."""
 
     api: viser.SceneApi
     colour: Colour
     opacity: float = 1.0
 
-    def cuboid(self, name: str, size: tuple[float, float, float], at: SE3) -> SceneNodeHandle:
-        """A box with edges of `size` (m), centred at a pose."""
-        return self._mesh(name, trimesh.creation.box(size), at, flat=True)
-
-    def ball(self, name: str, radius: float, at: SE3) -> SceneNodeHandle:
-        """A ball (m)."""
-        return self._mesh(name, trimesh.creation.icosphere(2, radius), at)
-
-    def cylinder(self, name: str, radius: float, length: float, at: SE3) -> SceneNodeHandle:
-        """A cylinder (m) along z, centred at a pose."""
-        return self._mesh(name, trimesh.creation.cylinder(radius, length, sections=2 * _SEGMENTS), at, flat=True)
-
-    def capsule(self, name: str, radius: float, length: float, at: SE3) -> SceneNodeHandle:
-        """All points within `radius` (m) of a segment of `length` (m) along z, centred at a pose."""
-        mesh = trimesh.creation.capsule(length, radius, count=(_SEGMENTS, _SEGMENTS))
-        mesh.apply_translation((0.0, 0.0, -mesh.bounds.mean(axis=0)[2]))
-        return self._mesh(name, mesh, at)
-
-    def file(self, name: str, file: Path, scale: tuple[float, float, float], at: SE3) -> SceneNodeHandle:
-        """The triangles of a file, times `scale`. Raises ValueError and OSError for one that cannot be read."""
-        mesh = trimesh.load_mesh(file, process=False, skip_materials=True)
-        mesh.apply_scale(scale)  # type: ignore[no-untyped-call]
-        return self._mesh(name, mesh, at, flat=True)
+    def mesh(self, name: str, mesh: trimesh.Trimesh, at: SE3) -> MeshHandle:
+        """Triangles (m), in a frame at a pose."""
+        return self.api.add_mesh_simple(
+            name,
+            np.asarray(mesh.vertices, dtype=np.float32),
+            np.asarray(mesh.faces, dtype=np.uint32),
+            color=self.colour,
+            opacity=None if self.opacity == 1.0 else self.opacity,
+            side="front" if self.opacity == 1.0 else "double",
+            cast_shadow=False,
+            receive_shadow=False,
+            wxyz=at.rotation().wxyz,
+            position=at.translation(),
+        )
 
     def voxels(self, name: str, item: Voxels, at: SE3) -> SceneNodeHandle:
         """Occupied cells as points, thinned out where there are many."""
@@ -70,48 +62,72 @@ class Brush:
             position=at.translation(),
         )
 
-    def _mesh(self, name: str, mesh: trimesh.Trimesh, at: SE3, *, flat: bool = False) -> MeshHandle:
-        return self.api.add_mesh_simple(
-            name,
-            np.asarray(mesh.vertices, dtype=np.float32),
-            np.asarray(mesh.faces, dtype=np.uint32),
-            color=self.colour,
-            opacity=None if self.opacity == 1.0 else self.opacity,
-            flat_shading=flat,
-            side="double",
-            cast_shadow=self.opacity == 1.0,
-            wxyz=at.rotation().wxyz,
-            position=at.translation(),
-        )
+
+def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
+    """The exact geometry of a link as one mesh, in the link's frame: a browser draws few large meshes faster than many small ones."""
+    return trimesh.util.concatenate([_primitive(primitive) for primitive in primitives])
 
 
-def draw_primitive(brush: Brush, name: str, primitive: CollisionPrimitive) -> SceneNodeHandle:
-    """A primitive of the robot descriptor, in the frame of its link."""
-    if isinstance(primitive, CollisionCuboid):
-        return brush.cuboid(name, primitive.size, pose_of(primitive.center, primitive.orientation))
-    if isinstance(primitive, CollisionCapsule | CollisionCylinder):
-        at, length = _between(np.array(primitive.a), np.array(primitive.b))
-        draw = brush.capsule if isinstance(primitive, CollisionCapsule) else brush.cylinder
-        return draw(name, primitive.radius, length, at)
-    return brush.ball(name, primitive.radius, SE3.from_translation(np.array(primitive.center)))
+def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
+    """The triangles of a file, times `scale`. Raises ValueError and OSError for one that cannot be read."""
+    mesh = trimesh.load_mesh(file, process=False, skip_materials=True)
+    mesh.apply_scale(scale)
+    return _edged(mesh)
 
 
 def draw_object(brush: Brush, name: str, item: SceneObject, meshes: tuple[Path, ...]) -> SceneNodeHandle | None:
     """An object of the scene, in the frame that its pose is in; None where its mesh lies in none of the folders `meshes`."""
     if isinstance(item, Sphere):
-        return brush.ball(name, item.radius, SE3.from_translation(np.array(item.position)))
+        return brush.mesh(name, _ball(item.radius), SE3.from_translation(np.array(item.position)))
     at = pose_of(item.position, item.orientation)
     match item:
         case Cuboid():
-            return brush.cuboid(name, item.size, at)
+            return brush.mesh(name, _box(item.size), at)
         case Capsule():
-            return brush.capsule(name, item.radius, item.length, at)
+            return brush.mesh(name, _capsule(item.radius, item.length), at)
         case Cylinder():
-            return brush.cylinder(name, item.radius, item.length, at)
+            return brush.mesh(name, _cylinder(item.radius, item.length), at)
         case Voxels():
             return brush.voxels(name, item, at)
         case Mesh():
             return _draw_mesh(brush, name, item, at, meshes)
+
+
+def _primitive(primitive: CollisionPrimitive) -> trimesh.Trimesh:
+    if isinstance(primitive, CollisionCuboid):
+        mesh, at = _box(primitive.size), pose_of(primitive.center, primitive.orientation)
+    elif isinstance(primitive, CollisionCapsule | CollisionCylinder):
+        at, length = _between(np.array(primitive.a), np.array(primitive.b))
+        make = _capsule if isinstance(primitive, CollisionCapsule) else _cylinder
+        mesh = make(primitive.radius, length)
+    else:
+        mesh, at = _ball(primitive.radius), SE3.from_translation(np.array(primitive.center))
+    mesh.apply_transform(at.as_matrix())
+    return mesh
+
+
+def _box(size: tuple[float, float, float]) -> trimesh.Trimesh:
+    return _edged(trimesh.creation.box(size))
+
+
+def _ball(radius: float) -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(2, radius)
+
+
+def _cylinder(radius: float, length: float) -> trimesh.Trimesh:
+    return _edged(trimesh.creation.cylinder(radius, length, sections=2 * _SEGMENTS))
+
+
+def _capsule(radius: float, length: float) -> trimesh.Trimesh:
+    mesh = trimesh.creation.capsule(length, radius, count=(_SEGMENTS, _SEGMENTS))
+    mesh.apply_translation((0.0, 0.0, -mesh.bounds.mean(axis=0)[2]))
+    return mesh
+
+
+def _edged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with corners of its own for each triangle, so that edges are seen."""
+    mesh.unmerge_vertices()
+    return mesh
 
 
 def _draw_mesh(brush: Brush, name: str, item: Mesh, at: SE3, meshes: tuple[Path, ...]) -> SceneNodeHandle | None:
@@ -119,7 +135,7 @@ def _draw_mesh(brush: Brush, name: str, item: Mesh, at: SE3, meshes: tuple[Path,
         file = (folder / item.file).resolve()
         if file.is_relative_to(folder.resolve()) and file.is_file():
             try:
-                return brush.file(name, file, item.scale, at)
+                return brush.mesh(name, file_mesh(file, item.scale), at)
             except (ValueError, OSError):
                 return None
     return None

@@ -75,7 +75,8 @@ class Page:
     def _furnish(self) -> None:
         scene, gui = self.server.scene, self.server.gui
         scene.set_up_direction("+z")
-        scene.add_grid("/floor", width=6.0, height=6.0, cell_size=0.25, section_size=1.0, plane="xy")
+        scene.configure_default_lights(cast_shadow=False)
+        scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.5, section_size=1.0, plane="xy")
         self.server.initial_camera.position = (1.7, -1.1, 1.15)
         self.server.initial_camera.look_at = (0.25, -0.1, 0.45)
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
