@@ -75,6 +75,7 @@ class Page:
     def _furnish(self) -> None:
         scene, gui = self.server.scene, self.server.gui
         scene.set_up_direction("+z")
+        scene.configure_environment_map(hdri=None)  # reflections would cost a machine without a GPU a second for each frame
         scene.configure_default_lights(cast_shadow=False)
         scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.5, section_size=1.0, plane="xy")
         self.server.initial_camera.position = (1.7, -1.1, 1.15)
