@@ -75,12 +75,15 @@ class Page:
     def _furnish(self) -> None:
         scene, gui = self.server.scene, self.server.gui
         scene.set_up_direction("+z")
-        scene.configure_environment_map(hdri=None)  # reflections would cost a machine without a GPU a second for each frame
+        scene.configure_environment_map(
+            hdri=None
+        )  # reflections would cost a machine without a GPU a second for each frame
         scene.configure_default_lights(cast_shadow=False)
+        scene.add_light_ambient("/light", intensity=1.2)
         scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.5, section_size=1.0, plane="xy")
-        self.server.initial_camera.position = (1.7, -1.1, 1.15)
-        self.server.initial_camera.look_at = (0.25, -0.1, 0.45)
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        self.server.initial_camera.position = (1.65, -1.0, 1.2)
+        self.server.initial_camera.look_at = (0.35, 0.15, 0.45)
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
 
     def _add_stop(self) -> None:
         button = self.server.gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
