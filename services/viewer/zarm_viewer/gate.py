@@ -19,6 +19,7 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
 
+import rich
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
@@ -64,6 +65,7 @@ class Gate:
     def serve(self, title: str) -> viser.ViserServer:
         """viser's server behind this gate. Raises Unavailable where the port is taken."""
         self._require_free()
+        rich.get_console().quiet = True  # viser says where it listens, without the token
         with _BUILDING:
             serve = websockets.asyncio.server.serve
             setattr(websockets.asyncio.server, "serve", partial(_gated, serve, self))  # noqa: B010 - no such attribute, to mypy
