@@ -68,7 +68,7 @@ class JointTrajectory(DriverStrategy):
         self._trajectory, self._speed = trajectory, speed
         self._braking = self._stopping = self._resuming = False
         self._lost_at = None
-        self._play(self._along(trajectory, 0.0, speed))
+        self._play(self._along(trajectory, trajectory.begin, speed))
 
     def stop(self) -> None:
         """Have the robot brake along the path, from the next tick on."""
