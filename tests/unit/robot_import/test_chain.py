@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,7 @@ def tip(folder: Path, joints: list[Row]) -> str:
 
 def finger(name: str, palm: str, count: int) -> list[Row]:
     names = [palm, *(f"{name}_{k}" for k in range(count))]
-    return [(f"{child}_joint", parent, child) for parent, child in zip(names, names[1:], strict=False)]
+    return [(f"{child}_joint", parent, child) for parent, child in itertools.pairwise(names)]
 
 
 @pytest.mark.parametrize(
