@@ -10,6 +10,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_ros_bridge.additions import Additions
 from zarm_ros_bridge.availability import Availability
 from zarm_ros_bridge.convert.colours import Colour
+from zarm_ros_bridge.diagnostics import Diagnostics
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.execution import ExecutionActions
@@ -75,6 +76,7 @@ def start(service: Service) -> Iterator[None]:
             ExecutionActions(ros, engine, parameters, motions, generation),
             ServoCommands(ros, engine),
             Availability(engine, parameters),
+            Diagnostics(ros, engine),
         ):
             ros.spin()
             first.spin()
