@@ -329,8 +329,11 @@ class Session:
 
     def _keep_loaded(self) -> None:
         """Have the world as the scene is: beside the cycles, as to load a large scene takes long."""
-        while self._news.wait() and not self._over:
+        while True:
+            self._news.wait()
             self._news.clear()
+            if self._over:
+                break
             try:
                 self._load(*self._present)
             except ZarmError:
