@@ -220,7 +220,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_LINKS),
     m.SceneEdited(revision=_REVISION, count=4),
     # executor
-    m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1"),
+    m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1", replan=True),
     m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=_REVISION),
     m.Accepted(goal_id="goal-1"),
     m.GoalState(
@@ -235,6 +235,7 @@ EXAMPLES: tuple[Message, ...] = (
         hold=_HOLD,
     ),
     m.GoalTrajectory(goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION),
+    m.ReplaceTrajectory(goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION),
     _HOLD,
     m.Hold(reason="no_guard"),
     _OBSTRUCTION,

@@ -67,7 +67,7 @@ def _published(*by: Role) -> Rights:
 
 
 TABLE: Mapping[str, Rights] = {
-    "plan": _request("planner"),
+    "plan": _request("planner", by=(*_DRIVES, "servo")),  # which plans anew what something is in the way of
     "plan_cancel": _request("planner"),
     "ik": _request("planner"),
     "fk": _request("planner", by=_EVERYONE),  # where the tip is
@@ -91,6 +91,7 @@ TABLE: Mapping[str, Rights] = {
     "speed": _value("executor", changed_by=_DRIVES),
     "stream": _published("operator", "bridge", "servo"),
     "authority": _published("servo"),
+    "replace": _request("executor", by=("servo",)),
     "goal_trajectory": _value("executor"),
     "executor_state": _value("executor"),
     "servo_start": _request("servo"),

@@ -144,6 +144,11 @@ class Keys:
         return self._key("executor", "authority")
 
     @property
+    def replace(self) -> str:
+        """ReplaceTrajectory -> Accepted. Go on along another trajectory to the same goal, in motion or from rest; asked by the servo."""
+        return self._key("executor", "replace")
+
+    @property
     def goal_trajectory(self) -> str:
         """GoalTrajectory. The trajectory that is followed, from the last goal on."""
         return self._key("executor", "trajectory")

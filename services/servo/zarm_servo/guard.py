@@ -27,6 +27,7 @@ from zarm_runtime.bus import Latched, Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker, PathValidity
 from zarm_servo.moving_objects import Mover, MovingObjects
+from zarm_servo.replanning import Replanner
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_servo.session import Session
 from zarm_servo.stopping import StoppingTime, reaction
@@ -64,6 +65,7 @@ class Guard:
     """Gives authority, in a thread of its own while it is used in `with`. `instance` is that of the service.
 
     A `session` that is open checks its own steps: where no other goal runs, its goal has all authority.
+    A `replanner` hears of every goal that is to be replanned.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class Guard:
         self.monitor = SceneMonitor(self.wake)
         self.moving = MovingObjects(self.monitor, meshes, self._something_moved)
         self.session: Session | None = None
+        self.replanner: Replanner | None = None
         self._joints = descriptor.joints
         self._acceleration, self._reaction = np.array(descriptor.cspace.acceleration), reaction(descriptor)
         self._checker = checker
@@ -206,6 +209,11 @@ class Guard:
             number = 1 if followed is None else followed.message.number
             self._authorize(goal_id, number, scene.revision, found)
         self._tell(goal_id, session, scene, found, problem)
+        if self.replanner is not None:
+            if followed is not None and followed.message.replan and problem is None:
+                self.replanner.see(followed.message, followed.trajectory, found.until)
+            else:
+                self.replanner.forget()
 
     def _authorize(self, goal_id: str | None, number: int, revision: SceneRevision | None, found: PathValidity) -> None:
         """Say how far the goal may go; what was just said is not repeated."""

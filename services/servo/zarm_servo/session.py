@@ -7,7 +7,9 @@ import threading
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,11 +28,14 @@ from zarm_contract.robot import RobotDescription
 from zarm_geometry.motion_check import MovingObject
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Latest, Publisher
+from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import ask_for_realtime
 from zarm_servo.check import SceneCheck
 from zarm_servo.clock import StreamClock
 from zarm_servo.controller import PERIOD, RANGE, STALE, Controller, Limitation, Surroundings
 from zarm_servo.course import Course
+from zarm_servo.global_plan import PlanFor, find_global_plan
+from zarm_servo.guide import Guide
 from zarm_servo.inbox import Inbox, ahead
 from zarm_servo.moving_objects import Mover, MovingObjects
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
@@ -75,6 +80,8 @@ _TELLS = 0.05
 """What limits a session is told so often (s) at most."""
 _MOVES = 1e-3
 """Joint speed (rad/s) from which a robot is said to move."""
+_LINE = 0.05
+"""A straight line is looked at so often (rad)."""
 _PRIORITY = 15
 """Real-time priority of the cycles, below that of the executor's."""
 
@@ -92,7 +99,8 @@ class Snapshot:
 class Session:
     """Leads the goal `goal_id`, from rest at `position` (J,).
 
-    `check` is its own while it is open. `changed()` is called where what limits it has changed.
+    `check` is its own while it is open. `changed()` is called where what limits it has changed. `plan` asks the planner, for where
+    the controller is stuck.
     """
 
     def __init__(
@@ -108,6 +116,8 @@ class Session:
         position: Array,
         delay: float,
         changed: Callable[[], None],
+        plan: PlanFor,
+        metrics: Metrics,
     ) -> None:
         self.goal_id = goal_id
         self.inbox = Inbox(len(position))
@@ -122,6 +132,11 @@ class Session:
         self._news = threading.Event()
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
+        self._margin, self._metrics = request.margin, metrics
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="global-plan")
+        self._pool.submit(int).result()  # its thread begins here, and not with the priority of the cycles
+        find = partial(find_global_plan, plan, self._joints, request.margin)
+        self._guide = Guide(self._model, find, self._is_free, self._pool)
         self._course = Course(0.0, self._controller.state, self._controller.braking)
         self._joins: OrderedDict[int, tuple[float, Array]] = OrderedDict()
         self._followed: tuple[int, TimedTrajectory] | None = None
@@ -164,6 +179,7 @@ class Session:
             if self._goal is not None and self._goal.problem is not None:
                 raise from_problem(self._goal.problem)
         except BaseException:
+            self._pool.shutdown(wait=False, cancel_futures=True)
             self._done.set()
             raise
         self._loading.start()
@@ -221,6 +237,8 @@ class Session:
             sequence=self.inbox.sequence,
             target_age=snapshot.age,
             refused=self.inbox.refused,
+            planned=self._guide.planned,
+            unreachable=self._guide.problem,
             cycles=self._cycles,
             late_cycles=self._late,
             computing=float(np.percentile(took, 99)) if took else 0.0,
@@ -255,9 +273,13 @@ class Session:
                 time.sleep(max(0.0, due - time.monotonic()))
                 now = time.monotonic()
                 self._cycles += 1
-                self._late += now - due > _LATE
+                if now - due > _LATE:
+                    self._late += 1
+                    self._metrics.count("zarm_servo_late_cycles", "Cycles of sessions that began more than 2 ms late.")
                 self._cycle(now)
-                self._took.append(time.monotonic() - now)
+                took = time.monotonic() - now
+                self._took.append(took)
+                self._metrics.time("zarm_servo_cycle_seconds", "How long cycles of sessions took.", took)
                 due += PERIOD * (1.0 + (time.monotonic() - due) // PERIOD)
         except Exception:
             log.exception("the session failed; the robot is brought to rest goal_id=%s", self.goal_id)
@@ -310,7 +332,9 @@ class Session:
         return True
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
-        wanted = None if target is None else ahead(target, coming)
+        fresh = target is not None and age is not None and age <= STALE
+        wanted = ahead(target, coming) if target is not None and fresh else None
+        wanted = self._guide.target(wanted, self._controller.state[0], self._scene.revision)
         around = replace(self._around, moving=self._moved(coming + self._delay))
         step = self._controller.step(wanted, age or 0.0, around)
         self._course.add(step)
@@ -349,6 +373,19 @@ class Session:
         self._check.load(scene.objects, [mover.item.name for mover in movers])
         self._scene, self._around = scene, around
 
+    def _is_free(self, start: Array, end: Array) -> bool:
+        """Whether the straight line from one position (J,) to another keeps the margin."""
+        count = 2 + int(np.abs(end - start).max() / _LINE)
+        return self._check.motions.check(
+            np.arange(float(count)),
+            np.linspace(start, end, count),
+            margin=self._margin,
+            attached=self._around.attached,
+            ignored_links=self._around.ignored_links,
+            moving=self._around.moving,
+            acceleration=np.zeros(len(start)),
+        ).free
+
     def _put(
         self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False
     ) -> None:
@@ -370,6 +407,7 @@ class Session:
 
     def _end(self) -> None:
         """Have the executor end the goal where the robot rests; a goal that is paused is left as it is."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
         goal = self._goal
         if not self._held and not (goal is not None and goal.done):
             self._put(*self._course.chunk(), last=True)
