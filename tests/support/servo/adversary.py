@@ -23,12 +23,15 @@ from support.executor.bench import LIMITS, Bench
 from support.planner.second_opinion import Clearance, link_pose
 from support.trajectories import ROBOT, SCENE, rest_to_rest
 from zarm_contract.codec import encode
+from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     Cuboid,
     GoalState,
     GoalTrajectory,
     JointState,
     ObjectPose,
+    Plan,
+    PlanRequest,
     Scene,
     ServoStart,
     ServoTarget,
@@ -102,6 +105,10 @@ def _clock() -> Iterator[SimpleNamespace]:
         yield clock
 
 
+def _no_plan(_: PlanRequest) -> Plan:
+    raise Unavailable("here is no planner")
+
+
 class _Run:
     def __init__(self, cell: Cell, rng: np.random.Generator, mode: Mode, clock: SimpleNamespace) -> None:
         self._rng, self._mode, self._time = rng, mode, clock
@@ -132,7 +139,7 @@ class _Run:
             chunks: Any = SimpleNamespace(put=lambda chunk: self._post(lambda: self._stream(chunk)))
             self._session = Session(
                 "servo-1", ServoStart(margin=0.01), ROBOT, cell.check, self._guard.monitor, self._guard.moving, measured, chunks,
-                start, 0.0, lambda: None,
+                start, 0.0, lambda: None, _no_plan, Metrics(),
             )  # fmt: skip
             self._session._put(0.0, TimedTrajectory.standing(start), deadline=1.0)
         else:
@@ -293,6 +300,8 @@ class _Run:
             before, place = now, self._at
             if step * STEP > (6.0 if self._session is None else 3.0) or (goal is not None and goal.done):
                 break
+        if self._session is not None:
+            self._session._pool.shutdown()
         arrived = bool(np.abs(arm.exact.position - self._goal).max() < 0.01)
         return Attack(outcome, float(nearest), held, moved, self._killed_at < clock.now, arrived)
 
