@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,7 +16,7 @@ from support.planner.client import BEHIND_POST, HOME, POST, load, plan, to_joint
 from support.planner.second_opinion import Collisions, link_pose
 from support.trajectories import KEYS, ROBOT, moved, rest_to_rest, with_execution
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import GoalState, PlanRequest, SceneObject, Sphere
+from zarm_contract.messages import GoalState, ObjectPose, PlanRequest, SceneObject, ServoState, Sphere
 from zarm_runtime.bus import Bus
 
 SLOWLY = 0.3
@@ -48,9 +49,9 @@ class Cell:
         self.client.measured.clear()
         self.client.goals.clear()
 
-    def way(self, speed: float = SLOWLY) -> str:
-        """A goal that is on its way through the post's place."""
-        load(self.bus)
+    def way(self, speed: float = SLOWLY, *objects: SceneObject) -> str:
+        """A goal that is on its way through the post's place, among these objects."""
+        load(self.bus, *objects)
         made = plan(self.bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), velocity_scale=speed))
         goal = self.client.execute(plan_id=made.plan_id)
         self.client.under_way(goal, 0.05)
@@ -148,6 +149,43 @@ def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell:
     cell.assert_free_of(POST)
     load(cell.bus)
     assert cell.client.ended(goal).status == "succeeded"
+
+
+def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_moved_on(cell: Cell) -> None:
+    away = POST.model_copy(update={"position": (-1.5, 0.0, 0.4)})
+    goal = cell.way(SLOWLY, away)
+    poses = cell.bus.publisher(KEYS.object_pose("post"), ObjectPose)
+
+    def tell(position: tuple[float, float, float]) -> bool:
+        poses.put(ObjectPose(stamp=time.time(), position=position, speed=0.1))
+        return True
+
+    eventually(lambda: tell(POST.position) and cell.client.goal(goal).hold is not None, "the goal is held")
+    hold = cell.client.goal(goal).hold
+    assert hold is not None
+    assert hold.obstruction is not None
+    assert hold.obstruction.object == "post"
+    cell.rests()
+    cell.assert_free_of(POST)
+    servo = cell.bus.latest(KEYS.servo_state, ServoState)
+
+    def lost() -> bool:
+        state = servo.get()
+        return state is not None and state.lost_objects == ("post",)
+
+    eventually(lost, "the post is lost")
+    assert cell.client.goal(goal).hold is not None
+    eventually(lambda: tell(away.position) and cell.client.goal(goal).done, "the goal has ended")
+    assert cell.client.goal(goal).status == "succeeded"
+    cell.bus.publisher(KEYS.object_pose("chair"), ObjectPose).put(
+        ObjectPose(stamp=time.time(), position=POST.position, speed=0.1)
+    )
+
+    def refused() -> bool:
+        state = servo.get()
+        return state is not None and state.pose_refused is not None and state.pose_refused.field == "name"
+
+    eventually(refused, "the pose of what is not there is refused")
 
 
 def test_without_its_servo_a_robot_that_needs_none_moves_on_and_says_that_it_is_unguarded(cell: Cell) -> None:

@@ -19,6 +19,7 @@ from zarm_contract.messages import (
     IkRequest,
     JointState,
     Message,
+    ObjectPose,
     OccupancyRequest,
     Plan,
     PlannerSettings,
@@ -114,6 +115,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
 
     try:
         _serve_scene(service, store.scene, handlers.edit)
+        bus.subscribe(keys.object_pose("*"), ObjectPose, handlers.moved.hear)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
         bus.serve(keys.plan_cancel, CancelPlan, handlers.cancel)
         bus.serve(keys.fk, FkRequest, when_warm(handlers.fk))

@@ -188,7 +188,9 @@ class Controller:
             limitation = Limitation("joint_limit")
         pairs = self._nearby(position, RANGE, around)
         nearest_distance = pairs[0].distance if pairs else RANGE
-        self._leaving = nearest_distance < self._margin + (_KEPT / 2 if self._leaving else 0.0)
+        # What is too near is left slowly, by a check that knows no time; so not while something moves.
+        too_near = nearest_distance < self._margin + (_KEPT / 2 if self._leaving else 0.0)
+        self._leaving = too_near and not around.moving
         bounds = [(pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9]
         bounds = [(pair, least) for pair, least in bounds if pair.gradient @ inside < least or least > -RANGE]
         speed = np.minimum(self._limits.velocity, _CREEPING) if self._leaving else self._limits.velocity
