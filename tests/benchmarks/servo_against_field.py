@@ -52,7 +52,7 @@ Servo = Callable[[Array], Array]
 """Given the pose (4, 4) that is to be reached, the joints (J,) one PERIOD later."""
 
 PLOT = Path(__file__).parents[2] / "docs" / "images" / "servo.png"
-MARGIN, SECONDS, GAIN = 0.01, 12.0, 4.0
+MARGIN, SECONDS, GAIN = 0.01, 8.0, 4.0
 REACHED = 0.001, 0.01
 MODEL = RobotModel.of(load_robot("doosan_m1013"))
 JOINTS = MODEL.robot.descriptor.joints
