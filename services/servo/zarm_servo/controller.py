@@ -159,9 +159,10 @@ class Controller:
         least: dict[tuple[str, str], float] | None = None
         for position in positions:
             near = {(pair.link, pair.object): pair.distance for pair in self._nearby(position, self._margin, around)}
-            for pair, distance in near.items() if least is not None else ():
-                if distance < least.get(pair, self._margin) - _STEADY:
-                    return Limitation("blocked", pair, distance)
+            if least is not None:
+                for pair, distance in near.items():
+                    if distance < least.get(pair, self._margin) - _STEADY:
+                        return Limitation("blocked", pair, distance)
             least = near
         return None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import product
 
 import numpy as np
@@ -57,7 +57,12 @@ class GlobalPlan:
 
 
 def find_global_plan(
-    ask: PlanFor, joints: Sequence[str], margin: float, target: PoseTarget | JointTarget, start: Array, distance: float
+    ask: PlanFor,
+    joints: tuple[str, ...],
+    margin: float,
+    target: PoseTarget | JointTarget,
+    start: Array,
+    distance: float,
 ) -> GlobalPlan:
     """A plan from rest at `start` (J,) to a target, `margin` (m) away from everything.
 

@@ -93,6 +93,7 @@ class Sessions:
                 self._robot,
                 self._check,
                 self._guard.monitor,
+                self._guard.moving,
                 self._measured,
                 self._chunks,
                 self._position(),

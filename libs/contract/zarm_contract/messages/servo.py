@@ -143,6 +143,8 @@ class ServoState(ShortMessage):
 
     `scene_revision` is the scene that it knows, left out before the first. With `scene_lost` the planner is gone or has lost its
     scene; then what was known still counts. `problem` says why it gives no authority. `check` is how long the last check took (s).
+    Of `lost_objects` no pose has come for 1 s: each counts as anywhere that it can have moved within that time. `pose_refused` says why the
+    last pose of an object that came was not taken.
     """
 
     activity: Literal["idle", "guarding", "following"]
@@ -153,4 +155,6 @@ class ServoState(ShortMessage):
     obstruction: Obstruction | None = None
     problem: Problem | None = None
     check: NonNegative = 0.0
+    lost_objects: tuple[Name, ...] = ()
+    pose_refused: Problem | None = None
     session: ServoSession | None = None
