@@ -42,6 +42,7 @@ def main() -> None:
                 expect(page.get_by_text("clearance")).to_be_visible(timeout=PATIENCE)
                 for close in page.get_by_role("alert").get_by_role("button").all():
                     close.click()
+                page.wait_for_timeout(3000)  # the ghost has played, and the picture is drawn
                 page.screenshot(path=FILE, timeout=PATIENCE, animations="disabled")
                 browser.close()
         finally:
