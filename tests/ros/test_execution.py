@@ -10,7 +10,6 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from curobo_msgs.action import MpcMove
 from support.harness import PATIENCE, eventually
 from support.planner.client import BEHIND_POST, POST
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
@@ -247,21 +246,3 @@ def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Rob
     assert set(statuses) <= {SUCCEEDED, ABORTED}
     robot.plan()
     assert actions.send().ended()[0] == SUCCEEDED
-
-
-def test_mpc_move_is_refused_in_a_sentence(running: Stack) -> None:
-    status, result = Actions(running.ros.node, "mpc_move", MpcMove).send(target_pose=TARGET).ended()
-    assert (status, result.success) == (ABORTED, False)
-    assert "not available yet" in result.message
-
-
-def test_a_pose_for_mpc_move_moves_nothing_and_is_said_to(running: Stack) -> None:
-    said: list[str] = []
-    listener = running.ros.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
-    publisher = running.ros.node.create_publisher(Pose, "/unified_planner/mpc_goal", 1)
-    eventually(
-        lambda: publisher.publish(TARGET) or any("mpc_goal moves nothing" in line for line in said), "it is said"
-    )
-    assert running.bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=10).mode == "idle"
-    running.ros.node.destroy_publisher(publisher)
-    running.ros.node.destroy_subscription(listener)

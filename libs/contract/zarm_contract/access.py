@@ -67,7 +67,7 @@ def _published(*by: Role) -> Rights:
 
 
 TABLE: Mapping[str, Rights] = {
-    "plan": _request("planner"),
+    "plan": _request("planner", by=(*_DRIVES, "servo")),  # which plans anew what something is in the way of
     "plan_cancel": _request("planner"),
     "ik": _request("planner"),
     "fk": _request("planner", by=_EVERYONE),  # where the tip is
@@ -77,6 +77,7 @@ TABLE: Mapping[str, Rights] = {
     "plans": _value("planner"),
     "scene": _value("planner"),
     "scene_object": _value("planner"),
+    "object_pose": _published("operator", "bridge"),  # as who edits the scene
     "scene_revision": _value("planner"),
     "scene_edit": _request("planner"),
     "execute": _request("executor"),
@@ -90,6 +91,7 @@ TABLE: Mapping[str, Rights] = {
     "speed": _value("executor", changed_by=_DRIVES),
     "stream": _published("operator", "bridge", "servo"),
     "authority": _published("servo"),
+    "replace": _request("executor", by=("servo",)),
     "goal_trajectory": _value("executor"),
     "executor_state": _value("executor"),
     "servo_start": _request("servo"),
@@ -106,7 +108,7 @@ TABLE: Mapping[str, Rights] = {
 }
 """The rights on each key of `Keys`, by the name of its property; those that every service has follow from SERVICE_ROLES."""
 
-_FAMILIES: Mapping[str, str] = {"scene_object": "*", "goal": "*"}
+_FAMILIES: Mapping[str, str] = {"scene_object": "*", "object_pose": "*", "goal": "*"}
 """The keys that hold a name, and the one that stands for all of them."""
 
 

@@ -48,7 +48,7 @@ def blended(
         )
     begin = max(now, start)
     here = _states(trajectory, np.array([begin])), _states(chunk, np.array([begin - start]))
-    if begin - start < chunk.duration - _CLOSE and np.abs(here[1] - here[0]).max() <= _CONTINUED:
+    if begin - start < chunk.duration - _CLOSE and _continues(*here):
         return _followed_by(trajectory, now, begin, here[1], chunk.begun_at(start), begin, _CLOSE)
     joins = begin + BLENDS
     before = _states(trajectory, np.full_like(joins, begin))
@@ -64,6 +64,26 @@ def blended(
         )
     between = np.concatenate((before[:, :1], after[:, first : first + 1]), axis=1)
     return _followed_by(trajectory, now, begin, between, chunk.begun_at(start), float(joins[first]), _APART)
+
+
+def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, start: float) -> TimedTrajectory:
+    """`trajectory` until the path time `start` (s), and from there `other`, which begins exactly where `trajectory` is then.
+
+    `now` is the path time (s) that is commanded. Raises ExecutionRefused (`start_state_mismatch`) where position, velocity or acceleration would jump.
+    """
+    here = _states(trajectory, np.array([start])), _states(other, np.array([0.0]))
+    if not _continues(*here):
+        off = np.abs(here[1] - here[0]).max(axis=(1, 2))
+        raise ExecutionRefused(
+            f"the trajectory does not begin where the one before is at {start:.3f} s: it is off by {off[0]:.2g} rad, "
+            f"{off[1]:.2g} rad/s and {off[2]:.2g} rad/s^2; plan from the state of the trajectory at that time",
+            code="start_state_mismatch",
+        )
+    return _followed_by(trajectory, now, start, here[1], other.begun_at(start), start, _CLOSE)
+
+
+def _continues(before: Array, after: Array) -> bool:
+    return bool(np.abs(after - before).max() <= _CONTINUED)
 
 
 def _followed_by(

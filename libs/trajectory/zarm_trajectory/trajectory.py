@@ -70,6 +70,11 @@ class TimedTrajectory:
             acceleration=acceleration,
         )
 
+    @property
+    def begin(self) -> float:
+        """The time of the first sample, s."""
+        return float(self.time[0])
+
     @cached_property
     def duration(self) -> float:
         """The time of the last sample, s."""
@@ -135,16 +140,6 @@ class TimedTrajectory:
         """Positions (K, J) at `times` (K,) within the trajectory."""
         index, u, _ = self._places(times)
         return quintic.values(self.coefficients[:, index], u)
-
-    def travel(self, reach: Array) -> Array:
-        """How far (N-1,) in m a point moves at most from sample to sample that moves by at most `reach` (J,) m per rad of each joint.
-
-        In a part of the time between two samples it is no more than that part of it: a polynomial lies within its Bernstein
-        coefficients, here those of the velocity.
-        """
-        velocity = quintic.derivative(self.coefficients)
-        found: Array = np.abs(quintic.control_points(velocity)).max(axis=0) @ reach
-        return found
 
     def nearest(self, position: Array, first: float, last: float) -> float:
         """The time from `first` to `last` s at which the trajectory is nearest to `position` (J,), to 1 ms."""

@@ -7,6 +7,8 @@ import secrets
 import threading
 import time
 
+import numpy as np
+
 from zarm_contract.errors import Busy, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     Accepted,
@@ -14,6 +16,7 @@ from zarm_contract.messages import (
     ExecuteRequest,
     ExecutorState,
     Nothing,
+    ReplaceTrajectory,
     Speed,
     SpeedRequest,
     Strategies,
@@ -21,7 +24,7 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescription
 from zarm_executor.admission import REST_PATIENCE, Admission
-from zarm_executor.checks import executable, startable
+from zarm_executor.checks import continuation, executable, startable
 from zarm_executor.goal import Goal
 from zarm_executor.machine import Machine
 from zarm_executor.monitor import Monitor
@@ -78,8 +81,28 @@ class Executor:
                 scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest took a while
             trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
-            turn.start(Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision))
+            goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
+            goal.replan = request.replan
+            turn.start(goal)
         return Accepted(goal_id=goal_id)
+
+    def replace(self, request: ReplaceTrajectory) -> Accepted:
+        """Have a goal go on along another trajectory. Raises what the checks of a motion and `Machine.replace` raise."""
+        revision = request.scene_revision
+        if self._machine.scene != revision:
+            self._present.demand("the trajectory", revision)
+        start: float | Monitor
+        if request.at is None:
+            trajectory = executable(request.trajectory, self._robot)
+            trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
+            start = Monitor(trajectory, self._robot.descriptor)
+        else:
+            trajectory = continuation(request.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))
+            start = request.at
+        goal = self._machine.replace(request.goal_id, request.number, trajectory, revision, start)
+        self._reporter.show(goal)
+        self._reporter.publish()
+        return Accepted(goal_id=request.goal_id)
 
     def _named(self, goal_id: str | None) -> str:
         running = self._reporter.publish().goal_id  # a goal that has just ended is known from now on

@@ -62,6 +62,7 @@ class Goal:
     `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None where nobody had
     told one.
     `verified` is the revision in which the trajectory was verified, None where it was in none; `number` counts its trajectories.
+    With `replan` the servo may replace its trajectory.
     `hold` says why it is held though nobody told it to, since the moment `hold_since`; it `waits` once the robot rests.
     `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion.
     """
@@ -79,6 +80,7 @@ class Goal:
     held_until: float = 0.0
     verified: SceneRevision | None = None
     number: int = 1
+    replan: bool = False
     hold: Hold | None = None
     hold_since: float = 0.0
     waits: bool = False
@@ -96,6 +98,12 @@ class Goal:
     def steer(self, trajectory: TimedTrajectory, chunk: Chunk) -> None:
         """Go on along `trajectory`, which leads to `chunk`."""
         self.trajectory, self.chunk, self.scene = trajectory, chunk, chunk.scene
+        self.number += 1
+        self.monitor.steer(trajectory)
+
+    def replace(self, trajectory: TimedTrajectory, verified: SceneRevision) -> None:
+        """Go on along `trajectory`, which was verified in that scene."""
+        self.trajectory, self.scene, self.verified = trajectory, verified, verified
         self.number += 1
         self.monitor.steer(trajectory)
 
@@ -138,6 +146,7 @@ class Goal:
             start=start,
             trajectory=trajectory.begun_at(-start).message(joints),
             scene_revision=self.verified,
+            replan=self.replan,
         )
 
     def before_motion(self) -> GoalState:

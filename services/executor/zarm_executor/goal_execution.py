@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 from collections import deque
 
-from zarm_contract.errors import ExecutionFailed, ExecutionRefused, Unavailable
+from zarm_contract.errors import Busy, ExecutionFailed, ExecutionRefused, Unavailable
 from zarm_contract.messages import Authority, GoalState, GoalStatus, Hold, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.guard import LEAST_WAY, Guard, Limit, given_up
+from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
-from zarm_trajectory.blending import blended
+from zarm_trajectory.blending import blended, continued
 from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -106,11 +108,65 @@ class GoalExecution:
             goal.steer(trajectory, chunk)
             strategy.steer(trajectory)
 
+    def replace(self, trajectory: TimedTrajectory, at: float, verified: SceneRevision) -> None:
+        """Go on along `trajectory`, verified in that scene, from the path time `at` (s) on; a goal that is held is held no longer.
+
+        Raises Busy for a goal that is told to pause or to end, Unavailable where the strategy cannot follow it, and ExecutionRefused
+        (`start_state_mismatch`) where it is too late for `at`, and what `continued` raises.
+        """
+        self._demand_no_end()
+        strategy = self._steerable()
+        earliest = strategy.braking_from()[0]
+        if at < earliest:
+            raise ExecutionRefused(
+                f"the trajectory takes over at {at:.3f} s, and what the robot does until {earliest:.3f} s is certain; plan from a "
+                "later state",
+                code="start_state_mismatch",
+            )
+        joined = continued(self.goal.trajectory, strategy.commanded(), trajectory, at)
+        self.goal.replace(joined, verified)
+        strategy.steer(joined)
+        self._go_on()
+
+    def replace_at_rest(self, trajectory: TimedTrajectory, monitor: Monitor, verified: SceneRevision) -> None:
+        """Go on along `trajectory`, verified in that scene, from where the robot rests, held by its authority; `monitor` watches it.
+
+        Raises Busy where it does not rest so, and what the strategy raises.
+        """
+        self._demand_no_end()
+        goal, time = self.goal, self._strategy.progress().time
+        if goal.hold is None or not goal.waits:
+            raise Busy(
+                f"{goal.goal_id} does not wait at rest for its way to be free; say from when on to replace its trajectory"
+            )
+        self._strategy.admit()
+        trajectory = trajectory.begun_at(time)
+        self._strategy.start(trajectory, self._speed_scale)
+        goal.monitor = monitor
+        goal.replace(trajectory, verified)
+        if goal.hold.reason == "no_guard":
+            self._strategy.stop()
+        self._go_on()
+
+    def _demand_no_end(self) -> None:
+        if self.goal.outcome is not None or self.goal.pausing:
+            raise Busy(f"{self.goal.goal_id} is told to end or to pause; its trajectory stays as it is")
+
+    def _go_on(self) -> None:
+        """Take the new trajectory as free to its end, until the servo has looked at it."""
+        goal, self._limit = self.goal, None
+        if goal.hold is not None and goal.hold.reason == "obstruction":
+            goal.hold, goal.waits = None, False
+            goal.monitor.go_on()
+            self._strategy.move(self._speed_scale)
+        log.info("the goal has a new trajectory goal_id=%s number=%d", goal.goal_id, goal.number)
+        self._note()
+
     def _steerable(self) -> Steerable:
         if not isinstance(self._strategy, Steerable):
             raise Unavailable(
-                f"under {self._strategy.name} a motion is handed over as a whole and cannot be streamed; switch to another "
-                "strategy first (executor/strategy)"
+                f"under {self._strategy.name} a motion is handed over as a whole, so it cannot be streamed or replaced; switch to "
+                "another strategy first (executor/strategy)"
             )
         return self._strategy
 

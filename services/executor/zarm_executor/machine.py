@@ -24,13 +24,15 @@ import math
 import threading
 from collections import deque
 
-from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, Problem, Unavailable, ZarmError
+from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable, ZarmError
 from zarm_contract.messages import Authority, ExecutorState, GoalState, RobotMode, SceneRevision
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.goal_execution import GoalExecution
 from zarm_executor.guard import Guard
+from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Strategy
 from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -175,6 +177,34 @@ class Machine:
             if motion is None:
                 return None
             motion.steer(chunk, limits)
+            return motion.goal
+
+    def replace(
+        self,
+        goal_id: str,
+        number: int,
+        trajectory: TimedTrajectory,
+        scene: SceneRevision,
+        start: float | Monitor,
+    ) -> Goal:
+        """Have the goal go on along `trajectory`, verified in `scene`, in place of its trajectory `number`; the goal.
+
+        From the path time `start` (s) on, or from where the robot rests, watched by the Monitor `start`. Raises ExecutionRefused (`stale_plan`) where another
+        trajectory is followed, and what `GoalExecution.replace` and `replace_at_rest` raise.
+        """
+        with self._lock:
+            motion = self._motion_of(goal_id)
+            followed = None if motion is None else motion.goal.number
+            if motion is None or followed != number:
+                raise ExecutionRefused(
+                    f"trajectory {number} of {goal_id} is not followed, {f'{followed} is' if followed else 'it has ended'}; plan for "
+                    "what is followed now (executor/trajectory)",
+                    code="stale_plan",
+                )
+            if isinstance(start, Monitor):
+                motion.replace_at_rest(trajectory, start, scene)
+            else:
+                motion.replace(trajectory, start, scene)
             return motion.goal
 
     def hear(self, authority: Authority, now: float) -> None:

@@ -19,6 +19,7 @@ from zarm_contract.messages import (
     JointState,
     Nothing,
     Plan,
+    ReplaceTrajectory,
     SceneEdited,
     Speed,
     SpeedRequest,
@@ -238,6 +239,7 @@ def _serve(bus: Bus, service: Service, executor: Executor) -> None:
     keys = service.keys
     bus.serve_in_order(keys.execute, ExecuteRequest, executor.execute)
     bus.serve_in_order(keys.strategy, StrategyRequest, executor.strategy, readable=True)
+    bus.serve(keys.replace, ReplaceTrajectory, executor.replace, workers=1)
     bus.serve(keys.speed, SpeedRequest, executor.speed, readable=True)
     executor.publish_strategies()
     executor.publish_speed()

@@ -151,6 +151,8 @@ class Scheduler:
     def _press(self, waiting: _Job) -> None:
         """Have others look for faster motions no longer while this waits: what its own client runs, and who runs more."""
         with self._changed:
+            if waiting.began is not None:  # it has just been given its turn
+                return
             running_of = self._running_by_client()
             for job in self._jobs:
                 if job.began is not None and (

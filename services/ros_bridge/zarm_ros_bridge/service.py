@@ -23,6 +23,7 @@ from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.replies import insist
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.scene import SceneServices
+from zarm_ros_bridge.servo_commands import ServoCommands
 from zarm_ros_bridge.strategies import StrategyServices
 from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
@@ -72,6 +73,7 @@ def start(service: Service) -> Iterator[None]:
             topics,
             StrategyServices(ros, first, engine, parameters, generation),
             ExecutionActions(ros, engine, parameters, motions, generation),
+            ServoCommands(ros, engine),
             Availability(engine, parameters),
         ):
             ros.spin()

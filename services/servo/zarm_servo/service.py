@@ -16,12 +16,15 @@ from pydantic import TypeAdapter, ValidationError
 
 from zarm_contract.errors import Busy
 from zarm_contract.messages import (
+    Accepted,
     Authority,
     ExecutorState,
     GoalState,
     GoalTrajectory,
     JointState,
     Message,
+    Plan,
+    PlanRequest,
     Scene,
     SceneObject,
     ServoEnd,
@@ -33,7 +36,9 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_servo.check import Checker, SceneCheck
+from zarm_servo.global_plan import TIMEOUT
 from zarm_servo.guard import Guard
+from zarm_servo.replanning import Replanner
 from zarm_servo.sessions import Sessions
 from zarm_servo.warm_up import warm_up
 
@@ -41,6 +46,10 @@ log = logging.getLogger(__name__)
 
 PLANNER_PERIOD = 1.0
 """How often (s) the servo looks whether there is a planner."""
+ANSWER = 0.2
+"""How long (s) an answer may be under way beyond the deadline of what is asked."""
+PLAN_TIMEOUT = 2 * TIMEOUT
+"""Seconds after which a planner that was asked for a global plan is taken for gone."""
 SWITCH_INTERVAL = 0.0005
 """Longest time (s) that a thread reading a message keeps the interpreter from the cycles of a session (Python's own: 0.005)."""
 _OBJECT: TypeAdapter[SceneObject] = TypeAdapter(SceneObject)
@@ -59,16 +68,30 @@ def start(service: Service) -> Iterator[None]:
     with service.open_bus() as command_bus:
         measured = bus.latest(keys.joint_states, JointState)
         guard = Guard(
-            service.robot.descriptor.joints,
+            service.robot.descriptor,
             checker,
+            meshes,
             measured,
             command_bus.publisher(keys.authority, Authority, realtime=True),
             bus.latched(keys.servo_state, ServoState),
             service.instance,
             service.metrics,
         )
+        guard.replanner = replanner = Replanner(
+            service.robot,
+            Checker(model, meshes),
+            guard.monitor,
+            measured,
+            lambda request, deadline: bus.call(keys.plan, request, Plan, timeout=deadline + ANSWER),
+            lambda request: command_bus.call(keys.replace, request, Accepted, timeout=ANSWER),
+            service.metrics,
+        )
         chunks = command_bus.publisher(keys.stream, StreamChunk, realtime=True)
-        sessions = Sessions(service.robot, check, guard, measured, chunks)
+
+        def plan(request: PlanRequest) -> Plan:
+            return bus.call(keys.plan, request, Plan, timeout=PLAN_TIMEOUT)
+
+        sessions = Sessions(service.robot, check, guard, measured, chunks, plan, service.metrics)
 
         def receive(key: str, payload: bytes) -> None:
             try:
@@ -78,9 +101,9 @@ def start(service: Service) -> Iterator[None]:
 
         bus.watch(keys.scene, Scene, guard.monitor.hear_scene)
         bus.listen(keys.scene_object("*"), receive)
-        for hear_state in (guard.hear_state, sessions.hear_state):
+        for hear_state in (guard.hear_state, sessions.hear_state, replanner.hear_state):
             bus.watch(keys.executor_state, ExecutorState, hear_state)
-        for hear_goal in (guard.hear_goal, sessions.hear_goal):
+        for hear_goal in (guard.hear_goal, sessions.hear_goal, replanner.hear_goal):
             bus.watch(keys.goal("*"), GoalState, hear_goal)
         bus.watch(keys.goal_trajectory, GoalTrajectory, guard.hear_trajectory)
         ended = threading.Event()
@@ -93,9 +116,10 @@ def start(service: Service) -> Iterator[None]:
         looking.start()
         gc.collect()
         gc.freeze()  # to look for garbage in what stays, again and again, would delay a check
-        with guard:
+        with guard, replanner:
             bus.serve(keys.servo_start, ServoStart, sessions.start)
             bus.serve(keys.servo_end, ServoEnd, sessions.end)
+            bus.listen(keys.object_pose("*"), guard.moving.hear)
             command_bus.listen(keys.servo_target, sessions.hear_target)
             service.ready()
             try:

@@ -106,6 +106,19 @@ def test_optimisation_gives_way_to_what_its_own_client_asks_for() -> None:
         one.has_begun("a1", "a2")
 
 
+def test_what_was_given_its_turn_between_two_looks_at_it_has_nobody_give_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Deadline] = []
+    monkeypatch.setattr(Deadline, "give_way", asked.append)
+    with desk(1) as one:
+        only = one.ask("a1")
+        one.has_begun("a1")
+        (job,) = one.running._jobs
+        one.running._press(job)
+        assert not asked
+        one.tell("a1")
+        assert only.result(PATIENCE) == "a1 was told"
+
+
 def test_optimisation_gives_way_to_clients_that_run_less_and_not_to_those_that_run_as_much(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -26,6 +26,9 @@ class ExecuteRequest(Message):
 
     `goal_id` names the goal (default: chosen by the executor). A client that gets no answer cancels its goal by this name: the
     goal then does not start, whichever of the two messages arrives first.
+
+    With `replan` the servo plans anew to the end of the trajectory when something is put in its way. The new trajectory
+    replaces the old one while the robot moves; where there is no time for that, the robot stops first.
     """
 
     plan_id: Name | None = None
@@ -33,6 +36,7 @@ class ExecuteRequest(Message):
     scene_revision: SceneRevision | None = None
     preempt: bool = False
     goal_id: Name | None = None
+    replan: bool = False
 
     @field_validator("trajectory")
     @classmethod
@@ -59,6 +63,7 @@ class GoalTrajectory(Message):
     """What the executor follows for a goal; `number` is 1 at its start and increases with every change, as of a stream.
 
     Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: in none.
+    With `replan` the servo replaces it when something is in its way.
     """
 
     goal_id: Name
@@ -66,6 +71,23 @@ class GoalTrajectory(Message):
     start: NonNegative
     trajectory: Trajectory
     scene_revision: SceneRevision | None = None
+    replan: bool = False
+
+
+class ReplaceTrajectory(Message):
+    """Follow `trajectory` for the goal `goal_id` from the path time `at` (s) on; the goal goes on under its id.
+
+    `number` is that of the `GoalTrajectory` that is replaced. The new trajectory begins exactly where that one is at `at`, in position,
+    velocity and acceleration, and ends at rest. Without `at` it begins where the robot rests, held by its authority. It was
+    verified in the scene `scene_revision`. The executor refuses what comes when the robot has passed `at`, is not held
+    (without `at`), or is told to pause or to end.
+    """
+
+    goal_id: Name
+    number: Annotated[int, Field(ge=1)]
+    at: NonNegative | None = None
+    trajectory: Trajectory
+    scene_revision: SceneRevision
 
 
 class Obstruction(Message):

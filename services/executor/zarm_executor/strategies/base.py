@@ -65,7 +65,10 @@ class Strategy(ABC):
 
     @abstractmethod
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
-        """Begin to move along `trajectory`, which starts where the robot stands, at this path speed in (0, 1]."""
+        """Begin to move along `trajectory`, which starts where the robot stands, at this path speed in (0, 1].
+
+        Its first sample may be later than 0 s: path time goes on where a goal gets another trajectory at rest.
+        """
 
     @abstractmethod
     def stop(self) -> None:

@@ -90,7 +90,7 @@ class Emulator(Steerable):
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `trajectory`."""
-        self._follower = Follower(trajectory, self._limit, speed=speed, target=speed)
+        self._follower = Follower(trajectory, self._limit, time=trajectory.begin, speed=speed, target=speed)
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""

@@ -77,9 +77,10 @@ class Streaming(DriverStrategy, Steerable):
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `trajectory`."""
-        self._follower = Follower(trajectory, self.link.acceleration_limit, speed=speed, target=speed)
+        begin = trajectory.begin
+        self._follower = Follower(trajectory, self.link.acceleration_limit, time=begin, speed=speed, target=speed)
         self._reference = Reference(self._memory)
-        self._expected = Commanded(0.0, 0.0, 0.0, trajectory.start)
+        self._expected = Commanded(0.0, begin, 0.0, trajectory.start)
         self._sent_at, self._over, self._away, self._lost_at, self._chunk = None, False, None, None, None
         self._wanted = speed
 
