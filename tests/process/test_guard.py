@@ -68,7 +68,7 @@ def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks
 
 
 def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_and_says_so(cell: Cell) -> None:
-    goal = cell.way(1.0)
+    goal = cell.way(speed=1.0)
     cell.client.under_way(goal, 0.4)
     x, y, z = link_pose(ROBOT, ROBOT.descriptor.tip_link, cell.client.position())[:3, 3].tolist()
     load(cell.bus, Sphere(kind="sphere", name="hand", position=(x, y, z), radius=0.15))
@@ -94,7 +94,7 @@ def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell:
 
 def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_moved_on(cell: Cell) -> None:
     away = POST.model_copy(update={"position": (-1.5, 0.0, 0.4)})
-    goal = cell.way(SLOWLY, away)
+    goal = cell.way(away)
     poses = cell.bus.publisher(KEYS.object_pose("post"), ObjectPose)
 
     def tell(position: tuple[float, float, float]) -> bool:
@@ -130,7 +130,7 @@ def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_
 
 
 def test_without_its_servo_a_robot_that_needs_none_moves_on_and_says_that_it_is_unguarded(cell: Cell) -> None:
-    goal = cell.way(0.15)
+    goal = cell.way(speed=0.15)
     cell.services["servo"].kill()
     eventually(lambda: not cell.client.state().guarded, "the robot is unguarded")
     assert cell.client.ended(goal).status == "succeeded"

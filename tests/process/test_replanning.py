@@ -31,7 +31,7 @@ def cell(shared: Cell) -> Iterator[Cell]:
 
 
 def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) -> None:
-    goal = cell.way(SLOWLY, replan=True)
+    goal = cell.way(replan=True)
     load(cell.bus, POST)
     assert cell.client.ended(goal).status == "succeeded"
     np.testing.assert_allclose(cell.client.position(), BEHIND_POST, atol=1e-6)

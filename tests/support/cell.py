@@ -45,9 +45,9 @@ class Cell:
         self.client.measured.clear()
         self.client.goals.clear()
 
-    def way(self, speed: float = SLOWLY, *, replan: bool = False) -> str:
-        """A goal that is on its way through the post's place."""
-        load(self.bus)
+    def way(self, *objects: SceneObject, speed: float = SLOWLY, replan: bool = False) -> str:
+        """A goal that is on its way through the post's place, among these objects."""
+        load(self.bus, *objects)
         made = plan(self.bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), velocity_scale=speed))
         goal = self.client.execute(plan_id=made.plan_id, replan=replan)
         self.client.under_way(goal, 0.05)
