@@ -70,6 +70,7 @@ requirements: $(VENV)/.dev
 	$(COMPILE) --group wheel -o $(REQUIREMENTS)/wheel.txt
 	$(COMPILE) pyproject.toml --extra metrics -o $(REQUIREMENTS)/executor.txt
 	$(COMPILE) pyproject.toml --extra metrics --extra planner -o $(REQUIREMENTS)/planner.txt
+	$(COMPILE) pyproject.toml --extra metrics --extra viewer -o $(REQUIREMENTS)/viewer.txt
 	$(COMPILE) pyproject.toml --extra metrics --extra ros --no-emit-package empy -o $(REQUIREMENTS)/ros_bridge.txt
 	$(COMPILE) pyproject.toml --extra ros --extra ros-messages -o $(REQUIREMENTS)/ros_build.txt
 
@@ -89,7 +90,7 @@ clean:
 # One stamp for what runs zarm, one for what develops it; the second includes the first.
 $(VENV)/.planner: $(PINNED) | $(BIN)/python
 	@echo "installing zarm into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e ".[planner]"
+	@$(PIP) install -c constraints.txt -e ".[planner,viewer]"
 	@touch $@
 
 $(VENV)/.dev: $(PINNED) | $(BIN)/python

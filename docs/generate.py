@@ -286,7 +286,7 @@ def settings() -> Iterator[str]:
     yield from ("## Options of every service", "")
 
     yield from _table(("option", "what"), _options(_source_of("def service_parser(")))
-    for name in SERVICE_ROLES:
+    for name in (*SERVICE_ROLES, "viewer"):
         (source,) = (ROOT / "services").glob(f"{name}/zarm_{name}/service.py")
         if rows := list(_options(source)):
             yield from (f"## `zarm-{name.replace('_', '-')}`", "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,72 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.executor.client import Client
-from support.harness import ServiceProcess, eventually, router
-from support.planner.client import BEHIND_POST, HOME, POST, load, plan, to_joints
-from support.planner.second_opinion import Collisions, link_pose
-from support.trajectories import KEYS, ROBOT, moved, rest_to_rest, with_execution
+from support.cell import GIVEN_UP_AFTER, Cell
+from support.harness import eventually
+from support.planner.client import BEHIND_POST, POST, load
+from support.planner.second_opinion import link_pose
+from support.trajectories import KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import GoalState, PlanRequest, SceneObject, Sphere
-from zarm_runtime.bus import Bus
-
-SLOWLY = 0.3
-GIVEN_UP_AFTER = 4.0
-
-
-class Cell:
-    """The processes around one robot, and a client of theirs."""
-
-    def __init__(self, stack: ExitStack, folder: Path, execution: str, *services: str) -> None:
-        self.stack, self.folder = stack, folder
-        self.endpoint = stack.enter_context(router())
-        self.bus = stack.enter_context(Bus(self.endpoint))
-        self.descriptor = str(with_execution(folder / "robot", execution))
-        self.services = {service: self.begin(service) for service in services}
-        self.client = Client(self.bus)
-
-    def begin(self, service: str) -> ServiceProcess:
-        process = self.stack.enter_context(ServiceProcess(service, self.endpoint, self.folder, self.descriptor))
-        process.wait_ready(self.bus, KEYS)
-        return process
-
-    def home(self) -> None:
-        """Back to where it began, in an empty scene."""
-        self.client.cancel()
-        self.client.mode("idle")
-        load(self.bus)
-        way = plan(self.bus, PlanRequest(goal=to_joints(*HOME)))
-        assert self.client.ended(self.client.execute(plan_id=way.plan_id)).status == "succeeded"
-        self.client.measured.clear()
-        self.client.goals.clear()
-
-    def way(self, speed: float = SLOWLY) -> str:
-        """A goal that is on its way through the post's place."""
-        load(self.bus)
-        made = plan(self.bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), velocity_scale=speed))
-        goal = self.client.execute(plan_id=made.plan_id)
-        self.client.under_way(goal, 0.05)
-        return goal
-
-    def held(self, goal: str) -> GoalState:
-        """Wait until the goal is held; how."""
-
-        def state() -> GoalState | None:
-            found = self.client.goal(goal)
-            assert not found.done, found
-            return found if found.hold is not None else None
-
-        return eventually(state, "the goal is held")
-
-    def rests(self) -> None:
-        """Wait until the robot rests."""
-        eventually(lambda: not any(self.client.measured[-1].velocity), "the robot rests")
-        assert self.client.stands()
-
-    def assert_free_of(self, *objects: SceneObject) -> None:
-        """Nothing that was measured since the last look touched any of them."""
-        collisions = Collisions(ROBOT, objects)
-        assert not any(collisions.at(np.array(state.position)) for state in self.client.measured)
+from zarm_contract.messages import ObjectPose, ServoState, Sphere
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +68,7 @@ def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks
 
 
 def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_and_says_so(cell: Cell) -> None:
-    goal = cell.way(1.0)
+    goal = cell.way(speed=1.0)
     cell.client.under_way(goal, 0.4)
     x, y, z = link_pose(ROBOT, ROBOT.descriptor.tip_link, cell.client.position())[:3, 3].tolist()
     load(cell.bus, Sphere(kind="sphere", name="hand", position=(x, y, z), radius=0.15))
@@ -150,8 +92,45 @@ def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell:
     assert cell.client.ended(goal).status == "succeeded"
 
 
+def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_moved_on(cell: Cell) -> None:
+    away = POST.model_copy(update={"position": (-1.5, 0.0, 0.4)})
+    goal = cell.way(away)
+    poses = cell.bus.publisher(KEYS.object_pose("post"), ObjectPose)
+
+    def tell(position: tuple[float, float, float]) -> bool:
+        poses.put(ObjectPose(stamp=time.time(), position=position, speed=0.1))
+        return True
+
+    eventually(lambda: tell(POST.position) and cell.client.goal(goal).hold is not None, "the goal is held")
+    hold = cell.client.goal(goal).hold
+    assert hold is not None
+    assert hold.obstruction is not None
+    assert hold.obstruction.object == "post"
+    cell.rests()
+    cell.assert_free_of(POST)
+    servo = cell.bus.latest(KEYS.servo_state, ServoState)
+
+    def lost() -> bool:
+        state = servo.get()
+        return state is not None and state.lost_objects == ("post",)
+
+    eventually(lost, "the post is lost")
+    assert cell.client.goal(goal).hold is not None
+    eventually(lambda: tell(away.position) and cell.client.goal(goal).done, "the goal has ended")
+    assert cell.client.goal(goal).status == "succeeded"
+    cell.bus.publisher(KEYS.object_pose("chair"), ObjectPose).put(
+        ObjectPose(stamp=time.time(), position=POST.position, speed=0.1)
+    )
+
+    def refused() -> bool:
+        state = servo.get()
+        return state is not None and state.pose_refused is not None and state.pose_refused.field == "name"
+
+    eventually(refused, "the pose of what is not there is refused")
+
+
 def test_without_its_servo_a_robot_that_needs_none_moves_on_and_says_that_it_is_unguarded(cell: Cell) -> None:
-    goal = cell.way(0.15)
+    goal = cell.way(speed=0.15)
     cell.services["servo"].kill()
     eventually(lambda: not cell.client.state().guarded, "the robot is unguarded")
     assert cell.client.ended(goal).status == "succeeded"

@@ -194,7 +194,8 @@ def test_of_two_owners_that_meet_the_younger_knows_and_ends(start: Start, bus: B
 def test_an_instance_sorts_by_the_time_of_its_start(bus: Bus, pendulum: Path) -> None:
     robot = load_robot(str(pendulum))
     first = Service("minimal", robot, KEYS, bus, argparse.Namespace())
-    time.sleep(0.002)
+    began = time.time_ns() // 1_000_000
+    eventually(lambda: time.time_ns() // 1_000_000 > began, "another millisecond has begun")
     assert first.instance < Service("minimal", robot, KEYS, bus, argparse.Namespace()).instance
 
 

@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from support.command_line import KEYS, zarm
-from support.harness import PATIENCE, ServiceProcess, eventually
+from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.paths import PROGRAMS
 from support.trajectories import descriptor_at, moved, rest_to_rest
 from zarm_contract.codec import CONTRACT
@@ -41,11 +41,19 @@ def other(contract: str = CONTRACT) -> dict[str, str]:
     return {"PYTHONPATH": path, "ZARM_TEST_VERSION": "9.0.0", "ZARM_TEST_CONTRACT": contract}
 
 
-@pytest.fixture
-def planner(endpoint: str, bus: Bus, tmp_path: Path) -> Iterator[ServiceProcess]:
-    with ServiceProcess("planner", endpoint, tmp_path) as process:
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[str]:
+    """The router of the planner that most of these tests share."""
+    with router() as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def planner(endpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
+    with Bus(endpoint) as bus, ServiceProcess("planner", endpoint, tmp_path_factory.mktemp("planner")) as process:
         process.wait_ready(bus, KEYS)
         yield process
+        assert process.process.poll() is None
 
 
 def executor_of(endpoint: str, folder: Path, contract: str) -> ServiceProcess:

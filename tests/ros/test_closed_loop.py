@@ -38,6 +38,7 @@ class Arm:
         self.execute = Actions(self.node)
         self.move = Actions(self.node, "mpc_move", MpcMove)
         self.mpc_goal = self.node.create_publisher(Pose, f"{NODE}/mpc_goal", 10)
+        self._publishers: dict[str, Any] = {"mpc_goal": self.mpc_goal}
 
     def choose(self, planner: int) -> None:
         answered = self.ros.call(SetPlanner, "set_planner", planner_type=planner)
@@ -69,12 +70,12 @@ class Arm:
     @contextmanager
     def commanding(self, topic: str, *messages: Any) -> Iterator[Callable[[], None]]:
         """A client that publishes them in turn, 50 a second, and the last one again and again until it is told to pause."""
-        publisher = self.node.create_publisher(type(messages[0]), f"{NODE}/{topic}", 10)
-        coming = chain(messages, repeat(messages[-1]))
-        timer = self.node.create_timer(0.02, lambda: publisher.publish(next(coming)))
+        kind, coming = type(messages[0]), chain(messages, repeat(messages[-1]))
+        if topic not in self._publishers:  # they stay, as nothing of a node may go while its thread waits for it
+            self._publishers[topic] = self.node.create_publisher(kind, f"{NODE}/{topic}", 10)
+        timer = self.node.create_timer(0.02, lambda: self._publishers[topic].publish(next(coming)))
         yield timer.cancel
-        self.node.destroy_timer(timer)
-        self.node.destroy_publisher(publisher)
+        timer.cancel()
 
 
 def _xyz(point: Point) -> tuple[float, float, float]:
@@ -89,16 +90,19 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
         yield started
 
 
+@pytest.fixture(scope="module")
+def clients(running: Stack) -> Arm:
+    return Arm(running)
+
+
 @pytest.fixture
-def arm(running: Stack) -> Iterator[Arm]:
-    arm = Arm(running)
-    arm.strategy("emulator")
-    arm.robot.wait_rest()
-    yield arm
-    arm.robot.bus.call(KEYS.servo_end, ServoEnd(), Nothing, timeout=PATIENCE)
-    arm.robot.wait_rest()
-    arm.choose(CLASSIC)
-    arm.node.destroy_publisher(arm.mpc_goal)
+def arm(clients: Arm) -> Iterator[Arm]:
+    clients.strategy("emulator")
+    clients.robot.wait_rest()
+    yield clients
+    clients.robot.bus.call(KEYS.servo_end, ServoEnd(), Nothing, timeout=PATIENCE)
+    clients.robot.wait_rest()
+    clients.choose(CLASSIC)
 
 
 def on_target(goal: Sent) -> Any:
@@ -199,14 +203,12 @@ def test_a_second_goal_takes_the_place_of_one_in_closed_loop_where_that_is_confi
 
 
 def test_a_pose_on_mpc_goal_moves_nothing_where_no_closed_loop_runs_and_that_is_said(arm: Arm) -> None:
-    said: list[str] = []
-    listener = arm.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
+    said = arm.ros.heard(Log, "/rosout", 100)
     there = arm.beside(y=0.05)
     eventually(
-        lambda: arm.mpc_goal.publish(there) or any("mpc_goal moves nothing" in line for line in said), "it is said"
+        lambda: arm.mpc_goal.publish(there) or any("mpc_goal moves nothing" in line.msg for line in said), "it is said"
     )
     assert arm.robot.rests()
-    arm.node.destroy_subscription(listener)
 
 
 def test_joint_speed_carries_a_closed_loop_and_joint_trajectory_refuses_it_with_the_reason(arm: Arm) -> None:

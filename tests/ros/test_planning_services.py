@@ -138,7 +138,7 @@ def test_a_start_is_read_by_name(arm: Stack) -> None:
     assert_sound(generate(arm, start_pose=JointState(position=start), target_joint_positions=HOME), start)
 
 
-@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("planner", [name for name in PLANNERS if name not in ("mpc", "retarget")])
 def test_every_planner_plans_to_the_goal_that_it_reads(arm: Stack, planner: str) -> None:
     assert choose(arm, planner).success
     goals = {

@@ -234,7 +234,9 @@ EXAMPLES: tuple[Message, ...] = (
         problem=_PROBLEM,
         hold=_HOLD,
     ),
-    m.GoalTrajectory(goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION),
+    m.GoalTrajectory(
+        goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True
+    ),
     m.ReplaceTrajectory(goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION),
     _HOLD,
     m.Hold(reason="no_guard"),

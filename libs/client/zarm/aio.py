@@ -209,10 +209,11 @@ class Robot(_Twin[zarm.robot.Robot]):
         what: Plan | Trajectory | ExecuteRequest | str | None = None,
         *,
         preempt: bool = False,
+        replan: bool = False,
         on_progress: zarm.robot.OnProgress | None = None,
     ) -> GoalState:
         """See `zarm.Robot.execute`."""
-        return await self._execute(what, preempt=preempt, on_progress=_told_in_loop(on_progress))
+        return await self._execute(what, preempt=preempt, replan=replan, on_progress=_told_in_loop(on_progress))
 
     async def follow(
         self, goal_id: str, on_progress: zarm.robot.OnProgress | None = None, *, timeout: float | None = None

@@ -218,20 +218,22 @@ class Robot:
         what: Plan | Trajectory | ExecuteRequest | str | None = None,
         *,
         preempt: bool = False,
+        replan: bool = False,
         on_progress: OnProgress | None = None,
     ) -> GoalState:
         """Move the robot along a plan, and wait until it rests at the end; the goal's last state.
 
         `what` is a plan, its id, a trajectory (which nobody has checked against the scene), or left out: the last plan that
-        was made. A goal that runs makes this one Busy, unless `preempt`: then that goal is cancelled first. `on_progress`
-        is told the goal's states, some ten a second; its exception stops the robot.
+        was made. A goal that runs makes this one Busy, unless `preempt`: then that goal is cancelled first. With
+        `replan` the servo plans anew, in motion, when something is put in the way. `on_progress` is told the goal's states,
+        some ten a second; its exception stops the robot.
 
         Ctrl-C cancels the goal, waits until the robot rests, and then raises KeyboardInterrupt; a second one does not wait.
         Raises ExecutionRefused before and ExecutionFailed during the motion, Cancelled where another client ended it, and
         Unavailable where the executor is gone, and what the robot does is not known.
         """
         with self._new_goal() as goal_id:
-            self._send(what, goal_id, preempt)
+            self._send(what, goal_id, preempt, replan)
             last = self._followed(goal_id, on_progress)
         if last.problem is not None:
             raise from_problem(last.problem)
@@ -242,6 +244,7 @@ class Robot:
         what: Plan | Trajectory | ExecuteRequest | str | None = None,
         *,
         preempt: bool = False,
+        replan: bool = False,
         timeout: float = REST_SECONDS,
     ) -> str:
         """`execute` that does not wait: the id of the goal, for `follow` and `cancel`. The motion goes on without this program.
@@ -249,7 +252,7 @@ class Robot:
         The executor takes or refuses it within `timeout` s, else it is withdrawn.
         """
         with self._new_goal() as goal_id:
-            self._send(what, goal_id, preempt, timeout)
+            self._send(what, goal_id, preempt, replan, timeout)
         return goal_id
 
     def follow(
@@ -481,11 +484,13 @@ class Robot:
         what: Plan | Trajectory | ExecuteRequest | str | None,
         goal_id: str,
         preempt: bool,
+        replan: bool,
         timeout: float = REST_SECONDS,
     ) -> None:
         """Ask for a goal; one that was asked for without an answer is withdrawn."""
         request = _execution(what)
-        request = request.model_copy(update={"goal_id": goal_id, "preempt": preempt or request.preempt})
+        flags = {"preempt": preempt or request.preempt, "replan": replan or request.replan}
+        request = request.model_copy(update={"goal_id": goal_id, **flags})
         self.connection.interrupts.attend(self.connection.goals.listen)
         try:
             with self.connection.interrupts.insist(f"the executor of {self.name} to take the goal or refuse it"):

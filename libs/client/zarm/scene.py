@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from zarm.connection import Connection
 from zarm.values import invalid, numbers, object_of
@@ -17,11 +17,11 @@ from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import (
     Attached,
+    Name,
     ObjectPose,
     Occupancy,
     OccupancyRequest,
     PointCloud,
-    RemoveObjects,
     SceneEdit,
     SceneEdited,
     SceneObject,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 EDIT_SECONDS = 30.0
 """Longest wait for an edit: a large mesh takes seconds to read."""
+_NAME: TypeAdapter[str] = TypeAdapter(Name)
 _BATCH_SECONDS = 65.0  # the planner gives itself 60 s
 
 
@@ -100,10 +101,14 @@ class Scene:
             "speed": speed,
         }
         try:
-            message, key = ObjectPose.model_validate(fields), self.connection.keys.object_pose(_named(name))
+            known = _NAME.validate_python(name)
+        except ValidationError:
+            raise InvalidRequest(f"{name!r} cannot be the name of an object", field="name") from None
+        try:
+            message = ObjectPose.model_validate(fields)
         except ValidationError as error:
             raise invalid("the pose", error, fields) from None
-        self.connection.publisher(key, ObjectPose).put(message)
+        self.connection.publisher(self.connection.keys.object_pose(known), ObjectPose).put(message)
 
     def load(self, file: str | Path) -> SceneEdited:
         """Replace every object by those of a YAML file as `save` writes it: a list `objects` with the fields of each."""
@@ -171,11 +176,6 @@ class Scene:
         except ValidationError as error:
             raise invalid("the edit", error, data) from None
         return self.apply(request)
-
-
-def _named(name: str) -> str:
-    """A name that an object of the scene can have."""
-    return RemoveObjects(op="remove", names=(name,)).names[0]
 
 
 def _joints(values: Numbers | None) -> tuple[float, ...] | None:

@@ -23,6 +23,7 @@ from zarm_contract.messages import Message, Requester
 from zarm_runtime.arrivals import Arrivals
 from zarm_runtime.following import Following
 from zarm_runtime.publications import (
+    Encoded,
     Latched,
     Latest,
     Observer,
@@ -113,7 +114,7 @@ class Bus:
         self,
         key: str,
         request: type[Request],
-        handler: Callable[[Request], Message],
+        handler: Callable[[Request], Message | Encoded],
         *,
         workers: int = 2,
         backlog: int = 16,
@@ -137,7 +138,7 @@ class Bus:
         self,
         key: str,
         request: type[Request],
-        handler: Callable[[Request, int], Message],
+        handler: Callable[[Request, int], Message | Encoded],
         *,
         workers: int = 2,
         backlog: int = 16,
@@ -157,7 +158,7 @@ class Bus:
         self,
         key: str,
         request: type[Request],
-        handler: Callable[[Request, int], Message],
+        handler: Callable[[Request, int], Message | Encoded],
         workers: int,
         room: Quota,
         *,
@@ -169,7 +170,7 @@ class Bus:
         pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
         refusing = ThreadPoolExecutor(1, thread_name_prefix=f"{key} refuses")
 
-        def answer(query: zenoh.Query, work: Callable[[], Message]) -> None:
+        def answer(query: zenoh.Query, work: Callable[[], Message | Encoded]) -> None:
             try:
                 with query:
                     self._answered(key, _reply(query, key, work))
@@ -474,11 +475,11 @@ def _refuse(error: ZarmError) -> NoReturn:
     raise error
 
 
-def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:
+def _reply(query: zenoh.Query, key: str, work: Callable[[], Message | Encoded]) -> str:
     """Answer with what `work` makes; `ok`, or the code of the problem that it came to."""
     try:
-        message = work()
-        payload = encode(message)
+        answer = work()
+        encoded = answer if isinstance(answer, Encoded) else Encoded.of(answer)
     except ZarmError as error:
         _reply_problem(query, error)
         return error.code
@@ -486,7 +487,7 @@ def _reply(query: zenoh.Query, key: str, work: Callable[[], Message]) -> str:
         log.exception("handler failed key=%s", key)
         _reply_problem(query, InternalError(f"{key} failed on this request; its log has the trace"))
         return "internal"
-    query.reply(key, payload, encoding=encoding_of(type(message)))
+    query.reply(key, encoded.payload, encoding=encoded.encoding)
     return "ok"
 
 

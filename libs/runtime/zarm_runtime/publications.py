@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import zenoh
 
@@ -24,6 +24,18 @@ Observer = Callable[[str, bytes], None]
 
 def unobserved(_key: str, _what: object) -> None:
     """The observer of a bus that nobody observes."""
+
+
+class Encoded(NamedTuple):
+    """A message as it goes onto the wire; what is published and answered alike is encoded once."""
+
+    payload: bytes
+    encoding: zenoh.Encoding
+
+    @classmethod
+    def of(cls, message: Message) -> Encoded:
+        """The bytes of a message, and what they are."""
+        return cls(encode(message), encoding_of(type(message)))
 
 
 class Publisher(Generic[M]):
@@ -53,21 +65,27 @@ class Latched(Generic[M]):
         self._session = session
         self._key = key
         self._observe = observe
-        self._values: dict[str, tuple[bytes, zenoh.Encoding]] = {}
+        self._values: dict[str, Encoded] = {}
         self._lock = threading.Lock()
         self._order = threading.Lock()
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
 
-    def set(self, message: M, *, key: str | None = None) -> None:
-        """Change the value and publish it; `key` names the member of a family. Waits where the link has no room."""
+    def set(self, message: M, *, key: str | None = None) -> Encoded:
+        """Change the value and publish it; `key` names the member of a family. Waits where the link has no room.
+
+        Returns what was published.
+        """
         key = key or self._key
-        payload, encoding = encode(message), encoding_of(type(message))
+        encoded = Encoded.of(message)
         with self._order:  # publications leave in the order in which the value changed, and no answer waits for one
             with self._lock:
-                self._values[key] = payload, encoding
+                self._values[key] = encoded
             # Zenoh would drop it where a link has no room, and nobody would ever publish it again.
-            self._session.put(key, payload, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK)
-            self._observe(key, payload)
+            self._session.put(
+                key, encoded.payload, encoding=encoded.encoding, congestion_control=zenoh.CongestionControl.BLOCK
+            )
+            self._observe(key, encoded.payload)
+        return encoded
 
     def forget(self, key: str) -> None:
         """Drop one member of a family; it is no longer answered."""

@@ -41,6 +41,10 @@ SETTINGS = (
         "ZARM_ROLE", "`operator`", "The role of a client: `operator`, `viewer`, or another one with a certificate."
     ),
     Setting(
+        "ZARM_VIEW", "`127.0.0.1:8017`", "Where the page in the browser is served: `host:port`.", "--listen, --view-at"
+    ),
+    Setting("ZARM_VIEW_TOKEN", "drawn at random", "The token in the page's address, where it is not on loopback."),
+    Setting(
         "ZARM_METRICS", "off", "The `host:port` at which Prometheus reads the metrics of the service.", "--metrics"
     ),
     Setting("ZARM_LOG", "`INFO`", "The log level: `DEBUG`, `INFO`, `WARNING` or `ERROR`."),

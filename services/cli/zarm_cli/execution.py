@@ -28,6 +28,9 @@ def execute(
     preempt: Annotated[
         bool, typer.Option("--preempt", help="Cancel the active goal first, and start when the robot rests.")
     ] = False,
+    replan: Annotated[
+        bool, typer.Option("--replan", help="Plan anew, in motion, when something is put in the way.")
+    ] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
@@ -44,7 +47,7 @@ def execute(
             if preempt:
                 _bring_to_rest(robot)
             request = ExecuteRequest(plan_id=request_plan(robot, goal, velocity_scale=velocity_scale).plan_id)
-        last = run_goal(robot, request, preempt=preempt)
+        last = run_goal(robot, request, preempt=preempt, replan=replan)
     if as_json:
         print_json(last)
     demand_success(last)
@@ -71,7 +74,7 @@ def demand_success(last: GoalState) -> None:
         raise from_problem(last.problem)
 
 
-def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False) -> GoalState:
+def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False, replan: bool = False) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # a stop does without
 
@@ -98,7 +101,7 @@ def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False) ->
             )
 
         try:
-            return robot.execute(request, preempt=preempt, on_progress=show)
+            return robot.execute(request, preempt=preempt, replan=replan, on_progress=show)
         except KeyboardInterrupt as interruption:
             err.print(f"zarm: {interruption}", soft_wrap=True)
             raise

@@ -31,6 +31,7 @@ from zarm_contract.messages import (
     PlanTimings,
     Scene,
     SceneEdit,
+    SceneObject,
     SceneRevision,
     SetLinkCollision,
     SettingsChange,
@@ -50,6 +51,7 @@ from zarm_planner.kinematics.batches import batch_fk, batch_ik
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
 from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose
+from zarm_planner.scene.moved_objects import MovedObjects
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
 from zarm_planner.scheduler import Scheduler
@@ -90,6 +92,9 @@ class Handlers:
         self._scheduler = Scheduler(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
+        self.moved = MovedObjects(lambda: store.scene)
+        self._ready_for: SceneRevision | None = None
+        self._objects: tuple[SceneObject, ...] = ()
         self._scenes: dict[float, PlanningScene] = {}  # by margin, the one used last at the end
 
     def warm_up(self, report: Callable[[str], None]) -> None:
@@ -288,18 +293,20 @@ class Handlers:
             return self._settings
 
     def _look(self, margin: float | None = None) -> PlanningScene:
-        """The present scene, made ready for planning once per revision and margin (m, left out: that of the settings).
+        """The present scene, made ready for planning once per revision, poses of moving objects and margin (m, left out: that of the settings).
 
         Raises Unavailable while the file of one of its meshes is missing.
         """
         with self._lock:
             scene, kept = self._store.scene, self._settings.margin if margin is None else margin
+            objects = self.moved.objects(scene)
+            if self._ready_for != scene.revision or self._objects is not objects:
+                self._ready_for, self._objects, self._scenes = scene.revision, objects, {}
             ready = self._scenes.pop(kept, None)
-            if ready is None or ready.revision != scene.revision:
+            if ready is None:
                 model = self._model.with_attached(scene.attached, scene.ignored_links)
-                world = World(scene.objects, kept, self._store.meshes)
+                world = World(objects, kept, self._store.meshes)
                 ready = PlanningScene(scene.revision, model, world, ExactScene(model, world))
-                self._scenes = {other: old for other, old in self._scenes.items() if old.revision == scene.revision}
             self._scenes[kept] = ready
             if len(self._scenes) > _MARGINS:
                 del self._scenes[next(iter(self._scenes))]

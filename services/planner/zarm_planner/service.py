@@ -19,6 +19,7 @@ from zarm_contract.messages import (
     IkRequest,
     JointState,
     Message,
+    ObjectPose,
     OccupancyRequest,
     Plan,
     PlannerSettings,
@@ -35,6 +36,7 @@ from zarm_planner.goals.joints import MeasuredJoints
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_runtime.metrics import Metrics
+from zarm_runtime.publications import Encoded
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_runtime.state_file import owned
 
@@ -64,20 +66,20 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
     handlers = Handlers(model, keys.robot, store, measured, bus.is_there)
     warm = False
 
-    def when_warm(handler: Callable[[Request], Message]) -> Callable[[Request], Message]:
-        def guarded(request: Request) -> Message:
+    def when_warm(handler: Callable[[Request], Message | Encoded]) -> Callable[[Request], Message | Encoded]:
+        def guarded(request: Request) -> Message | Encoded:
             if not warm:
                 raise Unavailable(f"the planner is {service.health().activity}; ask again when its health says ready")
             return handler(request)
 
         return guarded
 
-    def compute(key: str, model: type[Request], handler: Callable[[Request], Message]) -> None:
+    def compute(key: str, model: type[Request], handler: Callable[[Request], Message | Encoded]) -> None:
         bus.serve(key, model, when_warm(handler), workers=ROOM, backlog=0, shared=True)
 
     plans = bus.latched(keys.plans, Plan)
 
-    def plan(request: PlanRequest) -> Plan:
+    def plan(request: PlanRequest) -> Encoded:
         kind = handlers.planner_name(request)
         try:
             answer = handlers.plan(request)
@@ -85,7 +87,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             _count(service.metrics, kind, error.code)
             log.info("no plan request=%s code=%s reason=%s", request.request_id or "-", error.code, error)
             raise
-        plans.set(answer)
+        encoded = plans.set(answer)
         _count(service.metrics, kind, "ok")
         service.metrics.time(
             "zarm_planning_seconds",
@@ -101,7 +103,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             answer.clearance,
             answer.trajectory.duration,
         )
-        return answer
+        return encoded
 
     settings = bus.publisher(keys.settings, PlannerSettings)
 
@@ -113,6 +115,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
 
     try:
         _serve_scene(service, store.scene, handlers.edit)
+        bus.subscribe(keys.object_pose("*"), ObjectPose, handlers.moved.hear)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
         bus.serve(keys.plan_cancel, CancelPlan, handlers.cancel)
         bus.serve(keys.fk, FkRequest, when_warm(handlers.fk))

@@ -210,7 +210,9 @@ class ExecutionActions:
 
     def _started(self, run: Run, request: ExecuteRequest) -> str:
         run.go_on()
-        return self._engine.client.start(request, timeout=ANSWER_SECONDS)
+        return self._engine.client.start(
+            request, replan=self._parameters.value("replan_in_motion"), timeout=ANSWER_SECONDS
+        )
 
 
 class _Feedback:

@@ -75,6 +75,9 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     )
     yield _Declared("preempt", False, "Whether a goal takes the place of one that runs; else it is rejected.")
     yield _Declared(
+        "replan_in_motion", False, "Whether a goal is planned anew, in motion, when something is put in its way."
+    )
+    yield _Declared(
         "time_dilation_factor", 0.5, "Time between two feedbacks, in units of 0.2 s; 0.1 s at least.", (0.01, 10.0)
     )
     # What plans are asked for with

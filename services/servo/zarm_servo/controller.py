@@ -40,6 +40,8 @@ _LEAVING = 0.03
 """Speed (m/s) away from what a robot finds itself too near to."""
 _CREEPING = 0.1
 """Largest joint speed (rad/s) there: between two samples of a braking no part moves by more than a millimetre or two."""
+_CROSSING = 0.02
+"""The smallest singular value may fall so fast (1/s) all the way: a singularity is crossed slowly."""
 _STEADY = 1e-6
 """A distance that falls by less (m) from one sample to the next does not fall."""
 
@@ -188,15 +190,28 @@ class Controller:
             limitation = Limitation("joint_limit")
         pairs = self._nearby(position, RANGE, around)
         nearest_distance = pairs[0].distance if pairs else RANGE
-        self._leaving = nearest_distance < self._margin + (_KEPT / 2 if self._leaving else 0.0)
+        # What is too near is left slowly, by a check that knows no time; so not while something moves.
+        too_near = nearest_distance < self._margin + (_KEPT / 2 if self._leaving else 0.0)
+        self._leaving = too_near and not around.moving
         bounds = [(pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9]
         bounds = [(pair, least) for pair, least in bounds if pair.gradient @ inside < least or least > -RANGE]
         speed = np.minimum(self._limits.velocity, _CREEPING) if self._leaving else self._limits.velocity
-        slowest = within_speed(np.clip(_projected(inside, asked.metric, bounds), lowest, highest), speed)
+        rows = [(pair.gradient, least) for pair, least in bounds]
+        if asked.singularity is not None:
+            value, change = asked.singularity
+            slowly = -max(_CROSSING, float(_towards(np.array(value), np.abs(change) @ acceleration)))
+            if change @ inside < slowly:
+                limitation = Limitation("singularity")
+            rows.append((change, slowly))
+        slowest = within_speed(np.clip(_projected(inside, asked.metric, rows), lowest, highest), speed)
         if bounds and np.abs(slowest - inside).max() > 1e-3:
-            nearest = pairs[0]
-            if not self._leaving:
-                nearest = min(bounds, key=lambda bound: float(bound[0].gradient @ inside) - bound[1])[0]
+            excess, nearest = min(
+                ((float(pair.gradient @ inside) - least, pair) for pair, least in bounds), key=lambda held: held[0]
+            )
+            if self._leaving:
+                nearest = pairs[0]
+            elif limitation.kind == "singularity" and excess >= 0.0:
+                return slowest, limitation
             limitation = Limitation("slowing", (nearest.link, nearest.object), nearest.distance)
         return slowest, limitation
 
@@ -214,12 +229,12 @@ def _towards(left: Array, acceleration: Array) -> Array:
     return np.where(left > 0.0, np.minimum(_NEARING * left, braking), 0.0)
 
 
-def _projected(wanted: Array, metric: Array, bounds: Sequence[tuple[NearPair, float]]) -> Array:
-    """The speeds nearest to `wanted` in the metric (J, J) whose product with each pair's gradient is not below its bound."""
-    if all(float(pair.gradient @ wanted) >= least for pair, least in bounds):
+def _projected(wanted: Array, metric: Array, bounds: Sequence[tuple[Array, float]]) -> Array:
+    """The speeds nearest to `wanted` in the metric (J, J) whose product with each gradient (J,) is not below its bound."""
+    if all(float(gradient @ wanted) >= least for gradient, least in bounds):
         return wanted
     found, inverse = wanted, np.linalg.inv(metric)
-    ways = [(pair.gradient, inverse @ pair.gradient, least) for pair, least in bounds]
+    ways = [(gradient, inverse @ gradient, least) for gradient, least in bounds if gradient @ gradient > 1e-9]
     steep = [float(gradient @ way) for gradient, way, _ in ways]
     force = [0.0] * len(bounds)
     for _ in range(_ROUNDS):

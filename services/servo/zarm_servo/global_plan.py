@@ -17,7 +17,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 PlanFor = Callable[[PlanRequest], Plan]
 """Asks the planner. Raises what it refuses with, and Unavailable where there is none."""
 
-TIMEOUT = 1.0
+TIMEOUT = 0.5
 """The planner may take so long (s)."""
 _ROOM = 0.005
 """A plan keeps so much more (m) than the margin where it can, so that following it never sticks."""

@@ -180,7 +180,7 @@ class Guard:
                 self._look()
             except Exception:  # a guard that ends would leave every goal without one, and say nothing
                 log.exception("the guard failed; it goes on")
-            if self._followed is not None and self.moving.any:
+            if self._followed is not None and self.moving:
                 time.sleep(_PACE)
                 self._news.wait(_RECHECKED)
             else:
@@ -309,7 +309,7 @@ class Guard:
             session=None if session is None else session.state(),
         )
         before = self._state
-        if state == before:
+        if before is not None and before == state.model_copy(update={"check": before.check}):
             return
         found = validity.obstruction
         known = None if before is None or before.obstruction is None else before.obstruction.object

@@ -7,7 +7,7 @@ from concurrent.futures import Executor, Future
 
 import numpy as np
 
-from zarm_contract.errors import InternalError, Problem, Unavailable, ZarmError
+from zarm_contract.errors import Busy, DeadlineExceeded, InternalError, Problem, Unavailable, ZarmError
 from zarm_contract.messages import SceneRevision
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.controller import PERIOD
@@ -41,7 +41,7 @@ _LOOKS = 5
 _ATTEMPTS = 4
 """So many plans to one target in one scene; where the robot is stuck on all of them, it rests there."""
 _RETRIES = 1.0
-"""A planner that gave no answer is asked again after so long (s)."""
+"""A planner that had no time, or gave no answer, is asked again after so long (s)."""
 
 
 class Guide:
@@ -114,7 +114,7 @@ class Guide:
             self._plan = None
             known = error if isinstance(error, ZarmError) else InternalError(f"{type(error).__name__}: {error}")
             self.problem = known.problem
-            self._attempts = 0 if isinstance(error, Unavailable) else _ATTEMPTS
+            self._attempts = 0 if isinstance(error, Busy | DeadlineExceeded | Unavailable) else _ATTEMPTS
 
     def _must_ask(self, wanted: PoseTarget | JointTarget, position: Array, revision: SceneRevision | None) -> bool:
         since = (self._steps - self._asked_at) * PERIOD

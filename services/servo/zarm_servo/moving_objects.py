@@ -83,8 +83,7 @@ class MovingObjects:
         self._scene: SceneSnapshot | None = None
         self.refused: Problem | None = None
 
-    @property
-    def any(self) -> bool:
+    def __bool__(self) -> bool:
         """Whether there are any."""
         return bool(self._movers)
 

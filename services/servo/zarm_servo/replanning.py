@@ -92,6 +92,7 @@ class Replanner:
         self._pace: tuple[str, float, float] = ("", 1.0, 1.0)
         self._lead = SHORTEST_LEAD
         self._stops: GoalTrajectory | None = None  # of which there is no plan in motion
+        self._replaced: GoalTrajectory | None = None  # which the executor follows no longer
         self._asked_at_rest = -np.inf
         self._news = threading.Event()
         self._closing = False
@@ -139,7 +140,7 @@ class Replanner:
             if blocked is None or heard is None or heard[0].goal_id != blocked.message.goal_id:
                 continue
             goal = heard[0]
-            if goal.status != "running":
+            if goal.status != "running" or blocked.message is self._replaced:
                 continue
             try:
                 if blocked.message is not self._stops:
@@ -223,6 +224,7 @@ class Replanner:
                 scene_revision=plan.scene_revision,
             )
         )
+        self._replaced = message
 
     def _commanded(self, now: float) -> float:
         """The path time (s) that is commanded at the moment `now`, or somewhat later. Raises Unavailable where the goal has ended."""

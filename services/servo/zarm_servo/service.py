@@ -48,7 +48,7 @@ PLANNER_PERIOD = 1.0
 """How often (s) the servo looks whether there is a planner."""
 ANSWER = 0.2
 """How long (s) an answer may be under way beyond the deadline of what is asked."""
-PLAN_TIMEOUT = 2 * TIMEOUT
+PLAN_TIMEOUT = 4 * TIMEOUT
 """Seconds after which a planner that was asked for a global plan is taken for gone."""
 SWITCH_INTERVAL = 0.0005
 """Longest time (s) that a thread reading a message keeps the interpreter from the cycles of a session (Python's own: 0.005)."""

@@ -149,7 +149,7 @@ class Session:
         self._heard_at = self._told_at = self._used
         self._told = threading.Event()
         self._done = threading.Event()
-        self._closing = self._held = False
+        self._closing = self._held = self._over = False
         self._cycles = self._late = 0
         self._took: deque[float] = deque(maxlen=100)
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
@@ -353,9 +353,11 @@ class Session:
 
     def _keep_loaded(self) -> None:
         """Have the world as the scene is: beside the cycles, as to load a large scene takes long."""
-        while not self._done.is_set():
+        while True:
             self._news.wait()
             self._news.clear()
+            if self._over:
+                break
             try:
                 self._load(*self._present)
             except ZarmError:
@@ -416,8 +418,10 @@ class Session:
         goal = self._goal
         problem = None if goal is None else goal.problem
         log.info("session ended goal_id=%s reason=%s", self.goal_id, "" if problem is None else problem.message)
-        self._done.set()
+        self._over = True
         self._news.set()
+        self._loading.join()  # the next session has the world for itself
+        self._done.set()
         self._changed()
 
 

@@ -17,6 +17,8 @@ _BRAKING = 0.45
 """Share of the acceleration that an approach brakes with; below a half, so that `GAIN` never asks for more than the limit."""
 SINGULAR = 0.08
 """The smallest singular value of the tip's Jacobian below which a robot is slowed and its inverse damped."""
+_WATCHED = 0.3
+"""Below this smallest singular value it is looked at how the joints change it."""
 _DAMPING = 0.04
 """Largest damping of the inverse (Nakamura and Hanafusa, 1986)."""
 _JOINTS_COUNT = 1e-3
@@ -80,12 +82,14 @@ class Wish:
     """Joint speeds (J,) in rad/s that lead to a target, inside the speed limits; `singular`: a singularity slows them.
 
     Where something is in the way, a change of the speeds costs its square in `metric` (J, J): the target's own measure, so that
-    the tip loses of its motion only what leads into the obstacle.
+    the tip loses of its motion only what leads into the obstacle. `singularity`: where one is not far, the smallest singular value of the
+    tip's Jacobian, and by how much each joint changes that (J,).
     """
 
     velocity: Array
     metric: Array
     singular: bool = False
+    singularity: tuple[float, Array] | None = None
 
 
 def wish(model: RobotModel, target: Target, age: float, position: Array, speed: Array, acceleration: Array) -> Wish:
@@ -96,7 +100,7 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
     if isinstance(target, JointTarget):
         return Wish(within_speed(_approach(target.position - position, acceleration), speed), joints)
     tip, jacobian = model.fk_tip(position), model.tip_jacobian(position)
-    inverse, share = _damped_inverse(jacobian)
+    inverse, share, singularity = _damped_inverse(jacobian)
     if isinstance(target, TwistTarget):
         turn = tip[:3, :3] if target.frame == "tool" else np.eye(3)
         twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
@@ -105,7 +109,9 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
         pose = target.after(age)
         error = np.concatenate((pose[:3, 3] - tip[:3, 3], rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
         velocity = _approach(inverse @ error, acceleration) + inverse @ target.velocity
-    return Wish(share * within_speed(velocity, speed), jacobian.T @ jacobian + _JOINTS_COUNT * joints, share < 1.0)
+    return Wish(
+        share * within_speed(velocity, speed), jacobian.T @ jacobian + _JOINTS_COUNT * joints, share < 1.0, singularity
+    )
 
 
 def _approach(distance: Array, acceleration: Array) -> Array:
@@ -120,12 +126,26 @@ def within_speed(velocity: Array, speed: Array) -> Array:
     return np.asarray(velocity / max(1.0, float((np.abs(velocity) / speed).max())))
 
 
-def _damped_inverse(jacobian: Array) -> tuple[Array, float]:
-    """The damped inverse (J, 6) of a Jacobian (6, J), and the share of the speed that its singularity leaves."""
+def _damped_inverse(jacobian: Array) -> tuple[Array, float, tuple[float, Array] | None]:
+    """The damped inverse (J, 6) of a Jacobian (6, J), the share of the speed that its singularity leaves, and that, where it is not far."""
     u, values, v = np.linalg.svd(jacobian, full_matrices=False)
     near = min(1.0, float(values[-1]) / SINGULAR)
     damping = _DAMPING**2 * (1.0 - near**2)
-    return (v.T * (values / (values**2 + damping))) @ u.T, max(near, _SLOWEST)
+    least = float(values[-1])
+    singularity = (least, _change(jacobian, u[:, -1], v[-1])) if least < _WATCHED else None
+    return (v.T * (values / (values**2 + damping))) @ u.T, max(near, _SLOWEST), singularity
+
+
+def _change(jacobian: Array, u: Array, v: Array) -> Array:
+    """By how much each joint changes (J,) the singular value of a Jacobian (6, J) with the singular vectors `u` (6,) and `v` (J,).
+
+    (Bruyninckx and De Schutter, "Symbolic differentiation of the velocity mapping for a serial kinematic chain", 1996.)
+    """
+    linear, angular, joints = jacobian[:3].T, jacobian[3:].T, np.arange(jacobian.shape[1])
+    first, second = np.minimum.outer(joints, joints), np.maximum.outer(joints, joints)
+    shifted = np.cross(angular[first], linear[second]) @ u[:3]
+    turned = np.cross(angular[None, :], angular[:, None]) @ u[3:]
+    return np.asarray(v @ (shifted + np.where(joints[None, :] < joints[:, None], turned, 0.0)))
 
 
 def rotation_vector(turn: Array) -> Array:

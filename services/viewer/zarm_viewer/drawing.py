@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import trimesh
@@ -65,12 +66,12 @@ class Brush:
 
 def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
     """The exact geometry of a link as one mesh, in the link's frame: a browser draws few large meshes faster than many small ones."""
-    return trimesh.util.concatenate([_primitive(primitive) for primitive in primitives])
+    return cast(trimesh.Trimesh, trimesh.util.concatenate([_primitive(primitive) for primitive in primitives]))
 
 
 def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
     """The triangles of a file, times `scale`. Raises ValueError and OSError for one that cannot be read."""
-    mesh = trimesh.load_mesh(file, process=False, skip_materials=True)
+    mesh: Any = trimesh.load_mesh(file, process=False, skip_materials=True)
     mesh.apply_scale(scale)
     return _edged(mesh)
 
@@ -111,7 +112,7 @@ def _box(size: tuple[float, float, float]) -> trimesh.Trimesh:
 
 
 def _ball(radius: float) -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(2, radius)
+    return cast(trimesh.Trimesh, trimesh.creation.icosphere(2, radius))
 
 
 def _cylinder(radius: float, length: float) -> trimesh.Trimesh:

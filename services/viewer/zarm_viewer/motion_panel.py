@@ -182,7 +182,7 @@ class MotionPanel:
         )
         self._plan = plan
         self._timed = TimedTrajectory.of(plan.trajectory, self._desk.description.descriptor.joints)
-        self._scrub.max, self._scrub.disabled = self._timed.duration, False
+        self._scrub.max, self._scrub.disabled = round(self._timed.duration, 2), False
         put(self._scrub, 0.0)
 
     def _execute(self) -> None:

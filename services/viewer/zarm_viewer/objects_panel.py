@@ -36,6 +36,7 @@ class ObjectsPanel:
         self._desk, self._view = desk, view
         self._scene: Scene | None = None
         self._gizmo: TransformControlsHandle | None = None
+        self._added = ""
         gui = desk.server.gui
         self._choice = gui.add_dropdown("object", [_NOTHING])
         self._choice.on_update(lambda _: self._choose())
@@ -71,9 +72,12 @@ class ObjectsPanel:
             return
         self._scene = scene
         names = [item.name for item in scene.objects] + [carried.object.name for carried in scene.attached]
-        options = names or [_NOTHING]
+        options = [_NOTHING, *names]
         if list(self._choice.options) != options:
             self._choice.options = options
+        if self._added in names:
+            put(self._choice, self._added)
+            self._added = ""
         self._choose()
 
     def _click(self, name: str) -> None:
@@ -86,7 +90,7 @@ class ObjectsPanel:
 
     def _name(self) -> str:
         if self._choice.value == _NOTHING:
-            raise InvalidRequest("there is no object yet; add one")
+            raise InvalidRequest("no object is chosen; choose one by its name, or click on it")
         return self._choice.value
 
     def _choose(self) -> None:
@@ -125,6 +129,7 @@ class ObjectsPanel:
 
     def _add(self) -> None:
         at = SE3.from_translation(np.array(self._new_place.value))
+        self._added = self._new_name.value
         self._desk.robot.scene.add(_made(self._kind.value, self._new_name.value, self._new_size.value, at))
         self._desk.note(f"added {self._new_name.value}")
 

@@ -86,16 +86,20 @@ class Page:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
 
     def _add_stop(self) -> None:
-        button = self.server.gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
+        gui = self.server.gui
+        beside = gui.add_panel()  # a window of its own: what is long on the page scrolls, and this does not
+        with beside.add_tab("Stop"):
+            always = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
+        beside.float(x=15, y=-15, width=220)
+        first = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         escape = self.server.gui.add_command("Stop", hotkey="escape", description="Brake every robot to rest now")
 
-        @button.on_click
-        async def _(_: object) -> None:  # in the server's own loop: no thread of a pool is waited for
+        async def stop(_: object) -> None:  # in the server's own loop: no thread of a pool is waited for
             self.stop()
 
-        @escape.on_trigger
-        async def _(_: object) -> None:
-            self.stop()
+        always.on_click(stop)
+        first.on_click(stop)
+        escape.on_trigger(stop)
 
     def stop(self) -> None:
         """Stop every robot on the page, now."""

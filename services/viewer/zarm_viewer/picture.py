@@ -74,6 +74,5 @@ class Picture:
                 f"{self._desk.root}/{name}",
                 np.stack((points[:-1], points[1:]), axis=1).astype(np.float32),
                 colour,
-                thickness=3.0,
-                thickness_units="screen",
+                thickness=0.008,
             )

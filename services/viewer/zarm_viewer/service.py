@@ -37,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
         "--robot",
         action="append",
         metavar="[NAME=]DESCRIPTOR",
-        help="a robot on the bus and its descriptor, a name or the path of a .yaml file; repeatable (default: every robot on the "
+        help="a robot on the bus and its descriptor, a name or the path of a .yaml file; repeatable (default: $ZARM_ROBOT, else every robot on the "
         "bus whose descriptor comes with zarm)",
     )
     parser.add_argument(
@@ -76,7 +76,7 @@ def main() -> int:
             role: Role = options.role or client_role()
             gate = Gate.at(options.listen, tls=_tls(role), token=os.environ.get("ZARM_VIEW_TOKEN") or None)
             shown = []
-            for name, description in _described(options.robot, options.connect, role):
+            for name, description in _described(options.robot or _own(), options.connect, role):
                 bus = stack.enter_context(opened(options.connect, role, timeout=10.0))
                 shown.append(Shown(Robot(Connection.of(bus, keys_of(name))), description))
             page = Page(shown, gate, role, tuple(options.meshes), options.state / "viewer")
@@ -114,6 +114,12 @@ def _described(wanted: Sequence[str] | None, connect: str, role: Role) -> list[t
             field="--robot",
         )
     return found
+
+
+def _own() -> list[str]:
+    """The robot that the environment names, as it does for every service."""
+    robot, name = os.environ.get("ZARM_ROBOT"), os.environ.get("ZARM_NAME")
+    return [f"{name}={robot}" if name else robot] if robot else []
 
 
 def _hash(client: Robot) -> str:

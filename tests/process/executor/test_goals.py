@@ -41,18 +41,18 @@ def test_a_trajectory_is_followed_to_its_end(client: Client) -> None:
     assert client.greatest_acceleration() <= 1.02
 
 
-def test_the_next_motion_starts_where_the_last_one_ended(client: Client) -> None:
-    client.ended(client.execute(SHORT))
-    client.ended(client.execute(rest_to_rest(HOME, moved(0.01))))
-    np.testing.assert_allclose(client.position(), HOME, atol=1e-9)
+def test_the_next_motion_starts_where_the_last_one_ended(shared: Client) -> None:
+    shared.ended(shared.execute(SHORT))
+    shared.ended(shared.execute(rest_to_rest(HOME, moved(0.01))))
+    np.testing.assert_allclose(shared.position(), HOME, atol=1e-9)
 
 
-def test_the_joints_are_measured_at_100_hz_also_when_nothing_moves(client: Client) -> None:
-    client.stands(100)
-    stamps = np.array([joints.stamp for joints in client.measured])
+def test_the_joints_are_measured_at_100_hz_also_when_nothing_moves(shared: Client) -> None:
+    shared.stands(100)
+    stamps = np.array([joints.stamp for joints in shared.measured])
     np.testing.assert_allclose(np.diff(stamps) % 0.01, 0.005, atol=0.0051)
     assert np.median(np.diff(stamps)) == pytest.approx(0.01, abs=1e-4)
-    assert client.measured[-1].joint_names == ROBOT.descriptor.joints
+    assert shared.measured[-1].joint_names == ROBOT.descriptor.joints
 
 
 @pytest.mark.parametrize("rate", sampled(250, 125, 500))
@@ -173,15 +173,15 @@ def renamed(trajectory: Trajectory) -> Trajectory:
     ids=["too fast", "out of range", "starts elsewhere", "other joints"],
 )
 def test_a_motion_that_must_not_be_is_refused_with_a_reason_and_nothing_moves(
-    client: Client, trajectory: Trajectory, code: str, names: str
+    shared: Client, trajectory: Trajectory, code: str, names: str
 ) -> None:
     with pytest.raises(ZarmError) as refusal:
-        client.execute(trajectory)
+        shared.execute(trajectory)
     assert refusal.value.code == code
     assert names in (refusal.value.problem.joint or refusal.value.problem.field or "")
-    assert client.stands()
-    assert client.state().mode == "idle"
-    assert client.goals == []
+    assert shared.stands()
+    assert shared.state().mode == "idle"
+    assert shared.goals == []
 
 
 # --- strategies ---
@@ -221,11 +221,11 @@ def test_what_is_no_switch_leaves_the_goal_alone(client: Client) -> None:
     assert client.statuses(goal_id) == ["accepted", "running", "succeeded"]
 
 
-def test_an_unknown_strategy_is_refused_with_the_known_ones(client: Client) -> None:
+def test_an_unknown_strategy_is_refused_with_the_known_ones(shared: Client) -> None:
     with pytest.raises(InvalidRequest, match="emulator, ghost") as refusal:
-        client.strategy("telepathy")
+        shared.strategy("telepathy")
     assert refusal.value.problem.field == "strategy"
-    assert client.strategy().active == "emulator"
+    assert shared.strategy().active == "emulator"
 
 
 def test_a_switch_that_fails_leaves_the_old_strategy_active(client: Client, tmp_path: Path) -> None:
@@ -258,15 +258,15 @@ def test_a_late_joiner_sees_the_present_state_and_the_goals(client: Client, endp
         assert Client(late).ended(running).status == "succeeded"
 
 
-def test_the_last_finished_goals_stay_answerable_and_older_ones_are_forgotten(client: Client) -> None:
+def test_the_last_finished_goals_stay_answerable_and_older_ones_are_forgotten(shared: Client) -> None:
     goals = []
     for number in range(FINISHED_GOALS + 1):
         start, goal = (HOME, moved(0.001)) if number % 2 == 0 else (moved(0.001), HOME)
-        goals.append(client.execute(rest_to_rest(goal, start)))
-        client.ended(goals[-1])
-    assert client.goal(goals[1]).status == "succeeded"
+        goals.append(shared.execute(rest_to_rest(goal, start)))
+        shared.ended(goals[-1])
+    assert shared.goal(goals[1]).status == "succeeded"
     with pytest.raises(Unavailable):
-        client.goal(goals[0])
+        shared.goal(goals[0])
 
 
 def test_a_second_executor_for_the_robot_does_not_start(
@@ -278,12 +278,12 @@ def test_a_second_executor_for_the_robot_does_not_start(
     assert client.ended(client.execute(SHORT)).status == "succeeded"
 
 
-def test_a_second_robot_of_a_kind_moves_alone(client: Client, endpoint: str, tmp_path: Path) -> None:
-    with ServiceProcess("executor", endpoint, tmp_path, name="other") as second:
-        second.wait_ready(client.bus, Keys("other"))
-        other = Client(client.bus, Keys("other"))
+def test_a_second_robot_of_a_kind_moves_alone(shared: Client, place: str, tmp_path: Path) -> None:
+    with ServiceProcess("executor", place, tmp_path, name="other") as second:
+        second.wait_ready(shared.bus, Keys("other"))
+        other = Client(shared.bus, Keys("other"))
         assert other.ended(other.execute(SHORT)).status == "succeeded"
-        np.testing.assert_array_equal(client.position(), HOME)
+        np.testing.assert_array_equal(shared.position(), HOME)
 
 
 def test_an_executor_that_cannot_start_says_why_in_one_line(endpoint: str, tmp_path: Path) -> None:
@@ -301,21 +301,21 @@ def test_an_executor_without_a_place_for_its_state_does_not_start(endpoint: str,
         assert "Traceback" not in process.output()
 
 
-def test_a_goal_that_was_cancelled_before_it_came_does_not_start(client: Client) -> None:
+def test_a_goal_that_was_cancelled_before_it_came_does_not_start(shared: Client) -> None:
     request = ExecuteRequest(trajectory=rest_to_rest(moved(0.3)), goal_id="late.1")
-    client.cancel("late.1")
+    shared.cancel("late.1")
     with pytest.raises(Cancelled, match="before it started"):
-        client.bus.call(KEYS.execute, request, Accepted, timeout=10)
+        shared.bus.call(KEYS.execute, request, Accepted, timeout=10)
     with pytest.raises(Cancelled, match="before it started"):
-        client.bus.call(KEYS.execute, request.model_copy(update={"preempt": True}), Accepted, timeout=10)
-    assert client.stands()
-    assert client.state().mode == "idle"
+        shared.bus.call(KEYS.execute, request.model_copy(update={"preempt": True}), Accepted, timeout=10)
+    assert shared.stands()
+    assert shared.state().mode == "idle"
 
 
-def test_a_client_may_name_its_goal_once(client: Client) -> None:
+def test_a_client_may_name_its_goal_once(shared: Client) -> None:
     there = rest_to_rest(moved(0.2))
     request = ExecuteRequest(trajectory=there, goal_id="mine.1")
-    assert client.bus.call(KEYS.execute, request, Accepted, timeout=10).goal_id == "mine.1"
-    assert client.ended("mine.1").status == "succeeded"
+    assert shared.bus.call(KEYS.execute, request, Accepted, timeout=10).goal_id == "mine.1"
+    assert shared.ended("mine.1").status == "succeeded"
     with pytest.raises(InvalidRequest, match="give every goal a new goal_id"):
-        client.bus.call(KEYS.execute, request, Accepted, timeout=10)
+        shared.bus.call(KEYS.execute, request, Accepted, timeout=10)

@@ -42,23 +42,23 @@ QUERYABLES = [
 
 
 @pytest.mark.parametrize("key", QUERYABLES)
-def test_noise_is_answered_with_a_problem_and_moves_nothing(client: Client, endpoint: str, key: str) -> None:
-    with open_client(endpoint) as session:
+def test_noise_is_answered_with_a_problem_and_moves_nothing(shared: Client, place: str, key: str) -> None:
+    with open_client(place) as session:
         for noise in NOISE:
             (reply,) = session.get(key, payload=noise, timeout=10.0, congestion_control=zenoh.CongestionControl.BLOCK)
             assert reply.err is not None, noise[:80]
             assert decode(Problem, reply.err.payload.to_bytes()).code == "invalid_request"
-    assert client.stands()
-    assert client.state().mode == "idle"
-    assert client.goals == []
-    assert client.ended(client.execute(SHORT)).status == "succeeded"
+    assert shared.stands()
+    assert shared.state().mode == "idle"
+    assert shared.goals == []
+    assert shared.ended(shared.execute(SHORT)).status == "succeeded"
 
 
-def test_noise_on_the_keys_it_listens_to_does_no_harm(client: Client, endpoint: str) -> None:
-    with open_client(endpoint) as session:
+def test_noise_on_the_keys_it_listens_to_does_no_harm(shared: Client, place: str) -> None:
+    with open_client(place) as session:
         for noise in NOISE:
             for key in (KEYS.plans, KEYS.scene_revision):
                 session.put(key, noise, congestion_control=zenoh.CongestionControl.BLOCK)
-    assert client.ended(client.execute(SHORT)).status == "succeeded"
+    assert shared.ended(shared.execute(SHORT)).status == "succeeded"
     with pytest.raises(InvalidRequest, match="no plan"):
-        client.execute()
+        shared.execute()

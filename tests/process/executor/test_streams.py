@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -33,8 +34,7 @@ def run_example(endpoint: str, seconds: float) -> subprocess.Popen[bytes]:
     return subprocess.Popen([*command, "--joints", *ROBOT.descriptor.joints])
 
 
-@pytest.fixture
-def send(client: Client) -> Callable[..., None]:
+def sender(client: Client) -> Callable[..., None]:
     """Sends one chunk; the publisher is known to the executor."""
     publisher = client.bus.publisher(KEYS.stream, StreamChunk)
 
@@ -49,6 +49,11 @@ def send(client: Client) -> Callable[..., None]:
         )
 
     return put
+
+
+@pytest.fixture
+def send(client: Client) -> Callable[..., None]:
+    return sender(client)
 
 
 def seen(client: Client, goal_id: str) -> GoalState:
@@ -138,15 +143,16 @@ def test_example_is_short() -> None:
     ids=["starts elsewhere", "too fast", "starts late", "out of reach", "out of order, and no more"],
 )
 def test_what_becomes_of_a_stream_is_told_under_its_goal_and_is_no_fault(
-    client: Client, send: Callable[..., None], chunks: list[tuple[int, float, TimedTrajectory]], code: str
+    shared: Client, chunks: list[tuple[int, float, TimedTrajectory]], code: str
 ) -> None:
+    send, goal_id = sender(shared), f"stream-{uuid.uuid4().hex}"
     for sequence, start, path in chunks:
-        send("stream-a", sequence, start, path)
-    end = seen(client, "stream-a")
+        send(goal_id, sequence, start, path)
+    end = seen(shared, goal_id)
     assert (end.status, end.problem.code) == ("aborted", code)
-    assert client.state().mode == "idle"
-    assert client.stands()
-    assert client.ended(client.execute(rest_to_rest(HOME, client.position()))).status == "succeeded"
+    assert shared.state().mode == "idle"
+    assert shared.stands()
+    assert shared.ended(shared.execute(rest_to_rest(HOME, shared.position()))).status == "succeeded"
 
 
 def test_a_stream_beside_another_goal_is_refused_and_does_not_touch_it(

@@ -51,9 +51,15 @@ class Client:
         scene_revision: str | None = None,
         preempt: bool = False,
         goal_id: str | None = None,
+        replan: bool = False,
     ) -> str:
         request = ExecuteRequest(
-            trajectory=trajectory, plan_id=plan_id, scene_revision=scene_revision, preempt=preempt, goal_id=goal_id
+            trajectory=trajectory,
+            plan_id=plan_id,
+            scene_revision=scene_revision,
+            preempt=preempt,
+            goal_id=goal_id,
+            replan=replan,
         )
         return self.bus.call(self.keys.execute, request, Accepted, timeout=20).goal_id
 

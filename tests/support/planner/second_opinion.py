@@ -36,7 +36,23 @@ def tip_error(
     return float(np.linalg.norm(tip[:3, 3] - position)), angle
 
 
-class Collisions:
+class _Posed:
+    """Where the links of a robot are."""
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self._robot = robot
+        self._origins = {child: _origin(joint) for child, joint in robot.urdf.joint_of_child.items()}
+
+    def _pose(self, link: str, position: dict[str, float], known: dict[str, Array]) -> Array:
+        """As `link_pose`, with what is known of other links."""
+        if link not in known:
+            joint = self._robot.urdf.joint_of_child[link]
+            parent = self._pose(joint.parent, position, known)
+            known[link] = parent @ self._origins[link] @ _motion(joint, position.get(joint.name, 0.0))
+        return known[link]
+
+
+class Collisions(_Posed):
     """Whether the robot's exact geometry touches an object or itself, as the descriptor and the scene demand.
 
     What is on one rigid body is not looked at.
@@ -50,8 +66,7 @@ class Collisions:
         ignored_links: Sequence[str] = (),
     ) -> None:
         descriptor = robot.descriptor
-        self._robot = robot
-        self._origins = {child: _origin(joint) for child, joint in robot.urdf.joint_of_child.items()}
+        super().__init__(robot)
         self._parts = {
             link: [(pose, fcl.CollisionObject(geometry)) for geometry, pose in map(_link_shape, items)]
             for link, items in descriptor.collision.items()
@@ -90,14 +105,6 @@ class Collisions:
         return any(_touch(self._managers[name], self._objects) for name in self._movable) or any(
             _touch(self._managers[a], self._managers[b]) for a, b in self._pairs
         )
-
-    def _pose(self, link: str, position: dict[str, float], known: dict[str, Array]) -> Array:
-        """As `link_pose`, with what is known of other links."""
-        if link not in known:
-            joint = self._robot.urdf.joint_of_child[link]
-            parent = self._pose(joint.parent, position, known)
-            known[link] = parent @ self._origins[link] @ _motion(joint, position.get(joint.name, 0.0))
-        return known[link]
 
 
 def _managed(shapes: Sequence[fcl.CollisionObject]) -> fcl.DynamicAABBTreeCollisionManager:
@@ -186,11 +193,11 @@ def _turn_z_to(axis: Array) -> Array:
     return _about(across, math.atan2(float(np.linalg.norm(across)), float(axis[2])))
 
 
-class Clearance:
+class Clearance(_Posed):
     """How far the robot's exact geometry is from one object, which may be anywhere."""
 
     def __init__(self, robot: RobotDescription, item: SceneObject) -> None:
-        self._robot = robot
+        super().__init__(robot)
         self._parts = [
             (link, pose, fcl.CollisionObject(geometry))
             for link, items in robot.descriptor.collision.items()
@@ -207,11 +214,10 @@ class Clearance:
         place = self._turned.copy()
         place[:3, 3] = position
         self._object.setTransform(_transform(place))
-        frames: dict[str, Array] = {}
+        known = {self._robot.descriptor.base_link: np.eye(4)}
+        values = dict(zip(self._robot.descriptor.joints, np.asarray(q), strict=True))
         least = np.inf
         for link, pose, shape in self._parts:
-            if link not in frames:
-                frames[link] = link_pose(self._robot, link, q)
-            shape.setTransform(_transform(frames[link] @ pose))
+            shape.setTransform(_transform(self._pose(link, values, known) @ pose))
             least = min(least, fcl.distance(shape, self._object, fcl.DistanceRequest(), fcl.DistanceResult()))
         return float(least)

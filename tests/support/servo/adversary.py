@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
@@ -23,12 +23,15 @@ from support.executor.bench import LIMITS, Bench
 from support.planner.second_opinion import Clearance, link_pose
 from support.trajectories import ROBOT, SCENE, rest_to_rest
 from zarm_contract.codec import encode
+from zarm_contract.errors import Unavailable
 from zarm_contract.messages import (
     Cuboid,
     GoalState,
     GoalTrajectory,
     JointState,
     ObjectPose,
+    Plan,
+    PlanRequest,
     Scene,
     ServoStart,
     ServoTarget,
@@ -50,6 +53,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = np.ndarray[Any, Any]
 Mode = Literal["goal", "session"]
+MODES: tuple[Mode, ...] = get_args(Mode)
 Outcome = Literal["contact", "hit", "free"]
 """`contact`: while the robot moved towards the object. `hit`: the object came upon a robot that did not. `free`: neither."""
 
@@ -60,6 +64,8 @@ _JOINTS = ROBOT.descriptor.joints
 _LINKS = tuple(f"link_{k}" for k in range(2, 7))
 _TOWARDS = 2e-5
 """A step of 10 ms that brings robot and object nearer by less (m), where the object stood, is none towards it: 2 mm/s."""
+_FAR, _FAR_TICKS = 0.3, 4
+"""What is further away (m) is looked at again after so many ticks: nothing here is faster than 6 m/s."""
 _UNIX = 1.75e9
 MODEL, MESHES = RobotModel.of(ROBOT), Meshes()
 
@@ -71,6 +77,7 @@ class Attack:
     outcome: Outcome
     clearance: float
     held: bool
+    moved: bool
     killed: bool
     arrived: bool
 
@@ -96,6 +103,10 @@ def _clock() -> Iterator[SimpleNamespace]:
         for module in (guard_module, session_module):
             patch.setattr(module, "time", turned)
         yield clock
+
+
+def _no_plan(_: PlanRequest) -> Plan:
+    raise Unavailable("here is no planner")
 
 
 class _Run:
@@ -128,7 +139,7 @@ class _Run:
             chunks: Any = SimpleNamespace(put=lambda chunk: self._post(lambda: self._stream(chunk)))
             self._session = Session(
                 "servo-1", ServoStart(margin=0.01), ROBOT, cell.check, self._guard.monitor, self._guard.moving, measured, chunks,
-                start, 0.0, lambda: None,
+                start, 0.0, lambda: None, _no_plan, Metrics(),
             )  # fmt: skip
             self._session._put(0.0, TimedTrajectory.standing(start), deadline=1.0)
         else:
@@ -197,12 +208,13 @@ class _Run:
             x, y, z = rng.uniform(0.05, 0.3, 3).tolist()
             item = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 5.0), size=(x, y, z))
         self._item, self._clearance = item, Clearance(ROBOT, item)
+        least = rng.uniform(0.05, 0.6)
         while True:  # around the arm, often in front of where it goes
             at = self._tip(start + rng.uniform(0.0, 1.0) * (self._goal - start)) + rng.normal(0.0, 0.4, 3)
-            if self._clearance.at(start, at) > 0.05:
+            if self._clearance.at(start, at) > least:
                 break
         self._at: Array = at
-        self._aim = "link_6"
+        self._aim, self._share, self._velocity = "link_6", float(rng.choice((0.0, 1.0))), self._told
 
     def _direction(self) -> Array:
         way = self._rng.normal(size=3)
@@ -211,18 +223,15 @@ class _Run:
     def _tip(self, q: Array) -> Array:
         return np.asarray(link_pose(ROBOT, ROBOT.descriptor.tip_link, q)[:3, 3])
 
-    def _move_object(self, seconds: float) -> None:
+    def _turn_object(self) -> None:
         """At the arm, as fast as stated most of the time: at where a link is, or will be soon."""
         rng = self._rng
-        if rng.random() < 0.03:
-            self._aim, self._mood = str(rng.choice(_LINKS)), float(rng.random())
+        if rng.random() < 0.02:
+            self._aim, self._share = str(rng.choice(_LINKS)), float(rng.choice((1.0, 1.0, 1.0, 0.0, -1.0)))
         exact = self._bench.arm.exact
-        link = link_pose(ROBOT, self._aim, exact.position + rng.uniform(0.0, 0.5) * exact.velocity)[:3, 3]
-        away = link - self._at
+        away = link_pose(ROBOT, self._aim, exact.position + rng.uniform(0.0, 0.5) * exact.velocity)[:3, 3] - self._at
         way = away / max(float(np.linalg.norm(away)), 1e-9)
-        mood = getattr(self, "_mood", 1.0)
-        share = 0.0 if mood < 0.1 else 1.0 if mood > 0.3 else -0.5
-        self._at = self._at + seconds * (self._told + share * self._speed * way)
+        self._velocity = self._told + self._share * self._speed * way
 
     def _tell_pose(self, *, at_once: bool = False) -> None:
         message = ObjectPose(
@@ -252,7 +261,7 @@ class _Run:
         """Let it happen."""
         bench, clock, arm = self._bench, self._time, self._bench.arm
         before, place = arm.exact.position, self._at
-        nearest, held, told = np.inf, False, None
+        nearest, held, moved, told, skipped = np.inf, False, False, None, 0
         outcome: Outcome = "free"
         for step in itertools.count(1):
             clock.now += STEP
@@ -264,9 +273,10 @@ class _Run:
                 self._tell_pose()
             if alive:
                 self._servo(step)
-            self._move_object(STEP)
+            self._at = self._at + STEP * self._velocity
             if step % _TICK:
                 continue
+            self._turn_object()
             bench.now = clock.now
             bench.machine.tick(clock.now)
             goal = bench.machine.changes[-1] if bench.machine.changes else None
@@ -276,7 +286,12 @@ class _Run:
                     told = goal
                     self._tell_goal(bench.machine.goal_state() or goal)
             now = arm.exact.position
+            moved = moved or bool(np.abs(now - self._start).max() > 0.05)
+            if skipped > 0:
+                skipped -= 1
+                continue
             apart = self._clearance.at(now, self._at)
+            skipped = _FAR_TICKS if apart > _FAR else 0
             nearest = min(nearest, apart)
             if apart <= 0.0:
                 closer = self._clearance.at(before, place) - self._clearance.at(now, place)
@@ -285,8 +300,10 @@ class _Run:
             before, place = now, self._at
             if step * STEP > (6.0 if self._session is None else 3.0) or (goal is not None and goal.done):
                 break
+        if self._session is not None:
+            self._session._pool.shutdown()
         arrived = bool(np.abs(arm.exact.position - self._goal).max() < 0.01)
-        return Attack(outcome, float(nearest), held, self._killed_at < clock.now, arrived)
+        return Attack(outcome, float(nearest), held, moved, self._killed_at < clock.now, arrived)
 
     def _tell_goal(self, goal: GoalState) -> None:
         session, guard = self._session, self._guard

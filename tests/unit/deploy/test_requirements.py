@@ -16,6 +16,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = {
     "executor": ("metrics",),
     "planner": ("metrics", "planner"),
+    "viewer": ("metrics", "viewer"),
     "ros_bridge": ("metrics", "ros"),
     "ros_build": ("ros", "ros-messages"),
 }

@@ -160,7 +160,12 @@ def test_between_samples_a_motion_is_the_quintic_of_the_contract() -> None:
         assert np.allclose(rows, between(motion, order, np.array([0.3]))[:, 0], atol=1e-8)
 
 
-def test_a_planner_does_not_load_what_toppra_plots_with() -> None:
-    program = "import sys, zarm_planner.service; print('matplotlib' in sys.modules)"
+def test_a_planner_loads_toppra_only_when_it_times_with_it_and_never_what_that_plots_with() -> None:
+    program = """
+import sys, zarm_planner.service, zarm_planner.timing.time_parameterization as timing
+print('toppra' in sys.modules)
+timing.through(timing.np.eye(3))
+print('toppra' in sys.modules, 'matplotlib' in sys.modules)
+"""
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"
+    assert done.stdout == "False\nTrue False\n"

@@ -10,7 +10,10 @@ from zarm_contract.messages import Attached, Cuboid, SceneObject
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.check import Checker
+from zarm_servo.moving_objects import Mover
 from zarm_servo.scene_monitor import SceneSnapshot
+from zarm_servo.stopping import StoppingTime
+from zarm_trajectory.follower import Follower
 from zarm_trajectory.trajectory import TimedTrajectory
 
 MODEL = RobotModel.of(ROBOT)
@@ -78,3 +81,35 @@ def test_after_any_number_of_changes_the_last_objects_count(checker: Checker) ->
         assert checker.validity(WAY, 0.0, seen(far), EMPTY).until is None
     assert checker.validity(WAY, 0.0, seen(POST), EMPTY).until is not None
     assert checker.validity(WAY, 0.0, seen(), EMPTY).until is None
+
+
+def coming(position: tuple[float, float, float], speed: float) -> Mover:
+    """A post that was told to be there just now, and moves no faster than this."""
+    return Mover(POST, POST.model_copy(update={"position": position}), (0.0, 0.0, 0.0), speed, seen=0.0, stamp=0.0)
+
+
+def test_a_robot_rests_before_where_a_moving_object_can_be_while_it_stops(checker: Checker) -> None:
+    away = coming((1.5, 1.5, POST.position[2]), 0.1)
+    assert checker.validity_among(WAY, 0.0, EMPTY, [away], now=0.0, stopping=0.5).until is None
+    here = coming(POST.position, 0.1)
+    slowly = checker.validity_among(WAY, 0.0, EMPTY, [here], now=0.0, stopping=0.5)
+    longer = checker.validity_among(WAY, 0.0, EMPTY, [here], now=0.5, stopping=0.5)
+    standing = checker.validity(WAY, 0.0, seen(POST), EMPTY)
+    assert slowly.obstruction is not None
+    assert slowly.obstruction.object == "post"
+    assert slowly.until is not None
+    assert longer.until is not None
+    assert standing.obstruction is not None
+    assert longer.until < slowly.until < standing.obstruction.time
+
+
+def test_the_time_to_rest_holds_for_an_executor_that_brakes_then() -> None:
+    limit = np.array(ROBOT.descriptor.cspace.acceleration)
+    stopping = StoppingTime(WAY, limit, reaction=0.1)
+    for time in np.linspace(0.0, WAY.duration - 0.1, 7):
+        follower = Follower(WAY, limit, time=time + 0.1, target=0.0)
+        ticks = 0
+        while not follower.at_rest:
+            follower.advance(0.01)
+            ticks += 1
+        assert 0.01 * ticks + 0.1 <= stopping.after(float(time))

@@ -76,12 +76,15 @@ def peaks(
                     count += 1
             turns[count] = 1.0
             bend, speed = abs(a0), max(abs(v0), abs(v1))
+            # A velocity lies within its control points (Farouki and Rajan 1987): most are slower than one before for certain.
+            bound = max(speed, abs(v0 + 0.25 * a0), abs(v0 + 0.5 * a0 + 0.5 * c3), abs(v1 - 0.25 * a1))
+            may_be_fastest = bound > fastest * h * limits[0, j]
             before = a0
             for k in range(1, count + 1):
-                low, high = turns[k - 1], turns[k]
-                after = _bend(a0, c3, c4, c5, high)
+                after = _bend(a0, c3, c4, c5, turns[k])
                 bend = max(bend, abs(after))
-                if before * after < 0.0:  # velocity turns once between
+                if may_be_fastest and before * after < 0.0:  # velocity turns once between
+                    low, high = turns[k - 1], turns[k]
                     for _ in range(HALVINGS):
                         middle = 0.5 * (low + high)
                         if _bend(a0, c3, c4, c5, middle) * before > 0.0:

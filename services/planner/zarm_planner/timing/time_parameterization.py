@@ -5,12 +5,13 @@ Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 
 average over time turns its steps of acceleration into ramps (Biagiotti and Melchiorri, "FIR filters for online trajectory
 planning with time- and frequency-domain specifications", 2012). What is then still over a limit between two samples is
 cured by running the whole motion slower.
+
+TOPPRA is imported where it is used: that takes a second, and most planners never need it.
 """
 
 from __future__ import annotations
 
 import itertools
-import logging
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -22,12 +23,6 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.timing.sampling import sample_times, within
-from zarm_planner.timing.toppra_without_plots import (
-    TOPPRA,
-    JointAccelerationConstraint,
-    JointVelocityConstraint,
-    SplineInterpolator,
-)
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -40,7 +35,6 @@ _CURVE_STEP = 0.025
 """And on a curve through many points."""
 _ROUNDING = 3 / 16
 """A corner rounded from `leg` before it to `leg` after it is left by `_ROUNDING * leg * |u_after - u_before|`."""
-logging.getLogger("toppra").setLevel(logging.CRITICAL)
 
 
 def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> TimedTrajectory:
@@ -96,6 +90,8 @@ def through(points: Array) -> TimedTrajectory:
 
     A cubic spline: its slope and its curvature are continuous.
     """
+    from zarm_planner.timing.toppra_without_plots import SplineInterpolator
+
     points = _distinct(points)
     length = np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
     spline = SplineInterpolator(length, points)
@@ -193,6 +189,8 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
     """TOPPRA under the limits on velocity and acceleration, at points not further apart than `step` (rad), `least` on each
     piece of the curve; None where its numbers fail.
     """
+    from zarm_planner.timing.toppra_without_plots import TOPPRA, JointAccelerationConstraint, JointVelocityConstraint
+
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
     constraints = [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]

@@ -1,7 +1,8 @@
-"""TOPPRA without matplotlib, which it loads for plots that no planner draws: a quarter of the CPU time of the planner's start."""
+"""TOPPRA without matplotlib, which it loads for plots that no planner draws."""
 
 from __future__ import annotations
 
+import logging
 import sys
 from types import ModuleType
 
@@ -14,5 +15,6 @@ from toppra.constraint import JointAccelerationConstraint, JointVelocityConstrai
 
 for _name in _PLOTS:  # whoever wants plots loads the real one
     del sys.modules[_name]
+logging.getLogger("toppra").setLevel(logging.CRITICAL)
 
 __all__ = ["TOPPRA", "JointAccelerationConstraint", "JointVelocityConstraint", "SplineInterpolator"]

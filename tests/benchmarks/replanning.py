@@ -1,0 +1,230 @@
+"""Replanning in motion: planner, executor and servo as processes, and things put in the way of a moving robot at random.
+
+    python tests/benchmarks/replanning.py [--count 1000] [--seed 0]
+
+Every goal starts in a random scene. While the robot moves, a ball is put where one of its links is going to be. Printed are the
+contacts, by a dense check with python-fcl of what was commanded and of what was measured, the share that arrived without stopping, how
+long it took from the edit's answer to a new trajectory in force and to its takeover, and how far the limits are used around the takeover.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from support.executor.client import Client
+from support.harness import ServiceProcess, router
+from support.planner.client import load, plan, to_joints
+from support.planner.second_opinion import Collisions, link_pose
+from support.trajectories import KEYS, ROBOT, with_execution
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import (
+    AddObjects,
+    Cuboid,
+    GoalTrajectory,
+    Plan,
+    PlanRequest,
+    SceneEdit,
+    SceneEdited,
+    SceneObject,
+    Sphere,
+)
+from zarm_runtime.bus import Bus
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
+
+JOINTS = ROBOT.descriptor.joints
+LIMITS = Limits.of(ROBOT)
+LINKS = tuple(ROBOT.descriptor.collision)[-4:]
+STEP = 0.005
+"""Commanded joints are checked this often (s)."""
+SEAM = 0.1
+"""The limits are looked at so far (s) around a takeover."""
+
+
+@dataclass
+class Tally:
+    """What came of the insertions; times in s, `uses` are rows of shares of the velocity, acceleration and jerk limits."""
+
+    ends: list[str] = field(default_factory=list)
+    stopped: int = 0
+    contacts: int = 0
+    unavoidable: int = 0
+    force: list[float] = field(default_factory=list)
+    takeover: list[float] = field(default_factory=list)
+    uses: list[tuple[float, float, float]] = field(default_factory=list)
+
+
+class Insertions:
+    """Runs goals and puts things in their way."""
+
+    def __init__(self, bus: Bus, seed: int) -> None:
+        self.bus, self.client = bus, Client(bus)
+        self.random = np.random.default_rng(seed)
+        self.tally = Tally()
+        self.told: list[tuple[float, GoalTrajectory]] = []
+        bus.subscribe(KEYS.goal_trajectory, GoalTrajectory, lambda _, said: self.told.append((time.time(), said)))
+
+    def scene(self) -> list[SceneObject]:
+        """Small boxes around the robot."""
+        return [
+            Cuboid(
+                kind="cuboid",
+                name=f"box{index}",
+                position=tuple((self.random.uniform(0.5, 1.1) * direction).tolist()),
+                size=(0.08, 0.08, 0.08),
+            )
+            for index in range(6)
+            for direction in [self.direction()]
+        ]
+
+    def direction(self) -> np.ndarray:
+        """A unit vector of the upper half."""
+        found = self.random.normal(size=3)
+        found[2] = abs(found[2])
+        return found / np.linalg.norm(found)
+
+    def way(self) -> Plan | None:
+        """A plan to joints at random, where there is one that takes long enough."""
+        wide = self.random.uniform(-1.5, 1.5, len(JOINTS)) * 0.8
+        home = np.array(ROBOT.descriptor.home)
+        with suppress(ZarmError):
+            made = plan(self.bus, PlanRequest(goal=to_joints(*(home + wide).tolist()), velocity_scale=0.6))
+            return made if made.trajectory.time[-1] > 2.0 else None
+        return None
+
+    def insert(self) -> bool:
+        """One goal with something put in its way; whether there was one."""
+        boxes = self.scene()
+        try:
+            load(self.bus, *boxes)
+        except ZarmError:
+            return False
+        made = self.way()
+        if made is None:
+            return False
+        path = TimedTrajectory.of(made.trajectory, JOINTS)
+        self.told.clear()
+        self.client.measured.clear()
+        self.client.goals.clear()
+        try:
+            goal = self.client.execute(plan_id=made.plan_id, replan=True)
+        except ZarmError:
+            return False
+        self.client.under_way(goal, self.random.uniform(0.05, 0.4))
+        now = path.nearest(np.array(self.client.measured[-1].position), 0.0, path.duration)
+        ahead = min(now + self.random.uniform(0.5, 1.5), path.duration)
+        place = link_pose(ROBOT, str(self.random.choice(LINKS)), path.at(ahead)[0])[:3, 3] + self.random.normal(
+            0, 0.02, 3
+        )
+        ball = Sphere(
+            kind="sphere", name="ball", position=tuple(place.tolist()), radius=float(self.random.uniform(0.02, 0.08))
+        )
+        if Collisions(ROBOT, [ball]).at(path.at(now + 0.1)[0]):
+            self.client.ended(goal)
+            return False
+        edited_from = len(self.client.measured)
+        add = SceneEdit(edit=AddObjects(op="add", objects=(ball,)))
+        self.bus.call(KEYS.scene_edit, add, SceneEdited, timeout=20)
+        answered = time.time()
+        last = self.client.ended(goal)
+        self.judge(last.status, goal, [*boxes, ball], answered, edited_from)
+        return True
+
+    def judge(self, status: str, goal: str, objects: list[SceneObject], answered: float, edited_from: int) -> None:
+        """Add one insertion to the tally."""
+        tally = self.tally
+        holds = [state.hold for state in self.client.goals if state.goal_id == goal and state.hold is not None]
+        tally.ends.append(status)
+        tally.stopped += bool(holds)
+        unavoidable = any(hold.obstruction is not None and not hold.obstruction.avoidable for hold in holds)
+        tally.unavoidable += unavoidable
+        check = Collisions(ROBOT, objects)
+        followed = [(moment, said) for moment, said in list(self.told) if said.goal_id == goal]
+        trajectories = [TimedTrajectory.of(said.trajectory, JOINTS).begun_at(said.start) for _, said in followed]
+        joints = [np.array(state.position) for state in self.client.measured[edited_from:]]
+        if len(trajectories) > 1 and status == "succeeded":
+            newest = trajectories[-1]
+            joints += list(newest.positions(np.arange(newest.begin, newest.duration, STEP)))
+        if not unavoidable:
+            tally.contacts += any(check.at(position) for position in joints)
+        for (moment, _), old, new in zip(followed[1:], trajectories, trajectories[1:], strict=False):
+            if not holds:
+                self.seam(old, new, moment, answered)
+
+    def seam(self, old: TimedTrajectory, new: TimedTrajectory, moment: float, answered: float) -> None:
+        """Note when `new`, which was told at `moment`, took over, and how hard."""
+        times = np.arange(new.begin, min(old.duration, new.duration), 0.001)
+        apart = np.abs(new.positions(times) - old.positions(times.clip(old.begin))).max(axis=1) > 1e-7
+        at = float(times[apart.argmax()]) if apart.any() else float(times[-1])
+        where = np.array([state.position for state in self.client.measured])
+        nearest = int(np.abs(where - new.at(at)[0]).max(axis=1).argmin())
+        self.tally.force.append(moment - answered)
+        self.tally.takeover.append(self.client.measured[nearest].stamp - answered)
+        around = np.arange(max(at - SEAM, new.begin), min(at + SEAM, new.duration), 0.001)
+        _, velocity, acceleration = new.sample(around)
+        near = np.flatnonzero((new.time[1:] > at - SEAM) & (new.time[:-1] < at + SEAM))
+        jerk = np.abs(np.diff(new.acceleration, axis=0)[near]) / new.steps[near, None]
+        self.tally.uses.append(
+            (
+                float((np.abs(velocity) / LIMITS.velocity).max()),
+                float((np.abs(acceleration) / LIMITS.acceleration).max()),
+                float((jerk / LIMITS.jerk).max()),
+            )
+        )
+
+
+def percentiles(what: str, seconds: list[float]) -> str:
+    """Median, p95 and the longest, in ms."""
+    if not seconds:
+        return f"{what}: never"
+    median, late, longest = np.percentile(np.array(seconds) * 1e3, (50, 95, 100))
+    return f"{what}: median {median:.0f} ms, p95 {late:.0f} ms, longest {longest:.0f} ms ({len(seconds)})"
+
+
+def main() -> None:
+    """Print the tally."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        endpoint = stack.enter_context(router())
+        bus = stack.enter_context(Bus(endpoint))
+        robot = str(with_execution(folder / "robot", "guard_timeout: 2.0, obstruction_timeout: 3.0"))
+        for service in ("planner", "servo", "executor"):
+            process = stack.enter_context(ServiceProcess(service, endpoint, folder, robot))
+            process.wait_ready(bus, KEYS)
+        runs = Insertions(bus, options.seed)
+        done = 0
+        while done < options.count:
+            done += runs.insert()
+    tally = runs.tally
+    arrived = tally.ends.count("succeeded")
+    lines = (
+        f"{done} insertions: {tally.contacts} contacts, {tally.unavoidable} too late to be avoided and left out of that",
+        f"arrived {arrived} ({100 * arrived / done:.0f} %), without stopping {100 * (done - tally.stopped) / done:.0f} %; "
+        f"replaced in motion {len(tally.uses)} times",
+        percentiles("from the edit's answer to a new trajectory in force", tally.force),
+        percentiles("from the edit's answer to its takeover", tally.takeover),
+    )
+    sys.stdout.write("\n".join(lines) + "\n")
+    if tally.uses:
+        velocity, acceleration, jerk = np.max(tally.uses, axis=0)
+        sys.stdout.write(
+            f"greatest share of the limits around a takeover: velocity {velocity:.3f}, acceleration {acceleration:.3f}, jerk {jerk:.3f}\n"
+        )
+
+
+if __name__ == "__main__":
+    main()

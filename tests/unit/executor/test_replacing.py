@@ -1,0 +1,127 @@
+"""The trajectory of a goal is replaced, tick by tick without a thread."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from support.arrivals import arrival
+from support.executor.bench import LIMIT, Bench
+from support.trajectories import ROBOT, SCENE, moved
+from zarm_contract.errors import Busy, ExecutionRefused
+from zarm_contract.messages import Authority, Obstruction
+from zarm_executor.monitor import Monitor
+from zarm_trajectory.follower import TICK
+from zarm_trajectory.trajectory import TimedTrajectory
+
+ELSEWHERE = np.array(moved(-0.2))
+BOX = Obstruction(object="box", link="link_5", time=1.0)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    bench = Bench()
+    bench.machine.scene = SCENE
+    return bench
+
+
+def from_state(state: np.ndarray, duration: float = 4.0) -> TimedTrajectory:
+    """From a state (3, J) to rest elsewhere."""
+    position, velocity, acceleration = np.zeros((3, 2, len(ELSEWHERE)))
+    position[:] = state[0], ELSEWHERE
+    velocity[0], acceleration[0] = state[1], state[2]
+    return TimedTrajectory(np.array([0.0, duration]), position, velocity, acceleration)
+
+
+def blocked(bench: Bench, until: float, trajectory: int = 1) -> None:
+    said = Authority(
+        servo="servo",
+        sequence=trajectory,
+        goal_id="goal-1",
+        trajectory=trajectory,
+        scene_revision=SCENE,
+        until=until,
+        obstruction=BOX,
+    )
+    bench.machine.hear(said, bench.now)
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.4])
+def test_the_robot_goes_over_to_another_trajectory_without_a_jump_and_its_goal_goes_on(
+    bench: Bench, speed: float
+) -> None:
+    bench.machine.set_speed(speed)
+    trajectory = bench.execute(scene=SCENE)
+    bench.run(0.3 / speed)
+    at = bench.arm.follower.time + 0.1
+    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at)
+    bench.run(6.0 / speed)
+    ended = bench.machine.changes[-1]
+    assert (ended.goal_id, ended.status) == ("goal-1", "succeeded")
+    assert not any(change.hold for change in bench.machine.changes)
+    np.testing.assert_allclose(bench.positions[-1], ELSEWHERE, atol=1e-9)
+    acceleration = np.diff(bench.positions, n=2, axis=0) / TICK**2
+    assert (np.abs(acceleration) / LIMIT).max() < 1.02
+
+
+def test_a_goal_that_brakes_before_something_goes_on_along_its_new_trajectory(bench: Bench) -> None:
+    trajectory = bench.execute(scene=SCENE)
+    bench.run(0.4)
+    at = bench.arm.follower.time + 0.1
+    blocked(bench, at + 0.02)
+    bench.run(0.02)
+    goal = bench.machine.goal_state()
+    assert goal is not None
+    assert goal.hold is not None
+    bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at)
+    bench.run(6.0)
+    assert bench.machine.changes[-1].status == "succeeded"
+
+
+def test_a_goal_that_waits_at_rest_gets_a_trajectory_from_there_and_its_path_time_goes_on(bench: Bench) -> None:
+    trajectory = bench.execute(scene=SCENE)
+    blocked(bench, 0.8)
+    bench.run(2.0)
+    rests = bench.arm.exact.position
+    progress = bench.arm.follower.time
+    fresh = from_state(np.stack((rests, np.zeros_like(rests), np.zeros_like(rests))))
+    goal = bench.machine.replace("goal-1", 1, fresh, SCENE, Monitor(fresh, ROBOT.descriptor))
+    assert (goal.number, goal.trajectory.begin) == (2, progress)
+    bench.run(6.0)
+    assert bench.machine.changes[-1].status == "succeeded"
+    assert trajectory.duration != goal.trajectory.duration
+    np.testing.assert_allclose(bench.positions[-1], ELSEWHERE, atol=1e-9)
+
+
+def test_what_comes_too_late_jumps_or_is_for_another_trajectory_is_refused_and_the_robot_goes_on_as_before(
+    bench: Bench,
+) -> None:
+    trajectory = bench.execute(scene=SCENE)
+    bench.run(0.4)
+    now = bench.arm.follower.time
+    replace = bench.machine.replace
+    with pytest.raises(ExecutionRefused, match="what the robot does until"):
+        replace("goal-1", 1, from_state(trajectory.at(now - 0.01)), SCENE, now - 0.01)
+    with pytest.raises(ExecutionRefused, match="does not begin where"):
+        replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, now + 0.1)
+    for goal_id, number in (("goal-1", 2), ("goal-0", 1)):
+        with pytest.raises(ExecutionRefused, match="plan for what is followed"):
+            replace(goal_id, number, from_state(trajectory.at(now + 0.1)), SCENE, now + 0.1)
+    with pytest.raises(Busy, match="does not wait at rest"):
+        replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, Monitor(trajectory, ROBOT.descriptor))
+    bench.run(trajectory.duration + 1.0)
+    assert bench.machine.changes[-1].status == "succeeded"
+    np.testing.assert_allclose(bench.positions[-1], trajectory.end, atol=1e-9)
+
+
+@pytest.mark.parametrize("command", ["cancel", "pause"])
+def test_a_goal_that_was_told_to_end_or_to_pause_keeps_its_trajectory(bench: Bench, command: str) -> None:
+    trajectory = bench.execute(scene=SCENE)
+    bench.run(0.4)
+    at = bench.arm.follower.time + 0.05
+    if command == "cancel":
+        bench.machine.cancel(None, "by a test", arrival())
+    else:
+        bench.machine.pause(arrival())
+    with pytest.raises(Busy, match="told to end or to pause"):
+        bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at)

@@ -1,0 +1,103 @@
+"""What a robot that is stuck is steered for: points on a global plan, until the target can be followed directly again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.robot import load_robot
+from zarm_geometry.robot_model import RobotModel
+from zarm_servo.global_plan import GlobalPlan
+from zarm_servo.guide import Guide
+from zarm_servo.targets import JointTarget, PoseTarget, Target, TwistTarget
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+MODEL = RobotModel.of(load_robot("doosan_m1013"))
+START = np.array(MODEL.robot.descriptor.home)
+PATH = START + np.linspace(0.0, 1.0, 51)[:, None] * np.array((1.0, 0.2, 0.0, 0.0, 0.0, 0.0))
+TARGET = PoseTarget(MODEL.fk_tip(PATH[-1]))
+SECOND = 250
+
+
+class AtOnce(Executor):
+    """Runs what it is given before it returns."""
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        done: Future[T] = Future()
+        try:
+            done.set_result(fn(*args, **kwargs))
+        except PlanningFailed as error:
+            done.set_exception(error)
+        return done
+
+
+class Stuck:
+    """A guide of a robot, and how often it asked for a plan; `known` says whether there is one."""
+
+    def __init__(self, *, known: bool = True) -> None:
+        self.asked, self.known = 0, known
+        self.guide = Guide(MODEL, self._find, lambda *_: True, AtOnce())
+
+    def _find(self, target: PoseTarget | JointTarget, _start: Array, _distance: float) -> GlobalPlan:
+        self.asked += 1
+        if not self.known:
+            raise PlanningFailed("there is a wall", code="goal_in_collision")
+        return GlobalPlan(PATH, target)
+
+    def stay(self, target: Target, at: Array = START, steps: int = SECOND, revision: str = "1-a") -> Target | None:
+        """What it is steered for after so many steps in which it has not moved."""
+        return [self.guide.target(target, at, revision) for _ in range(steps)][-1]
+
+
+def test_a_robot_that_moves_on_is_led_to_the_target_itself() -> None:
+    robot = Stuck()
+    assert all(robot.guide.target(TARGET, position, "1-a") is TARGET for position in np.repeat(PATH, 10, axis=0))
+    assert robot.asked == 0
+
+
+def test_a_robot_that_is_stuck_is_led_along_a_plan_to_its_end() -> None:
+    robot = Stuck()
+    point = robot.stay(TARGET, steps=SECOND // 2)
+    assert isinstance(point, JointTarget)
+    assert 0.1 < np.abs(point.position - START).max() < 1.0
+    for position in np.repeat(PATH, 10, axis=0):
+        point = robot.guide.target(TARGET, position, "1-a")
+    assert isinstance(point, JointTarget)
+    np.testing.assert_allclose(point.position, PATH[-1])
+    assert robot.asked == 1
+
+
+def test_a_target_that_moves_is_followed_directly_near_the_end_of_the_plan() -> None:
+    robot = Stuck()
+    robot.stay(TARGET, steps=SECOND // 2)
+    for position in np.repeat(PATH[:-2], 10, axis=0):
+        robot.guide.target(TARGET, position, "1-a")
+    pose = TARGET.pose.copy()
+    pose[2, 3] += 0.02
+    moved = PoseTarget(pose)
+    assert robot.guide.target(moved, PATH[-2], "1-a") is moved
+
+
+def test_what_cannot_be_reached_is_told_and_asked_for_again_only_in_another_scene() -> None:
+    robot = Stuck(known=False)
+    assert robot.stay(TARGET) is TARGET
+    robot.stay(TARGET)
+    assert robot.asked == 1
+    assert robot.guide.problem is not None
+    assert robot.guide.problem.code == "goal_in_collision"
+    robot.known = True
+    assert isinstance(robot.stay(TARGET, revision="2-a"), JointTarget)
+    assert robot.guide.problem is None
+
+
+def test_who_jogs_is_never_led_elsewhere() -> None:
+    robot, twist = Stuck(), TwistTarget(np.zeros(6))
+    assert robot.stay(twist) is twist
+    assert robot.asked == 0

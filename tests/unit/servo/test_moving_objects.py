@@ -1,0 +1,131 @@
+"""Poses of moving objects: which are taken, what they mean, and what becomes of an object that nothing is told of any more."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from zarm_contract.messages import Cuboid, Mesh, ObjectPose, Scene, SceneObject, Sphere, Voxels
+from zarm_geometry.meshes import Meshes
+from zarm_servo.moving_objects import AGREE, LOST, MovingObjects
+from zarm_servo.scene_monitor import SceneMonitor
+
+NOW, WALL = 50.0, 1.75e9
+BOX = Cuboid(kind="cuboid", name="box", position=(1.0, 0.0, 0.0), size=(0.2, 0.2, 0.2))
+BALL = Sphere(kind="sphere", name="ball", position=(0.0, 1.0, 0.0), radius=0.1)
+CELLS = Voxels(kind="voxels", name="cells", resolution=0.1, cells=((0, 0, 0),))
+
+
+class Told:
+    """Moving objects in a scene, and what is told of them."""
+
+    def __init__(self) -> None:
+        self.monitor = SceneMonitor(lambda: None)
+        self.edits = 0
+        self.changes = 0
+        self.scene(BOX, BALL, CELLS)
+        self.moving = MovingObjects(self.monitor, Meshes(), self._changed)
+
+    def _changed(self) -> None:
+        self.changes += 1
+
+    def scene(self, *objects: SceneObject) -> None:
+        self.edits += 1
+        self.monitor.hear_scene("", Scene(revision=f"{self.edits}-5be0c1d2f3a4", objects=objects))
+
+    def tell(self, name: str = "box", *, late: float = 0.01, now: float = NOW, **fields: Any) -> str | None:
+        """Tell a pose that was made `late` s ago; the field for which it is refused."""
+        known = {"stamp": WALL + now - late, "position": (0.5, 0.0, 0.0), "speed": 0.2}
+        message = ObjectPose.model_construct(**(known | fields))
+        self.moving.tell(name, message.model_dump_json().encode(), now, WALL + now)
+        return None if self.moving.refused is None else self.moving.refused.field
+
+    def all(self) -> dict[str, Any]:
+        return {mover.item.name: mover for mover in self.moving.of(self.monitor.snapshot(NOW))}
+
+
+@pytest.fixture
+def told() -> Told:
+    return Told()
+
+
+def test_an_object_is_where_it_was_told_to_be_and_moves_on_from_when_it_was_seen_there(told: Told) -> None:
+    assert told.tell(linear=(0.1, 0.0, 0.0)) is None
+    mover = told.all()["box"]
+    assert mover.placed == BOX.model_copy(update={"position": (0.5, 0.0, 0.0)})
+    moving = mover.moving(NOW, ahead=0.06)
+    assert (moving.velocity, moving.speed) == ((0.1, 0.0, 0.0), 0.2)
+    assert moving.time == pytest.approx(-(0.01 + AGREE + 0.06))
+    assert told.changes == 1
+
+
+def test_an_object_that_turns_moves_as_fast_as_its_farthest_point(told: Told) -> None:
+    told.tell(angular=(0.0, 0.0, 2.0), speed=0.0)
+    assert told.all()["box"].speed == pytest.approx(2.0 * 0.1 * np.sqrt(3))
+    told.tell("ball", angular=(0.0, 0.0, 2.0), speed=0.0)
+    assert told.all()["ball"].speed == 0.0
+
+
+def test_wherever_it_can_be_while_the_robot_stops_one_of_the_places_is_near(told: Told) -> None:
+    told.tell(linear=(0.4, 0.0, 0.0), speed=0.1)
+    mover, rng = told.all()["box"], np.random.default_rng(0)
+    places = mover.swept(NOW, 0.5, 0.02)
+    for time in rng.uniform(0.0, 0.5, 200):
+        age, way = mover.age(NOW) + time, rng.normal(size=3)
+        there = np.array((0.5, 0.0, 0.0)) + age * (np.array((0.4, 0.0, 0.0)) + 0.1 * way / np.linalg.norm(way))
+        assert any(np.linalg.norm(there - item.position) <= growth + 1e-9 for item, growth in places)
+    assert max(growth for _, growth in places) < 0.1 * 0.55 + 0.021
+
+
+def test_the_newest_counts_whatever_comes_later(told: Told) -> None:
+    told.tell(late=0.01)
+    assert told.tell(late=0.05, position=(0.9, 0.0, 0.0)) is None
+    assert told.all()["box"].placed.position == (0.5, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "field"),
+    [
+        ("chair", {}, "name"),
+        ("cells", {}, "name"),
+        ("box", {"late": -0.5}, "stamp"),
+        ("box", {"late": 2.0}, "stamp"),
+        ("box", {"speed": -1.0}, "speed"),
+        ("box", {"position": (float("nan"), 0.0, 0.0)}, "position.0"),
+    ],
+)
+def test_what_is_wrong_is_refused_by_its_field_and_changes_nothing(
+    told: Told, name: str, fields: dict[str, Any], field: str
+) -> None:
+    told.tell()
+    before = told.all()
+    assert told.tell(name, **fields) == field
+    assert told.all() == before
+    assert told.tell(late=0.0) is None
+
+
+def test_an_object_without_news_grows_for_a_while_and_is_lost_then(told: Told) -> None:
+    told.tell(late=0.0)
+    mover = told.all()["box"]
+    assert mover.age(NOW + 0.5) == pytest.approx(0.5 + AGREE)
+    assert told.moving.lost(NOW + 0.5) == ()
+    assert mover.age(NOW + 60.0) == LOST
+    assert told.moving.lost(NOW + 60.0) == ("box",)
+    assert told.all()["box"] is mover
+
+
+def test_an_edit_of_the_object_places_it_anew_and_other_edits_do_not(told: Told) -> None:
+    told.tell()
+    told.scene(BOX.model_copy(), CELLS)
+    assert "box" in told.all()
+    told.scene(BOX.model_copy(update={"size": (0.1, 0.1, 0.1)}), CELLS)
+    assert told.all() == {}
+
+
+def test_a_mesh_that_is_not_there_is_refused(told: Told) -> None:
+    told.scene(Mesh(kind="mesh", name="part", position=(0.0, 0.0, 0.0), file="part.stl", sha256="0" * 64))
+    told.tell("part")
+    assert told.moving.refused is not None
+    assert told.moving.refused.code == "unavailable"

@@ -1,0 +1,200 @@
+"""What the servo asks for when a goal is blocked: of the planner, and of the executor."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from support.harness import eventually
+from support.trajectories import HOME, ROBOT, SCENE, moved, rest_to_rest
+from zarm_contract.errors import DeadlineExceeded, ExecutionRefused, PlanningFailed
+from zarm_contract.messages import (
+    GoalState,
+    GoalTrajectory,
+    Hold,
+    JointState,
+    Plan,
+    PlanRequest,
+    PlanTimings,
+    Pose,
+    ReplaceTrajectory,
+    Scene,
+    Sphere,
+)
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
+from zarm_runtime.metrics import Metrics
+from zarm_servo.check import Checker
+from zarm_servo.replanning import LONGEST_LEAD, SHORTEST_LEAD, Replanner
+from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
+from zarm_trajectory.trajectory import TimedTrajectory
+
+JOINTS = ROBOT.descriptor.joints
+WAY = rest_to_rest(moved(0.8), slower=2.0)
+PATH = TimedTrajectory.of(WAY, JOINTS)
+FOLLOWED = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=WAY, scene_revision=SCENE, replan=True)
+TIMINGS = PlanTimings(ik=0, search=0, shortcut=0, timing=0, verify=0, optimize=0, total=0)
+PLAN = Plan(
+    plan_id="p-1",
+    robot="arm",
+    robot_hash=ROBOT.hash,
+    scene_revision=SCENE,
+    trajectory=WAY,
+    tip=Pose(position=(0.0, 0.0, 1.0)),
+    clearance=0.1,
+    resolution=0.01,
+    path_length=1.0,
+    timings=TIMINGS,
+)
+
+
+class Standing:
+    """Joints that are measured at rest, or not."""
+
+    rests = False
+
+    def get(self, *, max_age: float) -> JointState:
+        speed = 0.0 if self.rests else 0.5
+        return JointState(stamp=max_age, joint_names=JOINTS, position=tuple(HOME), velocity=(speed,) * len(JOINTS))
+
+
+class Desk:
+    """Planner and executor as the test has them answer; what they were asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[PlanRequest] = []
+        self.replaced: list[ReplaceTrajectory] = []
+        self.planner: Callable[[], Plan] = lambda: PLAN
+        self.executor: Callable[[], None] = lambda: None
+        self.measured = Standing()
+        self.monitor = SceneMonitor(lambda: None)
+        self.monitor.hear_scene("", Scene(revision=SCENE))
+        self.lock = threading.Lock()
+
+    def ask(self, request: PlanRequest, _deadline: float) -> Plan:
+        self.asked.append(request)
+        return self.planner()
+
+    def replace(self, request: ReplaceTrajectory) -> None:
+        self.executor()
+        self.replaced.append(request)
+
+
+def goal(progress: float, *, held: bool = False) -> GoalState:
+    return GoalState(
+        goal_id="goal-1",
+        status="running",
+        progress=progress,
+        elapsed=0.1,
+        duration=PATH.duration,
+        joint_command=tuple(HOME),
+        hold=Hold(reason="obstruction") if held else None,
+    )
+
+
+@pytest.fixture
+def desk() -> Desk:
+    return Desk()
+
+
+@pytest.fixture(scope="module")
+def checker() -> Checker:
+    """It has checked something: the first time takes long."""
+    made = Checker(RobotModel.of(ROBOT), Meshes())
+    ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1)
+    made.validity(PATH, 0.0, SceneSnapshot(objects={"ball": ball}), None)
+    return made
+
+
+@pytest.fixture
+def replanner(desk: Desk, checker: Checker) -> Iterator[Replanner]:
+    with Replanner(ROBOT, checker, desk.monitor, desk.measured, desk.ask, desk.replace, Metrics()) as running:
+        running.hear_goal("", goal(0.2))
+        yield running
+
+
+def refuse() -> None:
+    raise ExecutionRefused("too late", code="start_state_mismatch")
+
+
+def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_it_was(
+    desk: Desk, replanner: Replanner
+) -> None:
+    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
+    (replaced,) = eventually(lambda: list(desk.replaced), "the trajectory is replaced")
+    (request,) = desk.asked
+    assert replaced.at is not None
+    assert (replaced.goal_id, replaced.number, replaced.scene_revision) == ("goal-1", 1, SCENE)
+    assert replaced.at >= 0.2 * PATH.duration + SHORTEST_LEAD
+    assert request.start_state is not None
+    np.testing.assert_allclose(request.start_state.position, PATH.at(replaced.at)[0])
+    np.testing.assert_allclose(request.goal.position, PATH.end)
+    assert request.velocity_scale is not None
+    assert request.velocity_scale < 0.6
+
+
+def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_robot_stops_first(
+    desk: Desk, replanner: Replanner
+) -> None:
+    desk.executor = refuse
+    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
+    eventually(lambda: len(desk.asked) == 4, "it was tried four times")
+    leads = [request.timeout for request in desk.asked]
+    assert leads == sorted(leads)
+    assert leads[-1] <= LONGEST_LEAD
+    desk.executor = lambda: None
+    desk.measured.rests = True
+    replanner.hear_goal("", goal(0.5, held=True))
+
+    def again() -> list[ReplaceTrajectory]:
+        replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
+        return desk.replaced
+
+    (replaced,) = eventually(again, "it is replaced at rest")
+    assert replaced.at is None
+    assert desk.asked[-1].start_state is None
+
+
+@pytest.mark.parametrize(
+    "failure", [PlanningFailed("no way", code="no_path"), DeadlineExceeded("slow", code="timeout")]
+)
+def test_without_a_plan_nothing_is_replaced(desk: Desk, replanner: Replanner, failure: Exception) -> None:
+    def fail() -> Plan:
+        raise failure
+
+    desk.planner = fail
+    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
+    eventually(lambda: desk.asked, "the planner was asked")
+    assert not desk.replaced
+
+
+def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(desk: Desk, replanner: Replanner) -> None:
+    def overtaken() -> Plan:
+        middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
+        ball = Sphere(kind="sphere", name="ball", position=tuple(middle.tolist()), radius=0.1)
+        newer = f"{int(SCENE.partition('-')[0]) + 1}-{SCENE.partition('-')[2]}"
+        desk.monitor.hear_scene("", Scene(revision=newer, objects=(ball,)))
+        return PLAN
+
+    desk.planner = overtaken
+    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
+    eventually(lambda: len(desk.asked) > 1, "it was tried again")
+    assert not desk.replaced
+
+
+def test_a_goal_that_is_blocked_before_a_plan_could_take_over_is_not_planned_in_motion(
+    desk: Desk, replanner: Replanner
+) -> None:
+    desk.measured.rests = True
+    replanner.hear_goal("", goal(0.2, held=True))
+    replanner.see(FOLLOWED, PATH, 0.2 * PATH.duration)
+
+    def again() -> list[ReplaceTrajectory]:
+        replanner.see(FOLLOWED, PATH, 0.2 * PATH.duration)
+        return desk.replaced
+
+    (replaced,) = eventually(again, "it is replaced at rest")
+    assert replaced.at is None
