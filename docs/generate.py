@@ -101,6 +101,7 @@ def keys() -> Iterator[str]:
 def _key(name: str) -> str:
     arguments = {
         "scene_object": ("<name>",),
+        "object_pose": ("<name>",),
         "goal": ("<goal_id>",),
         "health": ("<service>",),
         "reread": ("<service>",),

@@ -38,6 +38,9 @@ PRECISION = 2e-3
 TIP = MODEL.fk_tip(HOME)[:3, 3]
 WALL = Cuboid(kind="cuboid", name="wall", position=(float(TIP[0]) + 0.2, 0.0, 0.5), size=(0.1, 4.0, 3.0))
 
+PANEL = Cuboid(kind="cuboid", name="panel", position=tuple((TIP + (0.0, 0.25, 0.0)).tolist()), size=(0.5, 0.04, 0.5))
+"""Beside the tip: what is behind it is reached around it."""
+
 
 class Cell:
     """One robot with its processes, a client of Python and one that sees everything."""
@@ -113,6 +116,31 @@ def test_a_pose_is_reached_to_a_millimetre_beside_a_wall_and_one_behind_it_says_
         tracking.reach(HOME, timeout=PATIENCE)
     assert cell.client.ended(tracking.goal_id).status == "succeeded"
     cell.assert_sound(WALL)
+
+
+def test_a_pose_that_local_descent_cannot_reach_is_reached_along_a_global_plan(cell: Cell) -> None:
+    load(cell.bus, PANEL)
+    here = cell.robot.tip()
+    there = zarm.Pose(np.add(here.position, (0.0, 0.5, 0.0)), here.orientation)
+    planned = []
+    with cell.robot.track() as tracking:
+        tracking.reach(there, timeout=PATIENCE, on_progress=lambda state: planned.append(state.planned))
+    assert any(planned)
+    assert np.linalg.norm(np.subtract(cell.robot.tip().position, there.position)) < 0.0015
+    cell.assert_sound(PANEL)
+
+
+def test_a_robot_that_finds_itself_in_a_collision_leaves_it_outwards_only(cell: Cell) -> None:
+    x, y, z = (TIP - (0.0, 0.0, 0.03)).tolist()
+    table = Cuboid(kind="cuboid", name="table", position=(x, y, z - 0.05), size=(0.4, 0.4, 0.1))
+    load(cell.bus, table)
+    with cell.robot.jog() as jogging:
+        cell.repeat(jogging, "free", linear=(0.0, 0.0, 0.1))
+    scene = ExactScene(MODEL, World([table], 0.0))
+    distances = np.array([scene.nearest(state.position, itself=False).distance for state in cell.client.measured])
+    assert distances[0] < 0.0
+    assert distances[-1] > MARGIN
+    assert np.diff(np.minimum(distances, MARGIN)).min() > -1e-4
 
 
 def test_jogging_slows_before_a_wall_and_slides_along_it_and_stops_when_nobody_says_more(cell: Cell) -> None:
@@ -201,6 +229,32 @@ def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cel
 
         assert eventually(refused, "the target is refused") == field
     assert cell.client.stands()
+
+
+def test_targets_out_of_order_and_a_clock_that_was_set_back_are_refused_by_field(cell: Cell) -> None:
+    with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
+
+        def refused(sequence: int, stamp: float) -> str | None:
+            target = '{"kind": "twist", "frame": "base", "linear": [0, 0, 0]}'
+            session.put(
+                KEYS.servo_target,
+                f'{{"goal_id": "{jogging.goal_id}", "sequence": {sequence}, "stamp": {stamp}, "target": {target}}}',
+            )
+            state = jogging.state
+            return None if state is None or state.refused is None else state.refused.field
+
+        eventually(lambda: refused(7, 50.0) == "sequence", "the same number again is refused")
+        eventually(lambda: refused(8, 40.0) == "stamp", "what was made before is refused")
+    assert cell.client.stands()
+
+
+def test_of_a_thousand_targets_a_second_the_newest_counts_and_the_robot_never_jumps(cell: Cell) -> None:
+    with cell.robot.jog() as jogging:
+        for sent in range(1000):
+            jogging.joint_speed((0.2 if sent % 2 else -0.2, 0.0, 0.0, 0.0, 0.0, 0.1))
+            time.sleep(0.001)
+        eventually(lambda: jogging.state is not None and jogging.state.sequence == 1000, "the newest has come")
+    cell.assert_sound()
 
 
 def test_a_pause_ends_a_session_and_leaves_its_goal_paused(cell: Cell) -> None:

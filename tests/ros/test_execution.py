@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, Quaternion
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
 
-from curobo_msgs.action import MpcMove
 from support.harness import PATIENCE, eventually
 from support.planner.client import BEHIND_POST, POST
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
@@ -19,6 +20,7 @@ from zarm_contract.errors import ZarmError
 from zarm_contract.messages import (
     Accepted,
     AddObjects,
+    Authority,
     CancelRequest,
     ExecuteRequest,
     ExecutorState,
@@ -27,6 +29,7 @@ from zarm_contract.messages import (
     GoalState,
     LoadScene,
     Nothing,
+    Obstruction,
     PlannerSettings,
     RemoveObjects,
     SceneEdit,
@@ -249,19 +252,36 @@ def test_fifty_goals_at_once_are_all_answered_and_one_moves_the_robot(robot: Rob
     assert actions.send().ended()[0] == SUCCEEDED
 
 
-def test_mpc_move_is_refused_in_a_sentence(running: Stack) -> None:
-    status, result = Actions(running.ros.node, "mpc_move", MpcMove).send(target_pose=TARGET).ended()
-    assert (status, result.success) == (ABORTED, False)
-    assert "not available yet" in result.message
-
-
-def test_a_pose_for_mpc_move_moves_nothing_and_is_said_to(running: Stack) -> None:
-    said: list[str] = []
-    listener = running.ros.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
-    publisher = running.ros.node.create_publisher(Pose, "/unified_planner/mpc_goal", 1)
-    eventually(
-        lambda: publisher.publish(TARGET) or any("mpc_goal moves nothing" in line for line in said), "it is said"
-    )
-    assert running.bus.call(KEYS.executor_state, Nothing(), ExecutorState, timeout=10).mode == "idle"
-    running.ros.node.destroy_publisher(publisher)
-    running.ros.node.destroy_subscription(listener)
+def test_what_a_goal_waits_for_is_on_the_diagnostics_and_with_the_strategy(
+    running: Stack, robot: Robot, actions: Actions
+) -> None:
+    told: list[DiagnosticStatus] = []
+    node = running.ros.node
+    subscription = node.create_subscription(DiagnosticArray, "/diagnostics", lambda new: told.extend(new.status), 10)
+    try:
+        eventually(
+            lambda: [one for one in told if one.level == DiagnosticStatus.OK], "a robot at rest is said to be well"
+        )
+        plan = robot.plan(speed=0.15)
+        goal = actions.send()
+        goal.under_way()
+        eventually(lambda: [one for one in told if "no servo watches" in one.message], "it is said to be unguarded")
+        servo = robot.bus.publisher(KEYS.authority, Authority)
+        in_the_way = Authority(
+            servo="test",
+            sequence=1,
+            goal_id=robot.state().goal_id,
+            scene_revision=plan.scene_revision,
+            until=0.7 * plan.trajectory.duration,
+            obstruction=Obstruction(object="box", link="link_4", time=0.8 * plan.trajectory.duration),
+        )
+        servo.put(in_the_way)
+        held = eventually(lambda: [one for one in told if "waits" in one.message], "it is said to wait")[-1]
+        assert (held.name, held.level) == ("arm: motion", DiagnosticStatus.WARN)
+        assert held.message == "the goal waits: box is in the way of link_4"
+        assert {one.key: one.value for one in held.values}["object"] == "box"
+        assert running.ros.call(Trigger, "get_robot_strategy").message.endswith(held.message)
+        servo.put(in_the_way.model_copy(update={"sequence": 2, "until": None, "obstruction": None}))
+        assert goal.ended()[0] == SUCCEEDED
+    finally:
+        node.destroy_subscription(subscription)

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -38,11 +39,21 @@ LISTED = f"ros2 service call {NODE}/get_robot_strategies curobo_msgs/srv/GetRobo
 SWITCH = (
     f"ros2 service call {NODE}/set_robot_strategy curobo_msgs/srv/SetRobotStrategy \"{{robot_strategy: 'emulator'}}\""
 )
+PLANNER = {
+    number: f'ros2 service call {NODE}/set_planner curobo_msgs/srv/SetPlanner "{{planner_type: {number}}}"'
+    for number in (0, 1)
+}
+MPC_MOVE = (
+    f"ros2 action send_goal {NODE}/mpc_move curobo_msgs/action/MpcMove "
+    '"{target_pose: {position: {x: 0.5, y: 0.1, z: 0.5}, orientation: {x: 0.0, y: 1.0, z: 0.0, w: 0.0}}}" --feedback'
+)
 CHOOSE = {kind: f'ros2 param set {NODE} robot_type "{kind}"' for kind in ("ghost", "emulator", "doosan_m1013", "")}
 DRIVER_HZ, EMULATOR_HZ = "ros2 topic hz /dsr01/joint_states", "ros2 topic hz /emulator/joint_states"
 TOPICS, COMMAND_INFO = "ros2 topic list", "ros2 topic info /leeloo/execute_trajectory"
 COMMANDS = (
     *(PLAN_1, PLAN_2, EXECUTE, EXECUTE_TARGET, APPLY, ACTIVE, LISTED, SWITCH),
+    *PLANNER.values(),
+    MPC_MOVE,
     *CHOOSE.values(),
     *(DRIVER_HZ, EMULATOR_HZ, TOPICS, COMMAND_INFO),
 )
@@ -67,9 +78,17 @@ def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     with router() as endpoint, Bus(endpoint) as session:
         processes = [
             ServiceProcess(name, endpoint, folder, robot, KEYS.robot, arguments=arguments)
-            for name, arguments in (("leeloo_sim", ("--ros",)), ("planner", ()), ("executor", ()), ("ros_bridge", ()))
+            for name, arguments in (
+                ("leeloo_sim", ("--ros",)),
+                ("planner", ()),
+                ("executor", ()),
+                ("servo", ()),
+                ("ros_bridge", ()),
+            )
         ]
-        with processes[0], processes[1], processes[2], processes[3]:
+        with ExitStack() as started:
+            for process in processes:
+                started.enter_context(process)
             for process in processes[1:]:
                 process.wait_ready(session, KEYS)
             yield session
@@ -161,6 +180,16 @@ def test_version_2(bus: Bus) -> None:
     assert_executed(told)
     for name in ("state: EXECUTING", "step_progression: ", "joint_command:"):
         assert name in told
+
+
+def test_version_2_in_closed_loop(bus: Bus) -> None:
+    assert yaml.safe_load(ros2(SWITCH))["success"]
+    chosen = yaml.safe_load(ros2(PLANNER[1]))
+    assert (chosen["success"], chosen["current_planner"]) == (True, "mpc")
+    told = ros2(MPC_MOVE)
+    assert "Target reached" in told
+    assert "Goal finished with status: SUCCEEDED" in told
+    assert yaml.safe_load(ros2(PLANNER[0]))["previous_planner"] == "mpc"
 
 
 def assert_executed(printed: str) -> None:

@@ -268,6 +268,14 @@ EXAMPLES: tuple[Message, ...] = (
         until=0.9,
         obstruction=_OBSTRUCTION,
     ),
+    m.ObjectPose(
+        stamp=1.75e9,
+        position=(0.4, 0.1, 0.3),
+        orientation=(0.0, 0.0, 1.0, 0.0),
+        linear=(0.2, 0.0, 0.0),
+        angular=(0.0, 0.0, 0.5),
+        speed=0.1,
+    ),
     m.Authority(servo="0a1b2c3d", sequence=8, scene_revision=_REVISION),
     m.ServoState(
         activity="guarding",
@@ -278,6 +286,8 @@ EXAMPLES: tuple[Message, ...] = (
         obstruction=_OBSTRUCTION,
         problem=_PROBLEM,
         check=0.0008,
+        lost_objects=("cart",),
+        pose_refused=_PROBLEM,
     ),
     m.ServoStart(goal_id="jog-1", take_over=True, margin=0.02, velocity_scale=0.5, acceleration_scale=0.25),
     m.ServoEnd(goal_id="jog-1"),

@@ -152,6 +152,7 @@ class Scene(_Twin[zarm.scene.Scene]):
     attach = _awaited(zarm.scene.Scene.attach)
     detach = _awaited(zarm.scene.Scene.detach)
     set_link_collision = _awaited(zarm.scene.Scene.set_link_collision)
+    move = _awaited(zarm.scene.Scene.move)
     load = _awaited(zarm.scene.Scene.load)
     save = _awaited(zarm.scene.Scene.save)
     objects = _awaited(zarm.scene.Scene.objects)

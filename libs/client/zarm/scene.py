@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +17,11 @@ from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import (
     Attached,
+    ObjectPose,
     Occupancy,
     OccupancyRequest,
     PointCloud,
+    RemoveObjects,
     SceneEdit,
     SceneEdited,
     SceneObject,
@@ -26,7 +29,7 @@ from zarm_contract.messages import (
 from zarm_contract.messages import Scene as SceneMessage
 
 if TYPE_CHECKING:
-    from zarm.values import Numbers
+    from zarm.values import Numbers, Pose
 
 EDIT_SECONDS = 30.0
 """Longest wait for an edit: a large mesh takes seconds to read."""
@@ -70,6 +73,37 @@ class Scene:
     def set_link_collision(self, *links: str, enabled: bool) -> SceneEdited:
         """Look at the collisions of these links of the robot, or no longer; one link at least stays."""
         return self._edit(op="links", names=links, enabled=enabled)
+
+    def move(
+        self,
+        name: str,
+        pose: Pose,
+        *,
+        speed: float,
+        velocity: Numbers | None = None,
+        angular: Numbers | None = None,
+        stamp: float | None = None,
+    ) -> None:
+        """Tell where an object of the scene is now, at up to 100 Hz; nothing is answered, and no edit is made.
+
+        It moves on with `velocity` (m/s), turning with `angular` (rad/s), and its true velocity is within `speed` (m/s) of that: of
+        an object that may turn around at any time say only `speed`, its largest. `stamp` is when it was seen there (Unix time, s;
+        left out: now). Tell it again and again, also at rest: after 1 s without news it counts as lost. `servo/state` says so, and why a pose was not
+        taken.
+        """
+        fields = {
+            "stamp": time.time() if stamp is None else stamp,
+            "position": pose.position,
+            "orientation": pose.orientation,
+            "linear": (0.0,) * 3 if velocity is None else numbers(velocity, "velocity"),
+            "angular": (0.0,) * 3 if angular is None else numbers(angular, "angular"),
+            "speed": speed,
+        }
+        try:
+            message, key = ObjectPose.model_validate(fields), self.connection.keys.object_pose(_named(name))
+        except ValidationError as error:
+            raise invalid("the pose", error, fields) from None
+        self.connection.publisher(key, ObjectPose).put(message)
 
     def load(self, file: str | Path) -> SceneEdited:
         """Replace every object by those of a YAML file as `save` writes it: a list `objects` with the fields of each."""
@@ -137,6 +171,11 @@ class Scene:
         except ValidationError as error:
             raise invalid("the edit", error, data) from None
         return self.apply(request)
+
+
+def _named(name: str) -> str:
+    """A name that an object of the scene can have."""
+    return RemoveObjects(op="remove", names=(name,)).names[0]
 
 
 def _joints(values: Numbers | None) -> tuple[float, ...] | None:

@@ -182,7 +182,8 @@ def limited(state: ServoSession | None) -> str:
     if state is None:
         return "the servo has not told anything"
     pair = "" if state.link is None else f" by {state.object}, {1e3 * (state.distance or 0.0):.0f} mm from {state.link}"
-    return state.limiting.replace("_", " ") + pair
+    why = "" if state.unreachable is None else f"; the planner says: {state.unreachable.message}"
+    return state.limiting.replace("_", " ") + pair + why
 
 
 def _near(state: ServoSession) -> bool:

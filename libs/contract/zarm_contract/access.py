@@ -77,6 +77,7 @@ TABLE: Mapping[str, Rights] = {
     "plans": _value("planner"),
     "scene": _value("planner"),
     "scene_object": _value("planner"),
+    "object_pose": _published("operator", "bridge"),  # as who edits the scene
     "scene_revision": _value("planner"),
     "scene_edit": _request("planner"),
     "execute": _request("executor"),
@@ -107,7 +108,7 @@ TABLE: Mapping[str, Rights] = {
 }
 """The rights on each key of `Keys`, by the name of its property; those that every service has follow from SERVICE_ROLES."""
 
-_FAMILIES: Mapping[str, str] = {"scene_object": "*", "goal": "*"}
+_FAMILIES: Mapping[str, str] = {"scene_object": "*", "object_pose": "*", "goal": "*"}
 """The keys that hold a name, and the one that stands for all of them."""
 
 

@@ -74,6 +74,10 @@ class Keys:
         """Cuboid, Sphere, Capsule, Cylinder, Mesh or Voxels. One object of the scene; `name` may be `*`."""
         return self._key("scene", "object", name)
 
+    def object_pose(self, name: str) -> str:
+        """ObjectPose. Where an object of the scene is and how it moves, at up to 100 Hz; `name` may be `*`."""
+        return self._key("scene", "object", name, "pose")
+
     @property
     def scene_revision(self) -> str:
         """SceneEdited. The present revision alone, for those who need no more."""

@@ -101,6 +101,32 @@ class _Scene:
     changed: dict[str, Array] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class _Packed:
+    """The shapes of objects that changed and of objects that move, as a check needs them: the same ones are checked many times."""
+
+    changed: dict[str, Array] = field(default_factory=dict)
+    moving: list[SceneObject] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    solids: Solids = field(default_factory=lambda: solids(np.zeros((0, rows.WIDTH))))
+    lower: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    upper: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @classmethod
+    def of(cls, changed: dict[str, Array], moving: list[SceneObject], meshes: Meshes) -> Self:
+        """Raises Unavailable for a mesh that is not in `meshes`."""
+        tables = [*changed.values(), *(convex_shapes([item], meshes)[0] for item in moving)]
+        names, counts = [*changed, *(item.name for item in moving)], [len(table) for table in tables]
+        shapes = np.concatenate(tables)
+        each = [name for name, count in zip(names, counts, strict=True) for _ in range(count)]
+        return cls(changed, moving, each, counts, solids(shapes), *rows.bounds(shapes))
+
+    def holds(self, changed: dict[str, Array], moving: list[SceneObject]) -> bool:
+        """Whether it is of these very objects."""
+        return self.changed is changed and list(map(id, self.moving)) == list(map(id, moving))
+
+
 class MotionCheck:
     """Checks motions of one robot in a world that changes; any number of threads may check while one changes it.
 
@@ -110,6 +136,7 @@ class MotionCheck:
     def __init__(self, model: RobotModel, meshes: Meshes | None = None) -> None:
         self.model, self._meshes = model, meshes or Meshes()
         self._bodies: dict[tuple[tuple[Attached, ...], tuple[str, ...]], _Body] = {}
+        self._packed = _Packed()
         self.set_world(World((), 0.0))
 
     def set_world(self, world: World) -> None:
@@ -217,15 +244,13 @@ class MotionCheck:
         """What the world's tree does not hold, and the name of the object that each row of it is part of."""
         if not moving and not scene.changed:
             return [], _NONE
-        tables = [*scene.changed.values(), *(convex_shapes([item.object], self._meshes)[0] for item in moving)]
-        names = [*scene.changed, *(item.object.name for item in moving)]
+        packed, objects = self._packed, [item.object for item in moving]
+        if not packed.holds(scene.changed, objects):
+            packed = self._packed = _Packed.of(scene.changed, objects, self._meshes)
         states = [(0.0,) * 5] * len(scene.changed) + [(*item.velocity, item.speed, item.time) for item in moving]
-        counts = [len(table) for table in tables]
-        state = np.repeat(np.array(states), counts, axis=0)
-        shapes = np.concatenate(tables)
-        return [name for name, count in zip(names, counts, strict=True) for _ in range(count)], Movers(
-            solids(shapes), state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy(), *rows.bounds(shapes)
-        )
+        state = np.repeat(np.array(states), packed.counts, axis=0)
+        velocity, speed, since = state[:, :3].copy(), state[:, 3].copy(), state[:, 4].copy()
+        return packed.names, Movers(packed.solids, velocity, speed, since, packed.lower, packed.upper)
 
 
 def _names(body: _Body, scene: _Scene, movers: Sequence[str], part: int, other: int) -> tuple[str, str]:

@@ -281,13 +281,19 @@ class Bus:
 
     # -- publications --
 
-    def publisher(self, key: str, model: type[M], *, realtime: bool = False) -> Publisher[M]:
-        """Publish messages of one class on `key`. `realtime`: express, highest priority, dropped rather than queued."""
+    def publisher(
+        self, key: str, model: type[M], *, realtime: bool = False, droppable: bool | None = None
+    ) -> Publisher[M]:
+        """Publish messages of one class on `key`. `realtime`: express, highest priority.
+
+        Where a link is congested, a `droppable` one is dropped rather than queued; unless said, those that are `realtime`.
+        """
+        drop = realtime if droppable is None else droppable
         self._require("publishes", key)
         entity = self._session.declare_publisher(
             key,
             encoding=encoding_of(model),
-            congestion_control=zenoh.CongestionControl.DROP if realtime else zenoh.CongestionControl.BLOCK,
+            congestion_control=zenoh.CongestionControl.DROP if drop else zenoh.CongestionControl.BLOCK,
             priority=zenoh.Priority.REAL_TIME if realtime else zenoh.Priority.DATA,
             express=realtime,
         )

@@ -19,16 +19,6 @@ LIMIT_TOLERANCE = 1.01
 samples."""
 POSITION_TOLERANCE = 1e-4
 """Positions may be outside their limits by this much, rad: rounding, and interpolation between samples."""
-_LOOKS, _POWERS = np.arange(8)[:, None] / 8, np.arange(6)
-"""Where `load` looks at each segment."""
-_DERIVATIVES = np.concatenate(
-    (
-        _POWERS * _LOOKS ** np.maximum(_POWERS - 1, 0),
-        _POWERS * (_POWERS - 1) * _LOOKS ** np.maximum(_POWERS - 2, 0),
-    )
-)
-"""From the coefficients of a quintic to its slope at each of `_LOOKS`, then to its second derivative there."""
-
 _Values = Callable[[Array], Array]
 """Of polynomials (D+1, ...) on [0, 1], lowest power first, values between which all of each polynomial lies."""
 
@@ -76,25 +66,6 @@ class Limits:
             np.array(cspace.acceleration) * acceleration_scale,
             np.array(cspace.jerk),
         )
-
-    def load(self, trajectory: TimedTrajectory) -> float:
-        """How far the limits are used, 1 being fully: slower by this factor, the trajectory just keeps all of them.
-
-        Velocity and acceleration are taken also between samples, at eight moments each; jerk as the mean from sample to sample.
-        NaN where the trajectory holds no numbers.
-        """
-        step = trajectory.steps[:, None]
-        with np.errstate(all="ignore"):
-            jerk = np.abs(np.diff(trajectory.acceleration, axis=0)) / step
-            looked = np.abs(_DERIVATIVES @ trajectory.coefficients.reshape(len(_POWERS), -1))
-            slope, bend = looked.reshape(2, len(_LOOKS), *jerk.shape).max(axis=1)
-            velocity, acceleration = slope / step, bend / step**2
-            uses = (
-                np.max(velocity / self.velocity),
-                np.sqrt(np.max(acceleration / self.acceleration)),
-                np.cbrt(np.max(jerk / self.jerk)),
-            )
-        return float(np.max(uses))
 
     def check(self, trajectory: TimedTrajectory) -> None:
         """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not looked at."""

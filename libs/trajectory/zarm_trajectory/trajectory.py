@@ -141,16 +141,6 @@ class TimedTrajectory:
         index, u, _ = self._places(times)
         return quintic.values(self.coefficients[:, index], u)
 
-    def travel(self, reach: Array) -> Array:
-        """How far (N-1,) in m a point moves at most from sample to sample that moves by at most `reach` (J,) m per rad of each joint.
-
-        In a part of the time between two samples it is no more than that part of it: a polynomial lies within its Bernstein
-        coefficients, here those of the velocity.
-        """
-        velocity = quintic.derivative(self.coefficients)
-        found: Array = np.abs(quintic.control_points(velocity)).max(axis=0) @ reach
-        return found
-
     def nearest(self, position: Array, first: float, last: float) -> float:
         """The time from `first` to `last` s at which the trajectory is nearest to `position` (J,), to 1 ms."""
         times = np.append(np.arange(first, last, 0.001), last).clip(self.time[0], self.duration)

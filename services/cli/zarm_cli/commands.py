@@ -19,6 +19,7 @@ MODULES = {
     "router": "router",
     "certs": "certs",
     "demo": "demo",
+    "view": "view",
     "status": "status",
     "watch": "status",
     "health": "status",

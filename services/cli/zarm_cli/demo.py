@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
 import socket
 import tempfile
 import time
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.panel import Panel
 from rich.table import Table
 
@@ -17,6 +21,7 @@ from zarm_cli.execution import demand_success, run_goal
 from zarm_cli.launcher import launch
 from zarm_cli.output import err, facts, out, pose_text
 from zarm_cli.planning import plan_table
+from zarm_cli.view import VIEW
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Pose
 
 ROBOT = "doosan_m1013"
@@ -27,18 +32,33 @@ GOAL = zarm.Pose((0.0, 0.55, 0.6), (-0.6, 0.8, 0.0, 0.0))
 _SCALE = 0.4  # of the robot's limits: slow enough to watch
 
 
-def demo() -> None:
+def demo(
+    view: Annotated[bool, typer.Option("--view", help="Play on a page in the browser, and wait there.")] = False,
+) -> None:
     """Watch an emulated robot plan around a post and move there. Nothing to set up, nothing left behind."""
     began = time.monotonic()
     with (
         tempfile.TemporaryDirectory(prefix="zarm-demo-") as state,
-        launch(ROBOT, strategy="emulator", listen=_free_endpoint(), state=Path(state), log_level="WARNING") as stack,
+        suppress(KeyboardInterrupt) if view else nullcontext(),  # the ordinary end of a demo that waits
+        launch(
+            ROBOT,
+            strategy="emulator",
+            listen=_free_endpoint(),
+            state=Path(state),
+            log_level="WARNING",
+            view=os.environ.get("ZARM_VIEW", VIEW) if view else None,
+        ) as stack,
     ):
         with err.status("starting") as status:
             stack.wait_ready(status.update)
         out.print(f"{ROBOT}: router, planner and executor are ready after {time.monotonic() - began:.1f} s.")
         _go_around_the_post(stack.client)
-    out.print("Next: `zarm up` in one terminal, `zarm status` and `zarm watch` in another.")
+        if view:
+            out.print("The page stays open, and the robot is yours: Ctrl-C ends it.")
+            stack.wait()
+    out.print(
+        "Next: `zarm demo --view` shows it in a browser; `zarm up` in one terminal, `zarm status` and `zarm watch` in another."
+    )
 
 
 def _go_around_the_post(robot: Robot) -> None:

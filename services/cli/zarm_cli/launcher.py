@@ -21,6 +21,7 @@ from zarm_cli.imported import descriptor_of
 from zarm_cli.interrupts import pause
 from zarm_cli.output import err, facts, numbers, out
 from zarm_cli.supervision import Supervisor
+from zarm_cli.view import VIEW, VIEWER, require_viewer
 from zarm_contract.errors import InternalError, InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health
@@ -73,7 +74,7 @@ class Stack:
 
     def wait(self) -> None:
         """Wait for ever, and say which service is started again; raises InternalError when one ends again and again."""
-        while not (fallen := self.supervisor.given_up()):
+        while not (fallen := [name for name in self.supervisor.given_up() if name != "viewer"]):  # no page, but a robot
             for service, how in self.supervisor.ended():
                 err.print(f"zarm: the {service} has ended ({how}) and is started again", soft_wrap=True)
             pause(1.0)
@@ -96,8 +97,10 @@ def launch(
     meshes: Sequence[Path] = (),
     metrics: str | None = None,
     log_level: str | None = None,
+    view: str | None = None,
 ) -> Iterator[Stack]:
-    """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`.
+    """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`; at `view`, `HOST:PORT`,
+    the page that shows it.
 
     Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
     is already up on that bus, Unavailable where the port is taken, no router answers, or packages are not installed.
@@ -109,6 +112,8 @@ def launch(
             _ROS_PACKAGES,
             "`make ros` installs what is needed, and all else works without --ros",
         )
+    if view is not None:
+        require_viewer()
     robot = descriptor_of(robot)
     loaded = load_robot(robot)
     keys = keys_of(name if name is not None else loaded.descriptor.name)
@@ -128,6 +133,9 @@ def launch(
     if metrics is not None:
         for service, (_, words) in programs.items():
             words += ["--metrics", _next_port(metrics, METERED.index(service))]
+    if view is not None:
+        page = ["--robot", f"{keys.robot}={find_robot(robot)}", "--connect", endpoint, "--listen", view, *folders]
+        programs["viewer"] = (VIEWER, [*page, "--state", str(state)])
     environment = {"ZARM_METRICS": ""}  # of one address there is but one
     if ros and not any(map(os.environ.get, REACH)):
         environment[RANGE] = "LOCALHOST"  # whoever reaches DDS can move the robot
@@ -216,6 +224,12 @@ def up(
             metavar="FOLDER", help="A folder whose mesh files the scene may use, besides those in $ZARM_MESHES."
         ),
     ] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Also serve a page in the browser that shows and moves it.")
+    ] = False,
+    view_at: Annotated[
+        str, typer.Option(envvar="ZARM_VIEW", metavar="HOST:PORT", help="Where the page is served.")
+    ] = VIEW,
 ) -> None:
     """Start router, planner, servo and executor of one robot; Ctrl-C stops them, the robot first."""
     if connect is not None and listen is not None:
@@ -236,6 +250,7 @@ def up(
             state=state or default_state(),
             meshes=meshes or (),
             metrics=metrics,
+            view=view_at if view else None,
         ) as stack,
     ):
         stack.wait_ready(lambda _: None)  # the services' own log lines say it

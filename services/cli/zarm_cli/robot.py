@@ -11,10 +11,10 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from zarm_cli import imported
+from zarm_cli import checked, imported
 from zarm_cli.client import AsJson
 from zarm_cli.output import degrees, err, facts, numbers, out, print_json
-from zarm_contract.errors import InvalidRequest
+from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 
 app = typer.Typer(no_args_is_help=True, help="Robot descriptors.")
@@ -110,21 +110,50 @@ def check(
     robot: Annotated[
         str, typer.Argument(metavar="FILE", help="A descriptor (.yaml), or the name of a robot that comes with zarm.")
     ],
+    calibrate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="JOINTS=POSE",
+            help="Joints (rad) and where the tip was measured then: x,y,z (m) or x,y,z,qx,qy,qz,qw.",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what a descriptor contains, or list every fault with file and line."""
+    """Show what a descriptor contains, or list every fault with its place and remedy."""
     try:
         loaded = load_robot(robot)
+        found = _findings(loaded)
+        compared = checked.compare(loaded, calibrate) if calibrate else None
     except InvalidRequest as error:
         if as_json:
             print_json({"ok": False, "faults": error.problem.message.splitlines()})
         else:
             err.print(error.problem.message, soft_wrap=True)
         raise typer.Exit(1) from None
+    ok = not found and (compared is None or compared.fits)
     if as_json:
-        print_json({"ok": True, "hash": loaded.hash, "robot": loaded.descriptor.model_dump(mode="json")})
+        described = {"hash": loaded.hash, "robot": loaded.descriptor.model_dump(mode="json")}
+        print_json(
+            {"ok": ok, "faults": found, **described, **({"calibration": compared.as_dict()} if compared else {})}
+        )
     else:
         _describe(loaded)
+        for fault in found:
+            err.print(f"{loaded.path}: {fault}", soft_wrap=True)
+        if compared:
+            for line in compared.lines():
+                (out if compared.fits else err).print(line, soft_wrap=True)
+    if not ok:
+        raise typer.Exit(1)
+
+
+def _findings(robot: RobotDescription) -> list[str]:
+    """What is wrong with the geometry; said to be unknown without the packages that look at it."""
+    try:
+        return checked.findings(robot)
+    except Unavailable as error:
+        err.print(f"note: the geometry was not looked at: {error.problem.message}", soft_wrap=True)
+        return []
 
 
 def _describe(robot: RobotDescription) -> None:

@@ -131,7 +131,7 @@ def track(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Lead the robot to a pose or joint positions without a plan, in a straight line, sliding along what is in the way."""
+    """Lead the robot to a pose or joint positions in a straight line; along a global plan where something is in the way."""
     typed = typed_goal(to, joints_goal, False)
     if len(typed.poses) > 1:
         raise typer.BadParameter("give one pose", param_hint="--to")

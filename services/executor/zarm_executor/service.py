@@ -5,11 +5,14 @@ from __future__ import annotations
 import ctypes
 import gc
 import logging
+import math
 import os
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+
+import numpy as np
 
 from zarm_contract.messages import (
     Authority,
@@ -43,7 +46,7 @@ from zarm_executor.reporter import Reporter
 from zarm_executor.ring import Ring
 from zarm_executor.scene import PresentScene
 from zarm_executor.strategies import build_strategies
-from zarm_executor.strategies.base import Strategy
+from zarm_executor.strategies.base import Measured, Strategy
 from zarm_executor.streams import Streams
 from zarm_executor.watchdog import Watchdog
 from zarm_runtime.bus import Bus, Publisher
@@ -65,6 +68,10 @@ DRIVER_PATIENCE = 10.0
 
 JOINT_STATES_PERIOD = 0.008
 """Shortest time, s, between two publications of the joints, 125 Hz: the faster ones of a driver are on its own key."""
+STANDING_PERIOD = 0.04
+"""The same while the robot stands: who shows or checks where it is learns nothing new from more."""
+_STANDS = 1e-5
+"""A robot stands that is as close (rad) to where it was last told to be, and no faster (rad/s)."""
 
 SWITCH_INTERVAL = 0.0001
 """Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
@@ -75,21 +82,23 @@ _M_MMAP_THRESHOLD = -3
 
 
 class Control:
-    """One period of control: moves the robot on and publishes where it is, `JOINT_STATES_PERIOD` apart at least."""
+    """One period of control: moves the robot on and publishes where it is.
+
+    Publications are `JOINT_STATES_PERIOD` apart at least, and `STANDING_PERIOD` while the robot stands.
+    """
 
     def __init__(self, machine: Machine, joints: tuple[str, ...], publisher: Publisher[JointState]) -> None:
         self._machine = machine
         self._joints = joints
         self._publisher = publisher
-        self._published = 0.0
-        self._published_at = -JOINT_STATES_PERIOD
+        self._published: Measured | None = None
+        self._published_at = -STANDING_PERIOD
 
     def tick(self, now: float) -> None:
         """`now` is on the monotonic clock."""
         measured = self._machine.tick(now)
-        due = now - self._published_at > 0.9 * JOINT_STATES_PERIOD
-        if due and measured is not None and measured.time != self._published:
-            self._published, self._published_at = measured.time, now
+        if measured is not None and now - self._published_at > 0.9 * self._period(measured):
+            self._published, self._published_at = measured, now
             stamp = measured.stamp
             self._publisher.put(
                 JointState(
@@ -99,6 +108,16 @@ class Control:
                     velocity=tuple(measured.velocity.tolist()),
                 )
             )
+
+    def _period(self, measured: Measured) -> float:
+        """How long (s) after the last publication comes that of `measured`; never where it is the same."""
+        before = self._published
+        if before is None:
+            return 0.0
+        if measured.time == before.time:
+            return math.inf
+        moved = np.abs(measured.position - before.position).max(), np.abs(measured.velocity).max()
+        return STANDING_PERIOD if max(moved) <= _STANDS and not self._machine.moves() else JOINT_STATES_PERIOD
 
 
 @contextmanager

@@ -26,7 +26,7 @@ class BusSide:
         self._bus, self._keys, self._axes = bus, keys, axes
         self._joints = bus.publisher(keys.driver_joint_states, JointState, realtime=True)
         self._expiry = Expiry()
-        self._progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
+        self._progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)
 
     def listen(self, play: Callable[[Command], None]) -> None:
         """From now on have the commands that come in time played."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
 from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
+from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 
 STAGES = 8
@@ -63,9 +65,8 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
         break
     begin("the verification of motions")
     exact = ExactScene(model, world)
-    limits.load(trajectory)
-    trajectory.travel(exact.reach)
-    exact.nearest(trajectory.sample(trajectory.time)[0])
+    with suppress(VerificationFailed):  # where the robot touches itself beside its home
+        verify(trajectory, home, away, limits, exact, lambda: None)
     begin("the search under path constraints")
     constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), pose)
     constraint.use(home)

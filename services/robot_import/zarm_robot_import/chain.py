@@ -20,7 +20,10 @@ MOST_JOINTS = 32
 _TIPS = ("tool0", "tcp", "ee_link", "tool", "flange", "end_effector")
 """Names of tips, best first."""
 _GRIPPER = re.compile("grip|finger|jaw|hand", re.IGNORECASE)
-"""A single moving part of this name at the end is no joint of the arm."""
+_FINGER = re.compile("finger|jaw", re.IGNORECASE)
+"""A single joint of this name, or one that moves a finger, is no joint of the arm; one that turns a whole gripper is."""
+_ARM = 4
+"""With so many joints an arm may end; what branches off before is part of a larger robot."""
 
 
 @dataclass(frozen=True)
@@ -104,16 +107,16 @@ def _tip(robot: Description, base: str) -> str:
     count = 0
     while True:
         branches = _moving_below(robot, link)
-        if len(branches) == 1 and not (count and _GRIPPER.search(f"{branches[0].name} {branches[0].child}")):
+        if len(branches) == 1 and not (count and _grips(branches[0])):
             count += 1
             link = branches[0].child
             continue
-        longest = [branch for branch in branches if _length(robot, branch) >= 4]
-        if len(longest) == 1 and count < 4:  # an arm beside wheels, or a head
+        longest = [branch for branch in branches if _length(robot, branch) >= _ARM]
+        if len(longest) == 1 and count < _ARM:  # an arm beside wheels, or a head
             count += 1
             link = longest[0].child
             continue
-        if len(longest) > 1 or count == 0:
+        if (len(longest) > 1 and count < _ARM) or count == 0:
             ends = [end for branch in branches for end in _ends(robot, branch.child)]
             shown = ", ".join(f"--tip {end}" for end in ends[:12]) or "none"
             raise InvalidRequest(
@@ -127,6 +130,10 @@ def _tip(robot: Description, base: str) -> str:
         if named:
             return named[0]
     return leaves[0] if len(leaves) == 1 else link
+
+
+def _grips(joint: Joint) -> bool:
+    return bool(_GRIPPER.search(joint.name) or _FINGER.search(joint.child))
 
 
 def _moving_below(robot: Description, link: str) -> list[Joint]:

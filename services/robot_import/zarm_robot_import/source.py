@@ -134,6 +134,9 @@ def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
         raise Unavailable(
             f"{path} is a xacro file, which needs the package xacrodoc; `pip install zarm[import]`, or expand it with xacro"
         ) from error
+    # Where a ROS is installed, xacrodoc asks its index, which fails without this variable; the folder is looked into anyway.
+    if not os.environ.get("AMENT_PREFIX_PATH"):
+        os.environ["AMENT_PREFIX_PATH"] = str(path.parent.resolve())
     finder.reset()
     finder.look_in([str(folder) for folder in packages])
     while True:

@@ -48,7 +48,7 @@ class Drivers:
         self._expiry = Expiry()
         self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
         self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
-        self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True)
+        self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)
         self._commands = ros.node.create_publisher(
             JointTrajectory,
             params.command_topic,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from geometry_msgs.msg import Pose
 from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from sensor_msgs.msg import JointState
@@ -17,6 +17,7 @@ from zarm.connection import ANSWER_SECONDS
 from zarm_contract.errors import Busy, ExecutionRefused, InternalError, ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, GoalState
 from zarm_ros_bridge.arrivals import OrderedActionServer
+from zarm_ros_bridge.closed_loop import CLOSED_LOOP, FEEDBACK_UNIT, ClosedLoop
 from zarm_ros_bridge.convert.joints import ros_positions
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
@@ -31,15 +32,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-FEEDBACK_UNIT = 0.2
-"""Seconds between two feedbacks at a time_dilation_factor of 1."""
 REST_SECONDS = 15.0
 """Longest wait for the rest of a robot whose goal is preempted."""
 RESULT_SECONDS = 60
 """How long a result can be asked for."""
-_NO_MPC = (
-    "mpc_move is not available yet, because zarm has no closed-loop planner; use execute_trajectory with a target_pose"
-)
 _END_SECONDS = 3.0
 _JITTER = 0.05  # s by which a state of the executor may be early
 
@@ -58,11 +54,11 @@ class ExecutionActions:
         self._turn = threading.Condition()
         self._running: Run | None = None
         self._newest: Run | None = None  # the one that came last
+        self._closed_loop = ClosedLoop(ros, engine, parameters, generation)
         engine.client.connection.goals.listen()
         self._serve("SendTrajectory", "execute_trajectory", self._execute, self._admit)
         self._serve("SendTrajectory", "send_trajectory", self._execute, self._admit)
-        self._serve("MpcMove", "mpc_move", self._refuse, lambda _: GoalResponse.ACCEPT)
-        ros.node.create_subscription(Pose, "~/mpc_goal", self._ignore, 1, callback_group=ros.group)
+        self._serve("MpcMove", "mpc_move", self._move_closed, self._admit)
 
     def __enter__(self) -> Self:
         return self
@@ -106,42 +102,43 @@ class ExecutionActions:
             run.cancel()
         return CancelResponse.ACCEPT
 
-    def _refuse(self, handle: ServerGoalHandle) -> MpcMove.Result:
-        handle.abort()
-        return self._result("MpcMove", success=False, message=_NO_MPC)
-
-    def _result(self, kind: str, *, success: bool, message: str) -> Any:
-        return self._generation.types[f"action/{kind}"].Result(success=success, message=message)
-
-    def _ignore(self, _: Pose) -> None:
-        self._ros.node.get_logger().warning(f"mpc_goal moves nothing: {_NO_MPC}.", once=True)
-
     def _execute(self, handle: ServerGoalHandle) -> SendTrajectory.Result:
+        return self._carry_out("SendTrajectory", handle, self._move)
+
+    def _move_closed(self, handle: ServerGoalHandle) -> MpcMove.Result:
+        return self._carry_out("MpcMove", handle, self._closed_loop.move)
+
+    def _carry_out(self, kind: str, handle: ServerGoalHandle, move: Callable[[Run], str]) -> Any:
+        """The result of a goal, for which `move` moves the robot; it returns the message of a success."""
         run = Run(handle, self._engine)
+        result = self._generation.types[f"action/{kind}"].Result
         try:
             self._take_turn(run)
-            self._move(run)
+            message = move(run)
         except ZarmError as error:
-            return self._failed(run, error)
+            return result(success=False, message=self._failed(run, error))
         except Exception:  # as on the bus: one goal fails, and the service goes on
             log.exception("goal failed")
-            return self._failed(run, InternalError("the ROS bridge failed on this goal; its log has the trace"))
+            fault = InternalError("the ROS bridge failed on this goal; its log has the trace")
+            return result(success=False, message=self._failed(run, fault))
         else:
             handle.succeed()
-            return self._result("SendTrajectory", success=True, message="Trajectory executed successfully")
+            return result(success=True, message=message)
         finally:
             self._pass_turn(run)
             run.ended.set()
 
-    def _failed(self, run: Run, error: ZarmError) -> SendTrajectory.Result:
+    def _failed(self, run: Run, error: ZarmError) -> str:
+        """What to tell the client of a goal that ends with this error."""
         level = logging.INFO if error.code == "cancelled" else logging.WARNING
         log.log(level, "goal not reached reason=%s: %s", error.code, error)
         if error.code == "cancelled" and run.cancelled():
             run.handle.canceled()
         else:
             run.handle.abort()
-        message = "another goal took the place of this one, and the robot was brought to rest" if run.preempted else ""
-        return self._result("SendTrajectory", success=False, message=message or str(error))
+        if run.preempted:
+            return "another goal took the place of this one, and the robot was brought to rest"
+        return str(error)
 
     def _take_turn(self, run: Run) -> None:
         """Wait for the goal that runs where this one preempts it; whichever came last has the turn.
@@ -183,8 +180,10 @@ class ExecutionActions:
                 self._running = None
                 self._turn.notify_all()
 
-    def _move(self, run: Run) -> None:
-        """Plan where there is a target, and execute. Raises what the planner or the executor answers."""
+    def _move(self, run: Run) -> str:
+        """Plan where there is a target, and execute; or follow it, as the active planner does. Raises what the services answer."""
+        if (planner := self._motions.planner) in CLOSED_LOOP:
+            return self._closed_loop.execute(run, planner)
         feedback = _Feedback(
             run.handle, self._engine.joints, self._parameters.value("time_dilation_factor"), self._generation
         )
@@ -192,6 +191,7 @@ class ExecutionActions:
             feedback.show(state)
         if state.problem is not None:
             raise self._engine.terms.of_error(from_problem(state.problem))
+        return "Trajectory executed successfully"
 
     def _start(self, run: Run, feedback: _Feedback) -> str:
         """The goal of the executor that a client's goal becomes; where it has a target, that is planned to."""

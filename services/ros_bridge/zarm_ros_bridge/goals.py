@@ -106,11 +106,15 @@ class Run:
         finally:
             self._planning = False
 
-    def follow(self, goal_id: str) -> Iterator[GoalState]:
-        """The states of the executor's goal that it has become. Raises Unavailable as `states_of` does."""
+    def becomes(self, goal_id: str) -> None:
+        """From now on it is this goal of the executor, which ends with it."""
         self._goal_id = goal_id
         if self._stopped is not None:
             self._stop()
+
+    def follow(self, goal_id: str) -> Iterator[GoalState]:
+        """The states of the executor's goal that it has become. Raises Unavailable as `states_of` does."""
+        self.becomes(goal_id)
         for state in states_of(self._engine, goal_id):
             if self._stopped is not None and not state.done and time.monotonic() - self._stopped > _AGAIN:
                 self._stop()

@@ -84,22 +84,27 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     yield _Declared("planner_type", PLANNERS[0], "The planner of the next plans.", choices=PLANNERS)
     yield _Declared("max_attempts", 1, "Searches after which planning gives up.", (1, 1000))
     yield _Declared("timeout", 5.0, "Deadline of planning (s).", (0.01, 60.0))
-    yield _Declared("collision_activation_distance", 0.025, "Kept to objects on the way (m).", (0.0, 0.2))
+    yield _Declared(
+        "collision_activation_distance",
+        0.025,
+        "Kept to objects on the way by plans (m).",
+        (0.0, 0.2),
+    )
     yield _Declared(
         "world_file", "", "A scene of zarm or a world of cuRobo (YAML); a change loads it in place of the objects."
     )
     yield _Declared("voxel_size", 0.05, "Edge of a voxel of get_voxel_grid (m).", (0.005, 1.0))
     for kind, room in (("obb", 100), ("mesh", 100), ("blox", 10)):
         yield _Declared(f"{kind}_cache_size", room, f"Room for obstacles of the kind {kind}.", (0, MAX_OBJECTS))
-    # Closed loop
-    yield _Declared("convergence_threshold", 0.01, "Distance at which mpc_move has arrived (m).", (0.0001, 1.0))
+    # Closed loop: read when a goal begins
+    yield _Declared("convergence_threshold", 0.01, "Distance from which a goal is on target (m).", (0.0001, 1.0))
+    yield _Declared("convergence_threshold_rad", 0.05, "Turn from which a goal is on target (rad).", (0.0001, 3.0))
+    yield _Declared("convergence_hold_steps", 1, "Steps within both thresholds till it is on target.", (1, 10_000))
     yield _Declared("max_mpc_iterations", 1000, "Steps after which mpc_move gives up.", (1, 1_000_000))
-    yield _Declared("mpc_horizon", 30, "Steps that mpc_move looks ahead.", (1, 1000))
-    yield _Declared("mpc_control_frequency", 50.0, "Steps of mpc_move in a second (Hz).", (1.0, 500.0))
-    yield _Declared("convergence_threshold_rad", 0.05, "Turn at which mpc_move has arrived (rad).", (0.0001, 3.0))
-    yield _Declared("convergence_hold_steps", 1, "Steps for which mpc_move must have arrived.", (1, 10_000))
-    yield _Declared("mpc_step_dt", 0.03, "Duration of a step of mpc_move (s).", (0.001, 1.0))
-    yield _Declared("mpc_horizon_steps", 30, "Steps that mpc_move looks ahead.", (1, 1000))
+    yield _Declared("mpc_step_dt", 0.03, "Duration of a step (s), in generations B and C.", (0.001, 1.0))
+    yield _Declared("mpc_horizon_steps", 30, "Steps that mpc_predicted_path shows at most, in B and C.", (1, 1000))
+    yield _Declared("mpc_control_frequency", 50.0, "Steps in a second (Hz), in generation A.", (1.0, 500.0))
+    yield _Declared("mpc_horizon", 30, "As mpc_horizon_steps, in generation A.", (1, 1000))
     # What is told
     yield _Declared(AVAILABLE, False, "Whether planner and executor have been ready; nobody else sets it.")
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from std_srvs.srv import Trigger
 
-from zarm_contract.errors import Busy, InvalidRequest, Unavailable
+from zarm_contract.errors import Busy, InvalidRequest
 from zarm_ros_bridge.answers import with_message
+from zarm_ros_bridge.closed_loop import check_plans
 from zarm_ros_bridge.convert.trajectories import ros_joint_states
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.generations.generation import Generation
@@ -19,9 +20,6 @@ from zarm_ros_bridge.ros import Ros
 
 if TYPE_CHECKING:
     from curobo_msgs.srv import GetPlanners, SetPlanner, TrajectoryGeneration
-
-_WITHOUT_ENGINE = ("mpc", "retarget")
-"""Planners that zarm does not have yet."""
 
 
 class Planning:
@@ -35,7 +33,6 @@ class Planning:
         self._motions = motions
         self._generation = generation
         self._updating = threading.Lock()
-        parameters.on_change("planner_type", _choosable)
         generation.serve(ros, "TrajectoryGeneration", "~/generate_trajectory", with_message(self._generate))
         generation.serve(ros, "SetPlanner", "~/set_planner", with_message(self._set_planner))
         generation.serve(ros, "GetPlanners", "~/get_planners", self._get_planners)
@@ -43,6 +40,7 @@ class Planning:
 
     def _generate(self, request: TrajectoryGeneration.Request, response: TrajectoryGeneration.Response) -> str:
         generation, motions = self._generation, self._motions
+        check_plans(motions.planner)
         asked = generation.motion(request, motions.planner, self._engine.joints)
         generation.tell_selected(response, asked, None, ())
         plan = motions.plan(asked, self._engine.client.request_plan)
@@ -62,14 +60,13 @@ class Planning:
             known = ", ".join(f"{name} {number}" for number, name in enumerate(planners))
             raise InvalidRequest(f"{request.planner_type} is not a planner; use one of {known}", field="planner_type")
         planner = planners[request.planner_type]
-        _choosable(planner)
         self._parameters.set("planner_type", planner)
         response.current_planner = planner
         return f"Planner switched from '{before}' to '{planner}'"
 
     def _get_planners(self, _: GetPlanners.Request, response: GetPlanners.Response) -> GetPlanners.Response:
-        planners = {number: name for number, name in enumerate(PLANNERS) if name not in _WITHOUT_ENGINE}
-        response.planner_names, response.planner_ids = list(planners.values()), list(planners)
+        planners = PLANNERS[: self._generation.planners]
+        response.planner_names, response.planner_ids = list(planners), list(range(len(planners)))
         response.current_planner_name = self._parameters.value("planner_type")
         response.current_planner_id = PLANNERS.index(response.current_planner_name)
         response.success = True
@@ -86,9 +83,3 @@ class Planning:
             self._updating.release()
         file = self._engine.robot.path
         return f"{file} has changed, and {changed}" if changed else f"{file} is as every service has it"
-
-
-def _choosable(planner: str) -> None:
-    """Raises Unavailable for a planner that zarm does not have yet."""
-    if planner in _WITHOUT_ENGINE:
-        raise Unavailable(f"the planner {planner} is not available yet; choose another one of get_planners")

@@ -10,6 +10,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_ros_bridge.additions import Additions
 from zarm_ros_bridge.availability import Availability
 from zarm_ros_bridge.convert.colours import Colour
+from zarm_ros_bridge.diagnostics import Diagnostics
 from zarm_ros_bridge.drivers import Drivers
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.execution import ExecutionActions
@@ -23,6 +24,7 @@ from zarm_ros_bridge.planning import Planning
 from zarm_ros_bridge.replies import insist
 from zarm_ros_bridge.ros import Ros
 from zarm_ros_bridge.scene import SceneServices
+from zarm_ros_bridge.servo_commands import ServoCommands
 from zarm_ros_bridge.strategies import StrategyServices
 from zarm_ros_bridge.terms import Terms
 from zarm_ros_bridge.topics import Topics
@@ -72,7 +74,9 @@ def start(service: Service) -> Iterator[None]:
             topics,
             StrategyServices(ros, first, engine, parameters, generation),
             ExecutionActions(ros, engine, parameters, motions, generation),
+            ServoCommands(ros, engine),
             Availability(engine, parameters),
+            Diagnostics(ros, engine),
         ):
             ros.spin()
             first.spin()

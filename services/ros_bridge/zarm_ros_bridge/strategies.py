@@ -15,6 +15,7 @@ from zarm_contract.messages import Strategies, StrategyRequest
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.generations.generation import Generation
+from zarm_ros_bridge.holds import waits_for
 from zarm_ros_bridge.parameters import Parameters, robot_type
 from zarm_ros_bridge.ros import Ros
 
@@ -66,7 +67,7 @@ class StrategyServices:
         strategy = self._generation.strategy(request, self._engine.robot.descriptor.name)
         self._switch(strategy)
         response.current_robot_strategy = strategy
-        return _switched(before, strategy) + self._fault()
+        return _switched(before, strategy) + self._condition()
 
     def _set_chosen(self, _: Any, __: Any) -> str:
         """Version 1: apply what robot_type says. Where that fails, robot_type goes back to what is active."""
@@ -77,16 +78,20 @@ class StrategyServices:
         except ZarmError:
             self._parameters.set("robot_type", self._type(self._active))
             raise
-        return _switched(before, chosen) + self._fault()
+        return _switched(before, chosen) + self._condition()
 
     def _get(self, _: Any, __: Any) -> str:
         active = self._engine.client.strategy().active
-        return self._generation.active(active, self._type(active)) + self._fault()
+        return self._generation.active(active, self._type(active)) + self._condition()
 
-    def _fault(self) -> str:
-        """What is to be said of a fault, where there is one, beside the strategy."""
-        problem = self._engine.client.state().problem
-        return "" if problem is None else f"; the robot is in fault: {self._engine.terms.of(problem.message)}"
+    def _condition(self) -> str:
+        """What is to be said beside the strategy: of a fault, or of a goal that is held."""
+        client = self._engine.client
+        state = client.state()
+        if state.problem is not None:
+            return f"; the robot is in fault: {self._engine.terms.of(state.problem.message)}"
+        goal = None if state.goal_id is None else client.connection.goals.known(state.goal_id)
+        return "" if goal is None or goal.hold is None else f"; the goal waits: {waits_for(goal.hold)}"
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
         """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,9 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.motion_check import MotionCheck, MotionVerdict, MovingObject
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
+from zarm_servo.moving_objects import Mover
 from zarm_servo.scene_monitor import SceneSnapshot
+from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 CONTACT = 0.002
@@ -23,6 +26,12 @@ _SAMPLE = 0.01
 """The trajectory is looked at this often (s)."""
 _LONG = 1e3
 """An object that may have moved for so long (s) at a small speed is larger on all sides."""
+AHEAD = 3.0
+"""So far (s of the path) ahead of the robot it is looked for what moves."""
+_FINENESS = 0.02
+"""What moves on a straight line is looked at as objects up to twice this (m) apart."""
+_GRAIN = 0.02
+"""An authority before what moves ends at a multiple of this (s), so that it does not change with every pose."""
 _UPDATES = 100
 """After so many changed objects a new world is quicker than to keep them beside the old one."""
 
@@ -44,9 +53,13 @@ class SceneCheck:
         self._objects: Mapping[str, SceneObject] = {}
         self._updates = 0
 
-    def load(self, objects: Mapping[str, SceneObject]) -> None:
-        """Have these objects in the world, by their names, and no others. Raises Unavailable where a mesh cannot be read."""
-        changed = [item for name, item in objects.items() if self._objects.get(name) != item]
+    def load(self, objects: Mapping[str, SceneObject], without: Collection[str] = ()) -> None:
+        """Have these objects in the world, by their names, less some of them, and no others. Raises Unavailable where a mesh cannot
+        be read.
+        """
+        objects = {name: item for name, item in objects.items() if name not in without} if without else objects
+        known = self._objects
+        changed = [item for name, item in objects.items() if known.get(name) is not item and known.get(name) != item]
         removed = [name for name in self._objects if name not in objects]
         self._updates += len(changed) + len(removed)
         if self._updates > _UPDATES:
@@ -62,11 +75,17 @@ class Checker:
 
     def __init__(self, model: RobotModel, meshes: Meshes) -> None:
         self._scene = SceneCheck(model, meshes)
+        self._moving = MotionCheck(model, meshes)
 
     def validity(
-        self, trajectory: TimedTrajectory, begin: float, scene: SceneSnapshot, verified: SceneSnapshot | None
+        self,
+        trajectory: TimedTrajectory,
+        begin: float,
+        scene: SceneSnapshot,
+        verified: SceneSnapshot | None,
+        without: Collection[str] = (),
     ) -> PathValidity:
-        """How far `trajectory` is free in the scene, from the path time `begin` (s) on.
+        """How far `trajectory` is free in the scene, from the path time `begin` (s) on, `without` some objects.
 
         In the scene `verified` it was checked as a whole, so what has not changed since then need not be looked at: other objects, and
         the robot's own links, which may pass one another closely. The robot brakes along the trajectory, so its braking is free where the trajectory is. Raises Unavailable where a mesh cannot be read.
@@ -76,12 +95,13 @@ class Checker:
             scene.ignored_links,
         )
         before = verified.objects if same and verified is not None else {}
-        objects = {name: item for name, item in scene.objects.items() if before.get(name) != item}
+        objects = {
+            name: item for name, item in scene.objects.items() if before.get(name) != item and name not in without
+        }
         if (same and not objects) or begin >= trajectory.duration:
             return PathValidity()
         self._scene.load(objects)
-        times = np.append(np.arange(begin, trajectory.duration, _SAMPLE), trajectory.duration)
-        times = times[np.append(np.diff(times) > 1e-6, True)]
+        times = _times(begin, trajectory.duration)
         positions = trajectory.positions(times)
 
         def first(*grown: MovingObject) -> MotionVerdict:
@@ -104,3 +124,50 @@ class Checker:
             grown = MovingObject(objects[what], speed=DISTANCE / _LONG, time=begin - _LONG)
             until = first(grown).contact_time or time
         return PathValidity(until, Obstruction(object=what, link=contact.link or "", time=time))
+
+    def validity_among(
+        self,
+        trajectory: TimedTrajectory,
+        begin: float,
+        scene: SceneSnapshot,
+        movers: Sequence[Mover],
+        now: float,
+        stopping: float,
+    ) -> PathValidity:
+        """How far `trajectory` is free of what moves, from the path time `begin` (s) on.
+
+        It is free where nothing can be at the moment `now` (s, monotonic) or in the `stopping` s after it, in which the robot comes
+        to rest from there. The first AHEAD s are looked at. The obstruction's time is that of the contact with the object where it
+        is now, or the end of the trajectory. Raises Unavailable where a mesh cannot be read.
+        """
+        if begin >= trajectory.duration:
+            return PathValidity()
+        times = _times(begin, min(begin + AHEAD, trajectory.duration))
+        positions = trajectory.positions(times)
+
+        def first(places: Sequence[tuple[SceneObject, float]]) -> MotionVerdict:
+            return self._moving.check(
+                times,
+                positions,
+                margin=CONTACT,
+                attached=scene.attached,
+                ignored_links=scene.ignored_links,
+                moving=[MovingObject(item, speed=growth / _LONG, time=begin - _LONG) for item, growth in places],
+                self_collision=False,
+            )
+
+        found = first([place for mover in movers for place in mover.swept(now, stopping, _FINENESS)])
+        until, name = found.contact_time, found.object
+        if until is None or name is None:
+            return PathValidity()
+        until = max(begin, _GRAIN * math.floor(until / _GRAIN))
+        mover = next(mover for mover in movers if mover.item.name == name)
+        present = first(mover.swept(now, 0.0, _FINENESS)).contact_time
+        time = trajectory.duration if present is None else present
+        return PathValidity(until, Obstruction(object=name, link=found.link or "", time=max(time, until)))
+
+
+def _times(begin: float, end: float) -> Array:
+    """The times (N,) s at which a trajectory is looked at."""
+    times = np.append(np.arange(begin, end, _SAMPLE), end)
+    return np.asarray(times[np.append(np.diff(times) > 1e-6, True)])

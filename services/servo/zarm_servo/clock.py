@@ -24,6 +24,11 @@ class StreamClock:
         self._time, self._at = 0.0, 0.0
         self._lock = threading.Lock()
 
+    @property
+    def scale(self) -> float:
+        """The share of the planned speed at which the robot moves."""
+        return self._scale
+
     def time(self, now: float) -> float:
         """How far (s) the stream is commanded."""
         with self._lock:

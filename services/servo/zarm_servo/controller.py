@@ -36,6 +36,12 @@ _EXACT = 1e-5
 """A projection ends once no bound is missed by more (m/s)."""
 _PARTS = (1.0, 0.5, 0.2)
 """Of the step that is wanted the first that is free is taken."""
+_LEAVING = 0.03
+"""Speed (m/s) away from what a robot finds itself too near to."""
+_CREEPING = 0.1
+"""Largest joint speed (rad/s) there: between two samples of a braking no part moves by more than a millimetre or two."""
+_STEADY = 1e-6
+"""A distance that falls by less (m) from one sample to the next does not fall."""
 
 Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
 
@@ -75,7 +81,8 @@ class Controller:
     """Steers one robot from rest at `position` (J,), inside `limits`, and `margin` (m) away from all that `check` knows.
 
     What it commands is always part of a motion to rest that was found free as a whole. In a world that does not change it never
-    comes nearer than the margin; where it starts nearer, it stays where it is.
+    comes nearer than the margin. Where it finds itself nearer to something, at the start or after an edit, it creeps outwards as
+    soon as there is a target: none of the distances below the margin falls, until all of them are above it.
     """
 
     def __init__(
@@ -84,6 +91,7 @@ class Controller:
         self._model, self._check, self._limits, self._margin = model, check, limits, margin
         self.state = np.array((position, np.zeros(model.dof), np.zeros(model.dof)))
         self._braking, self._braked = self._to_rest(self.state), 0.0
+        self._leaving = False
 
     @property
     def braking(self) -> SpeedChange:
@@ -131,6 +139,8 @@ class Controller:
         positions = np.vstack((self.state[0], braking.sample(times)[0]))
         if np.any(positions < self._limits.lower) or np.any(positions > self._limits.upper):
             return Limitation("joint_limit")
+        if self._leaving:
+            return self._approached(positions, around)
         verdict = self._check.check(
             np.append(0.0, PERIOD + times),
             positions,
@@ -144,6 +154,27 @@ class Controller:
             return None
         return Limitation("blocked", (verdict.link, verdict.object), verdict.clearance)
 
+    def _approached(self, positions: Array, around: Surroundings) -> Limitation | None:
+        """The first pair that is nearer than the margin and comes nearer still on a way through `positions` (N, J), if any."""
+        least: dict[tuple[str, str], float] | None = None
+        for position in positions:
+            near = {(pair.link, pair.object): pair.distance for pair in self._nearby(position, self._margin, around)}
+            if least is not None:
+                for pair, distance in near.items():
+                    if distance < least.get(pair, self._margin) - _STEADY:
+                        return Limitation("blocked", pair, distance)
+            least = near
+        return None
+
+    def _nearby(self, position: Array, within: float, around: Surroundings) -> list[NearPair]:
+        return self._check.nearby(
+            position,
+            within=within,
+            attached=around.attached,
+            ignored_links=around.ignored_links,
+            moving=around.moving,
+        )
+
     def _bounded(self, asked: Wish, limitation: Limitation, around: Surroundings) -> tuple[Array, Limitation]:
         """Of the joint speeds that slow down in time before limits and obstacles, those nearest to what is `asked`: so it slides
         along walls. (Faverjon and Tournassoud, "A local based approach for path planning of manipulators", 1987; projected by Hildreth's
@@ -155,29 +186,26 @@ class Controller:
         inside = np.clip(asked.velocity, lowest, highest)
         if np.any(np.abs(inside - asked.velocity) > 1e-6):
             limitation = Limitation("joint_limit")
-        pairs = self._check.nearby(
-            position,
-            within=RANGE,
-            attached=around.attached,
-            ignored_links=around.ignored_links,
-            moving=around.moving,
-        )
-        bounds = [
-            (
-                pair,
-                -float(_towards(np.array(pair.distance - self._margin - _KEPT), np.abs(pair.gradient) @ acceleration)),
-            )
-            for pair in pairs
-            if pair.gradient @ pair.gradient > 1e-9
-        ]
+        pairs = self._nearby(position, RANGE, around)
+        nearest_distance = pairs[0].distance if pairs else RANGE
+        self._leaving = nearest_distance < self._margin + (_KEPT / 2 if self._leaving else 0.0)
+        bounds = [(pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9]
         bounds = [(pair, least) for pair, least in bounds if pair.gradient @ inside < least or least > -RANGE]
-        slowest = within_speed(
-            np.clip(_projected(inside, asked.metric, bounds), lowest, highest), self._limits.velocity
-        )
+        speed = np.minimum(self._limits.velocity, _CREEPING) if self._leaving else self._limits.velocity
+        slowest = within_speed(np.clip(_projected(inside, asked.metric, bounds), lowest, highest), speed)
         if bounds and np.abs(slowest - inside).max() > 1e-3:
-            nearest = min(bounds, key=lambda bound: float(bound[0].gradient @ inside) - bound[1])[0]
+            nearest = pairs[0]
+            if not self._leaving:
+                nearest = min(bounds, key=lambda bound: float(bound[0].gradient @ inside) - bound[1])[0]
             limitation = Limitation("slowing", (nearest.link, nearest.object), nearest.distance)
         return slowest, limitation
+
+    def _least(self, pair: NearPair, acceleration: Array) -> float:
+        """The least speed (m/s) at which the distance of a pair may grow: below 0 it may fall."""
+        left = pair.distance - self._margin - _KEPT
+        if self._leaving and left < 0.0:
+            return min(_LEAVING, -_NEARING * left)
+        return -float(_towards(np.array(left), np.abs(pair.gradient) @ acceleration))
 
 
 def _towards(left: Array, acceleration: Array) -> Array:

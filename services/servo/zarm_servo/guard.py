@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -11,19 +12,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zarm_contract.errors import Problem, ZarmError
-from zarm_contract.messages import Authority, ExecutorState, GoalState, GoalTrajectory, JointState, ServoState
+from zarm_contract.messages import (
+    Authority,
+    ExecutorState,
+    GoalState,
+    GoalTrajectory,
+    JointState,
+    SceneRevision,
+    ServoState,
+)
+from zarm_contract.robot import RobotDescriptor
+from zarm_geometry.meshes import Meshes
 from zarm_runtime.bus import Latched, Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker, PathValidity
+from zarm_servo.moving_objects import Mover, MovingObjects
 from zarm_servo.replanning import Replanner
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_servo.session import Session
+from zarm_servo.stopping import StoppingTime, reaction
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
 PERIOD = 0.1
 """How often (s) an authority is repeated."""
+_PACE = 0.008
+"""A goal is checked against what moves no sooner than so long (s) after the last time."""
+_RECHECKED = 0.012
+"""Where no pose comes, it is checked again so long (s) after that."""
 _STARTED = 2.0
 """A goal whose trajectory was told so long (s) ago runs, or was refused after all."""
 _BEHIND = 0.3
@@ -53,8 +70,9 @@ class Guard:
 
     def __init__(
         self,
-        joints: tuple[str, ...],
+        descriptor: RobotDescriptor,
         checker: Checker,
+        meshes: Meshes,
         measured: Latest[JointState],
         authorities: Publisher[Authority],
         states: Latched[ServoState],
@@ -62,9 +80,11 @@ class Guard:
         metrics: Metrics,
     ) -> None:
         self.monitor = SceneMonitor(self.wake)
+        self.moving = MovingObjects(self.monitor, meshes, self._something_moved)
         self.session: Session | None = None
         self.replanner: Replanner | None = None
-        self._joints = joints
+        self._joints = descriptor.joints
+        self._acceleration, self._reaction = np.array(descriptor.cspace.acceleration), reaction(descriptor)
         self._checker = checker
         self._measured = measured
         self._authorities = authorities
@@ -77,7 +97,9 @@ class Guard:
         self._sequence = 0
         self._planner_gone = False
         self._state: ServoState | None = None
-        self._done: tuple[Followed | None, SceneSnapshot] | None = None
+        self._told: tuple[Authority, float] | None = None
+        self._done: tuple[Followed, SceneSnapshot, frozenset[str]] | None = None
+        self._stopping: tuple[TimedTrajectory, StoppingTime] | None = None
         self._validity: PathValidity | ZarmError = PathValidity()
         self._took = 0.0
         self._news = threading.Event()
@@ -95,6 +117,10 @@ class Guard:
         self._thread.join()
 
     # -- what is heard, from any thread --
+
+    def _something_moved(self) -> None:
+        if self._followed is not None:
+            self.wake()
 
     def wake(self) -> None:
         """Look again at once."""
@@ -154,7 +180,11 @@ class Guard:
                 self._look()
             except Exception:  # a guard that ends would leave every goal without one, and say nothing
                 log.exception("the guard failed; it goes on")
-            self._news.wait(PERIOD)
+            if self._followed is not None and self.moving.any:
+                time.sleep(_PACE)
+                self._news.wait(_RECHECKED)
+            else:
+                self._news.wait(PERIOD)
             self._news.clear()
 
     def _look(self) -> None:
@@ -164,29 +194,20 @@ class Guard:
             if followed is not None and self._running != followed.message.goal_id and _old(followed):
                 followed = self._followed = None
         validity: PathValidity | ZarmError = PathValidity()
+        movers = self.moving.of(scene)
         session = self.session if followed is None and self.session is not None and not self.session.ended else None
         if followed is None:
             self._done = None
         else:
-            validity = self._validity_of(followed, scene)
+            validity = self._validity_of(followed, scene, movers)
         goal_id = session.goal_id if session is not None else None if followed is None else followed.message.goal_id
         if session is not None:
             scene = replace(scene, revision=session.revision)
         problem = validity.problem if isinstance(validity, ZarmError) else None
         found = PathValidity() if isinstance(validity, ZarmError) else validity
         if problem is None:
-            self._sequence += 1
-            self._authorities.put(
-                Authority(
-                    servo=self._instance,
-                    sequence=self._sequence,
-                    goal_id=goal_id,
-                    trajectory=1 if followed is None else followed.message.number,
-                    scene_revision=scene.revision,
-                    until=found.until,
-                    obstruction=found.obstruction,
-                )
-            )
+            number = 1 if followed is None else followed.message.number
+            self._authorize(goal_id, number, scene.revision, found)
         self._tell(goal_id, session, scene, found, problem)
         if self.replanner is not None:
             if followed is not None and followed.message.replan and problem is None:
@@ -194,22 +215,67 @@ class Guard:
             else:
                 self.replanner.forget()
 
-    def _validity_of(self, followed: Followed, scene: SceneSnapshot) -> PathValidity | ZarmError:
-        """How far it may go; looked at again where the trajectory or the scene is another than the last time."""
+    def _authorize(self, goal_id: str | None, number: int, revision: SceneRevision | None, found: PathValidity) -> None:
+        """Say how far the goal may go; what was just said is not repeated."""
+        authority = Authority(
+            servo=self._instance,
+            sequence=self._sequence + 1,
+            goal_id=goal_id,
+            trajectory=number,
+            scene_revision=revision,
+            until=found.until,
+            obstruction=found.obstruction,
+        )
+        now = time.monotonic()
+        if self._told is not None:
+            before, told = self._told
+            if now - told < PERIOD / 2 and before == authority.model_copy(update={"sequence": before.sequence}):
+                return
+        self._sequence += 1
+        self._told = authority, now
+        self._authorities.put(authority)
+
+    def _validity_of(
+        self, followed: Followed, scene: SceneSnapshot, movers: tuple[Mover, ...]
+    ) -> PathValidity | ZarmError:
+        """How far it may go: what stands is looked at again where the trajectory or the scene is another than the last time."""
+        moving = frozenset(mover.item.name for mover in movers)
         done = self._done
-        if done is not None and done[0] is not None and done[0].message is followed.message and done[1] is scene:
+        if done is None or done[0].message is not followed.message or done[1] is not scene or done[2] != moving:
+            self._validity = self._standing_validity_of(followed, scene, moving)
+            self._done = followed, scene, moving
+        if not movers or isinstance(self._validity, ZarmError):
             return self._validity
+        before, reached = time.perf_counter(), self._reached(followed)
+        if self._stopping is None or self._stopping[0] is not followed.trajectory:
+            stopping = StoppingTime(followed.trajectory, self._acceleration, self._reaction)
+            self._stopping = followed.trajectory, stopping
+        try:
+            found = self._checker.validity_among(
+                followed.trajectory, reached, scene, movers, time.monotonic(), self._stopping[1].after(reached)
+            )
+        except ZarmError as error:
+            return error
+        self._note_check(time.perf_counter() - before)
+        return min((self._validity, found), key=lambda each: math.inf if each.until is None else each.until)
+
+    def _standing_validity_of(
+        self, followed: Followed, scene: SceneSnapshot, moving: frozenset[str]
+    ) -> PathValidity | ZarmError:
+        """How far it may go for all but what is `moving`."""
         before = time.perf_counter()
         try:
             verified = self.monitor.at(followed.message.scene_revision)
-            self._validity = self._checker.validity(followed.trajectory, self._reached(followed), scene, verified)
+            return self._checker.validity(followed.trajectory, self._reached(followed), scene, verified, moving)
         except ZarmError as error:
-            self._validity = error
             log.error("a goal is not guarded goal_id=%s reason=%s", followed.message.goal_id, error)
-        self._took = time.perf_counter() - before
-        self._metrics.time("zarm_check_seconds", "How long checks of goals took.", self._took)
-        self._done = followed, scene
-        return self._validity
+            return error
+        finally:
+            self._note_check(time.perf_counter() - before)
+
+    def _note_check(self, took: float) -> None:
+        self._took = took
+        self._metrics.time("zarm_check_seconds", "How long checks of goals took.", took)
 
     def _reached(self, followed: Followed) -> float:
         """The path time (s) at which the robot is, or somewhat earlier."""
@@ -238,13 +304,16 @@ class Guard:
             obstruction=validity.obstruction,
             problem=problem,
             check=self._took if session is None and goal_id is not None else 0.0,
+            lost_objects=self.moving.lost(time.monotonic()),
+            pose_refused=self.moving.refused,
             session=None if session is None else session.state(),
         )
         before = self._state
         if state == before:
             return
         found = validity.obstruction
-        if found is not None and (before is None or before.obstruction != found):
+        known = None if before is None or before.obstruction is None else before.obstruction.object
+        if found is not None and found.object != known:
             log.warning(
                 "something is in the way goal_id=%s object=%s link=%s time=%.2f until=%.2f",
                 state.goal_id,
@@ -255,6 +324,8 @@ class Guard:
             )
         if state.scene_lost and not (before and before.scene_lost):
             log.warning("the planner is gone or has lost its scene; what is known of it still counts")
+        for name in set(state.lost_objects) - set(before.lost_objects if before else ()):
+            log.warning("no pose of a moving object comes any more object=%s", name)
         self._state = state
         self._states.set(state)
 

@@ -24,6 +24,7 @@ from zarm_contract.messages import (
     JointState,
     Message,
     Plan,
+    PlanRequest,
     Scene,
     SceneObject,
     ServoEnd,
@@ -35,6 +36,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_servo.check import Checker, SceneCheck
+from zarm_servo.global_plan import TIMEOUT
 from zarm_servo.guard import Guard
 from zarm_servo.replanning import Replanner
 from zarm_servo.sessions import Sessions
@@ -46,6 +48,8 @@ PLANNER_PERIOD = 1.0
 """How often (s) the servo looks whether there is a planner."""
 ANSWER = 0.2
 """How long (s) an answer may be under way beyond the deadline of what is asked."""
+PLAN_TIMEOUT = 2 * TIMEOUT
+"""Seconds after which a planner that was asked for a global plan is taken for gone."""
 SWITCH_INTERVAL = 0.0005
 """Longest time (s) that a thread reading a message keeps the interpreter from the cycles of a session (Python's own: 0.005)."""
 _OBJECT: TypeAdapter[SceneObject] = TypeAdapter(SceneObject)
@@ -64,8 +68,9 @@ def start(service: Service) -> Iterator[None]:
     with service.open_bus() as command_bus:
         measured = bus.latest(keys.joint_states, JointState)
         guard = Guard(
-            service.robot.descriptor.joints,
+            service.robot.descriptor,
             checker,
+            meshes,
             measured,
             command_bus.publisher(keys.authority, Authority, realtime=True),
             bus.latched(keys.servo_state, ServoState),
@@ -82,7 +87,11 @@ def start(service: Service) -> Iterator[None]:
             service.metrics,
         )
         chunks = command_bus.publisher(keys.stream, StreamChunk, realtime=True)
-        sessions = Sessions(service.robot, check, guard, measured, chunks)
+
+        def plan(request: PlanRequest) -> Plan:
+            return bus.call(keys.plan, request, Plan, timeout=PLAN_TIMEOUT)
+
+        sessions = Sessions(service.robot, check, guard, measured, chunks, plan, service.metrics)
 
         def receive(key: str, payload: bytes) -> None:
             try:
@@ -110,6 +119,7 @@ def start(service: Service) -> Iterator[None]:
         with guard, replanner:
             bus.serve(keys.servo_start, ServoStart, sessions.start)
             bus.serve(keys.servo_end, ServoEnd, sessions.end)
+            bus.listen(keys.object_pose("*"), guard.moving.hear)
             command_bus.listen(keys.servo_target, sessions.hear_target)
             service.ready()
             try:

@@ -6,12 +6,14 @@ import logging
 import threading
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
-from zarm_contract.errors import Busy, Unavailable, from_problem
+from zarm_contract.errors import Busy, Unavailable, ZarmError, from_problem
 from zarm_contract.messages import (
     ExecutorState,
     GoalState,
@@ -23,14 +25,19 @@ from zarm_contract.messages import (
     StreamChunk,
 )
 from zarm_contract.robot import RobotDescription
+from zarm_geometry.motion_check import MovingObject
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Latest, Publisher
+from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import ask_for_realtime
 from zarm_servo.check import SceneCheck
 from zarm_servo.clock import StreamClock
 from zarm_servo.controller import PERIOD, RANGE, STALE, Controller, Limitation, Surroundings
 from zarm_servo.course import Course
+from zarm_servo.global_plan import PlanFor, find_global_plan
+from zarm_servo.guide import Guide
 from zarm_servo.inbox import Inbox, ahead
+from zarm_servo.moving_objects import Mover, MovingObjects
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
 from zarm_trajectory.limits import Limits
@@ -73,6 +80,8 @@ _TELLS = 0.05
 """What limits a session is told so often (s) at most."""
 _MOVES = 1e-3
 """Joint speed (rad/s) from which a robot is said to move."""
+_LINE = 0.05
+"""A straight line is looked at so often (rad)."""
 _PRIORITY = 15
 """Real-time priority of the cycles, below that of the executor's."""
 
@@ -90,7 +99,8 @@ class Snapshot:
 class Session:
     """Leads the goal `goal_id`, from rest at `position` (J,).
 
-    `check` is its own while it is open. `changed()` is called where what limits it has changed.
+    `check` is its own while it is open. `changed()` is called where what limits it has changed. `plan` asks the planner, for where
+    the controller is stuck.
     """
 
     def __init__(
@@ -100,21 +110,33 @@ class Session:
         robot: RobotDescription,
         check: SceneCheck,
         monitor: SceneMonitor,
+        moving: MovingObjects,
         measured: Latest[JointState],
         chunks: Publisher[StreamChunk],
         position: Array,
         delay: float,
         changed: Callable[[], None],
+        plan: PlanFor,
+        metrics: Metrics,
     ) -> None:
         self.goal_id = goal_id
         self.inbox = Inbox(len(position))
         self._joints = robot.descriptor.joints
         self._model: RobotModel = check.model
-        self._check, self._monitor, self._measured = check, monitor, measured
-        self._chunks, self._changed = chunks, changed
-        self._load(monitor.snapshot(time.monotonic()))
+        self._check, self._monitor, self._moving, self._measured = check, monitor, moving, measured
+        self._chunks, self._changed, self._delay = chunks, changed, delay
+        self._around = Surroundings()
+        scene = monitor.snapshot(time.monotonic())
+        self._present = scene, moving.of(scene)
+        self._load(scene, self._present[1])
+        self._news = threading.Event()
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
+        self._margin, self._metrics = request.margin, metrics
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="global-plan")
+        self._pool.submit(int).result()  # its thread begins here, and not with the priority of the cycles
+        find = partial(find_global_plan, plan, self._joints, request.margin)
+        self._guide = Guide(self._model, find, self._is_free, self._pool)
         self._course = Course(0.0, self._controller.state, self._controller.braking)
         self._joins: OrderedDict[int, tuple[float, Array]] = OrderedDict()
         self._followed: tuple[int, TimedTrajectory] | None = None
@@ -131,6 +153,7 @@ class Session:
         self._cycles = self._late = 0
         self._took: deque[float] = deque(maxlen=100)
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+        self._loading = threading.Thread(target=self._keep_loaded, name="scene", daemon=True)
 
     # -- from any thread --
 
@@ -156,8 +179,10 @@ class Session:
             if self._goal is not None and self._goal.problem is not None:
                 raise from_problem(self._goal.problem)
         except BaseException:
+            self._pool.shutdown(wait=False, cancel_futures=True)
             self._done.set()
             raise
+        self._loading.start()
         self._thread.start()
 
     def close(self) -> None:
@@ -193,7 +218,11 @@ class Session:
         limitation = snapshot.limitation
         position = self._measured_position()
         nearest = self._check.motions.nearby(
-            position, within=RANGE, attached=around.attached, ignored_links=around.ignored_links
+            position,
+            within=RANGE,
+            attached=around.attached,
+            ignored_links=around.ignored_links,
+            moving=self._moved(0.0),
         )
         link, other = limitation.pair or (None, None)
         took = list(self._took)
@@ -208,6 +237,8 @@ class Session:
             sequence=self.inbox.sequence,
             target_age=snapshot.age,
             refused=self.inbox.refused,
+            planned=self._guide.planned,
+            unreachable=self._guide.problem,
             cycles=self._cycles,
             late_cycles=self._late,
             computing=float(np.percentile(took, 99)) if took else 0.0,
@@ -242,9 +273,13 @@ class Session:
                 time.sleep(max(0.0, due - time.monotonic()))
                 now = time.monotonic()
                 self._cycles += 1
-                self._late += now - due > _LATE
+                if now - due > _LATE:
+                    self._late += 1
+                    self._metrics.count("zarm_servo_late_cycles", "Cycles of sessions that began more than 2 ms late.")
                 self._cycle(now)
-                self._took.append(time.monotonic() - now)
+                took = time.monotonic() - now
+                self._took.append(took)
+                self._metrics.time("zarm_servo_cycle_seconds", "How long cycles of sessions took.", took)
                 due += PERIOD * (1.0 + (time.monotonic() - due) // PERIOD)
         except Exception:
             log.exception("the session failed; the robot is brought to rest goal_id=%s", self.goal_id)
@@ -261,9 +296,10 @@ class Session:
         return not self._closing or self._snapshot.moving
 
     def _cycle(self, now: float) -> None:
-        scene = self._monitor.snapshot(now)
-        if scene is not self._scene:
-            self._load(scene)
+        before, scene = self._present, self._monitor.snapshot(now)
+        self._present = scene, self._moving.of(scene)
+        if scene is not self._scene or len(before[1]) != len(self._present[1]):
+            self._news.set()
         target, age = self.inbox.newest(now)
         if target is not None and age is not None and age <= STALE:
             self._used = now
@@ -296,8 +332,11 @@ class Session:
         return True
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
-        wanted = None if target is None else ahead(target, coming)
-        step = self._controller.step(wanted, age or 0.0, self._around)
+        fresh = target is not None and age is not None and age <= STALE
+        wanted = ahead(target, coming) if target is not None and fresh else None
+        wanted = self._guide.target(wanted, self._controller.state[0], self._scene.revision)
+        around = replace(self._around, moving=self._moved(coming + self._delay))
+        step = self._controller.step(wanted, age or 0.0, around)
         self._course.add(step)
         before = self._snapshot.limitation
         moving = bool(np.abs(step.state[1]).max() > _MOVES)
@@ -307,9 +346,43 @@ class Session:
             self._told_at = now
             self._changed()
 
-    def _load(self, scene: SceneSnapshot) -> None:
-        self._check.load(scene.objects)
-        self._scene, self._around = scene, Surroundings(scene.attached, scene.ignored_links)
+    def _moved(self, ahead: float) -> list[MovingObject]:
+        """What moves, for a motion that the robot begins `ahead` s from now."""
+        now, scale = time.monotonic(), self._clock.scale
+        return [mover.moving(now, ahead, scale) for mover in self._present[1]]
+
+    def _keep_loaded(self) -> None:
+        """Have the world as the scene is: beside the cycles, as to load a large scene takes long."""
+        while not self._done.is_set():
+            self._news.wait()
+            self._news.clear()
+            try:
+                self._load(*self._present)
+            except ZarmError:
+                log.exception("the scene cannot be kept; the session ends goal_id=%s", self.goal_id)
+                self._closing = True
+
+    def _load(self, scene: SceneSnapshot, movers: Sequence[Mover]) -> None:
+        around = Surroundings(scene.attached, scene.ignored_links)
+        if len(around.attached) > len(self._around.attached):
+            self._around = (
+                around  # what is attached, or put down, may be there twice for a moment, but is never missing
+            )
+        self._check.load(scene.objects, [mover.item.name for mover in movers])
+        self._scene, self._around = scene, around
+
+    def _is_free(self, start: Array, end: Array) -> bool:
+        """Whether the straight line from one position (J,) to another keeps the margin."""
+        count = 2 + int(np.abs(end - start).max() / _LINE)
+        return self._check.motions.check(
+            np.arange(float(count)),
+            np.linspace(start, end, count),
+            margin=self._margin,
+            attached=self._around.attached,
+            ignored_links=self._around.ignored_links,
+            moving=self._around.moving,
+            acceleration=np.zeros(len(start)),
+        ).free
 
     def _put(
         self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False
@@ -332,6 +405,7 @@ class Session:
 
     def _end(self) -> None:
         """Have the executor end the goal where the robot rests; a goal that is paused is left as it is."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
         goal = self._goal
         if not self._held and not (goal is not None and goal.done):
             self._put(*self._course.chunk(), last=True)
@@ -343,6 +417,7 @@ class Session:
         problem = None if goal is None else goal.problem
         log.info("session ended goal_id=%s reason=%s", self.goal_id, "" if problem is None else problem.message)
         self._done.set()
+        self._news.set()
         self._changed()
 
 

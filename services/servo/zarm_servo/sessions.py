@@ -25,7 +25,9 @@ from zarm_contract.messages import (
 )
 from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Latest, Publisher
+from zarm_runtime.metrics import Metrics
 from zarm_servo.check import SceneCheck
+from zarm_servo.global_plan import PlanFor
 from zarm_servo.guard import Guard
 from zarm_servo.session import Session
 from zarm_trajectory.quintic import Array
@@ -46,9 +48,12 @@ class Sessions:
         guard: Guard,
         measured: Latest[JointState],
         chunks: Publisher[StreamChunk],
+        plan: PlanFor,
+        metrics: Metrics,
     ) -> None:
         self._robot, self._check, self._guard = robot, check, guard
         self._measured, self._chunks = measured, chunks
+        self._plan, self._metrics = plan, metrics
         self._executor: ExecutorState | None = None
         self._session: Session | None = None
         self._ended: deque[str] = deque(maxlen=32)
@@ -88,11 +93,14 @@ class Sessions:
                 self._robot,
                 self._check,
                 self._guard.monitor,
+                self._guard.moving,
                 self._measured,
                 self._chunks,
                 self._position(),
                 self._delay(executor),
                 self._guard.wake,
+                self._plan,
+                self._metrics,
             )
             session.hear_speed(executor)
             self._session = self._guard.session = session

@@ -15,6 +15,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.controller import Controller
+from zarm_servo.moving_objects import Mover
 from zarm_servo.scene_monitor import SceneSnapshot
 from zarm_servo.targets import TwistTarget
 from zarm_trajectory.limits import Limits
@@ -26,6 +27,8 @@ def warm_up(checker: Checker, check: SceneCheck) -> None:
     model, box = check.model, Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
     home = np.array(model.robot.descriptor.home)
     checker.validity(TimedTrajectory.standing(home), 0.0, SceneSnapshot(objects={"far": box}), None)
+    mover = Mover(box, box, (0.1, 0.0, 0.0), 0.1, 0.0, 0.0)
+    checker.validity_among(TimedTrajectory.standing(home), 0.0, SceneSnapshot(), [mover], 0.0, 0.5)
     check.load({"far": box})
     controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
     controller.step(TwistTarget(np.zeros(6)), 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from support.executor.client import Client
-from support.executor.driven import FAR, LIMIT, THERE, driven
+from support.executor.driven import BACK, FAR, LIMIT, THERE, driven
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import EXAMPLES
 from support.resources import ahead_of_others, favour
@@ -21,6 +22,10 @@ from support.trajectories import HOME, KEYS, ROBOT, forgiving, moved, patient, r
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import DriverFault, JointState
 from zarm_contract.robot import find_robot, load_robot
+from zarm_leeloo_sim.axes import Axes
+from zarm_leeloo_sim.bus_side import BusSide
+from zarm_leeloo_sim.driver import LeelooDriver
+from zarm_leeloo_sim.player import Player
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
 
@@ -253,6 +258,39 @@ def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path
         assert client.ended(goal_id).status == "succeeded", client.goal(goal_id)
         np.testing.assert_allclose(client.position(), FAR, atol=0.01)
         np.testing.assert_allclose(client.position(), tuple(reversed(told[-1].position)), atol=0.01)
+
+
+@contextmanager
+def driver_that_never_tells_of_the_end(bus: Bus) -> Iterator[None]:
+    """A driver whose last progress gets lost, as on a link that drops it."""
+    side, ended = BusSide(bus, KEYS, Axes.of(ROBOT.descriptor)), threading.Event()
+    driver = LeelooDriver(
+        Player(HOME), side.tell_joints, lambda told: None if told.fraction > 0.99 else side.tell_progress(told)
+    )
+    side.listen(driver.play)
+    thread = threading.Thread(target=driver.run, args=(ended,))
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join(PATIENCE)
+
+
+def test_a_goal_is_reached_though_its_driver_is_not_heard_to_be_at_the_end(
+    bus: Bus, endpoint: str, tmp_path: Path
+) -> None:
+    descriptor = str(patient(tmp_path / "patient"))
+    executor = ServiceProcess(
+        "executor", endpoint, tmp_path, robot=descriptor, arguments=("--strategy", "joint_trajectory")
+    )
+    with driver_that_never_tells_of_the_end(bus), executor:
+        executor.wait_ready(bus, KEYS)
+        favour(executor)
+        client = Client(bus)
+        for trajectory in (THERE, BACK):
+            goal = client.ended(client.execute(trajectory))
+            assert goal.status == "succeeded", goal.problem
 
 
 def test_the_example_of_a_driver_is_short() -> None:

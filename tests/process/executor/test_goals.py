@@ -48,7 +48,7 @@ def test_the_next_motion_starts_where_the_last_one_ended(client: Client) -> None
 
 
 def test_the_joints_are_measured_at_100_hz_also_when_nothing_moves(client: Client) -> None:
-    client.stands(100)
+    client.stands(25)
     stamps = np.array([joints.stamp for joints in client.measured])
     np.testing.assert_allclose(np.diff(stamps) % 0.01, 0.005, atol=0.0051)
     assert np.median(np.diff(stamps)) == pytest.approx(0.01, abs=1e-4)
@@ -65,7 +65,7 @@ def test_it_works_at_the_control_rate_of_the_descriptor(endpoint: str, bus: Bus,
         assert end.status == "succeeded"
         np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
         assert client.greatest_acceleration() <= 1.02
-        client.stands(100)
+        client.stands(25)
     stamps = np.array([joints.stamp for joints in client.measured])
     ticks = np.diff(stamps) * rate  # each in a tick of its own; some may be left out
     assert np.median(np.abs(ticks - np.rint(ticks))) < 0.1  # a busy machine has late ones

@@ -91,13 +91,18 @@ class Wire:
 
 
 class Told:
-    """The newest message of the arm and when it came."""
+    """The newest message of the arm and when it came; progress of `lost_from` or more gets lost."""
 
     def __init__(self) -> None:
         self.newest: tuple[JointState | DriverProgress, float] | None = None
+        self.lost_from = np.inf
+        self._received: Any = None
 
     def received(self) -> Any:
-        return self.newest
+        newest = self.newest
+        if newest is None or not isinstance(newest[0], DriverProgress) or newest[0].fraction < self.lost_from:
+            self._received = newest
+        return self._received
 
 
 class DriverBench:

@@ -184,3 +184,34 @@ def _turn_z_to(axis: Array) -> Array:
     if not across.any():
         return np.eye(3) if axis[2] > 0 else _about((1, 0, 0), math.pi)
     return _about(across, math.atan2(float(np.linalg.norm(across)), float(axis[2])))
+
+
+class Clearance:
+    """How far the robot's exact geometry is from one object, which may be anywhere."""
+
+    def __init__(self, robot: RobotDescription, item: SceneObject) -> None:
+        self._robot = robot
+        self._parts = [
+            (link, pose, fcl.CollisionObject(geometry))
+            for link, items in robot.descriptor.collision.items()
+            for geometry, pose in map(_link_shape, items)
+            if any(
+                joint.name in robot.descriptor.joints for joint in robot.urdf.chain(robot.descriptor.base_link, link)
+            )
+        ]
+        geometry, self._turned = _object_shape(item)
+        self._object = fcl.CollisionObject(geometry)
+
+    def at(self, q: ArrayLike, position: ArrayLike) -> float:
+        """The distance (m) with the robot at `q` and the object at `position`; 0 or less where they touch."""
+        place = self._turned.copy()
+        place[:3, 3] = position
+        self._object.setTransform(_transform(place))
+        frames: dict[str, Array] = {}
+        least = np.inf
+        for link, pose, shape in self._parts:
+            if link not in frames:
+                frames[link] = link_pose(self._robot, link, q)
+            shape.setTransform(_transform(frames[link] @ pose))
+            least = min(least, fcl.distance(shape, self._object, fcl.DistanceRequest(), fcl.DistanceResult()))
+        return float(least)

@@ -16,7 +16,7 @@ def every_key(robot: str) -> dict[str, str]:
     """Every key of one robot, families and services with the widest expression that they are used with."""
     keys = Keys(robot)
     plain = {name: getattr(keys, name) for name, value in vars(Keys).items() if isinstance(value, property)}
-    families = {"scene_object": keys.scene_object("*"), "goal": keys.goal("*")}
+    families = {"scene_object": keys.scene_object("*"), "object_pose": keys.object_pose("*"), "goal": keys.goal("*")}
     of_services = {
         f"{kind}({service})": key
         for service in SERVICES

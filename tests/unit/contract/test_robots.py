@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import pytorch_kinematics
-import torch
 
 from support.paths import SHARED
 from support.planner.containment import contains
@@ -153,6 +151,9 @@ def test_all_measured_poses_are_met(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_another_reader_of_the_urdf_sees_the_same_kinematics(name: str) -> None:
+    import pytorch_kinematics  # loads torch, for seconds: not where this file is only collected
+    import torch
+
     robot = load_robot(name)
     chain = pytorch_kinematics.build_chain_from_urdf(robot.urdf_path.read_bytes()).to(dtype=torch.float64)
     assert tuple(chain.get_joint_parameter_names()) == robot.descriptor.joints

@@ -14,9 +14,9 @@ from support.executor.driven import FAR, LIMIT
 from support.executor.driver_bench import MOVING, Case, DriverBench, distance_from
 from support.executor.waves import target
 from support.tiers import sampled
-from support.trajectories import HOME, trapezoid
+from support.trajectories import HOME, rest_to_rest, trapezoid
 from zarm_contract.errors import Unavailable
-from zarm_contract.messages import Authority
+from zarm_contract.messages import Authority, Trajectory
 from zarm_contract.strategies import DRIVER_STRATEGIES
 from zarm_executor.machine import STALL_LIMIT
 from zarm_executor.strategies.joint_speed import JointSpeed
@@ -237,6 +237,40 @@ def test_one_motion_follows_another(bench: DriverBench) -> None:
         assert bench.last().status == "succeeded"
         assert bench.rests()
         np.testing.assert_allclose(bench.positions[-1], goal, atol=0.005)
+
+
+TELLS = Case("joint_trajectory")
+
+
+@pytest.mark.parametrize("lost_from", [0.97, 0.999])
+def test_a_robot_that_rests_at_its_goal_has_reached_it_though_its_driver_has_not_told_so(
+    tmp_path: Folder, lost_from: float
+) -> None:
+    bench = DriverBench(TELLS, tmp_path)
+    bench.progress.lost_from = lost_from
+    bench.execute()
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert not bench.commands[-1][1].time, "what the driver may have left is taken from it"
+    np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
+
+
+def test_a_robot_that_stands_where_its_path_comes_by_again_has_not_reached_its_goal(tmp_path: Folder) -> None:
+    bench = DriverBench(TELLS, tmp_path)
+    there, back = rest_to_rest(FAR), rest_to_rest(HOME, FAR)
+    there_and_back = Trajectory(
+        joint_names=there.joint_names,
+        time=there.time + tuple(there.duration + time for time in back.time[1:]),
+        position=there.position + back.position[1:],
+        velocity=there.velocity + back.velocity[1:],
+        acceleration=there.acceleration + back.acceleration[1:],
+    )
+    bench.execute(HOME, timed=lambda *_: there_and_back)
+    bench.run(0.2)
+    bench.stalled = True
+    bench.until("fault")
+    assert bench.last().problem is not None
+    assert bench.last().problem.code == "driver_stalled"
 
 
 def test_a_switch_in_motion_brings_the_robot_to_rest_first(bench: DriverBench) -> None:

@@ -15,6 +15,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.improvement import GAIN, Improvement
+from zarm_planner.timing.sampling import load
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -71,7 +72,7 @@ def test_each_motion_is_faster_free_and_inside_the_limits(improvement: Improveme
     durations = np.array([motion.duration for motion in motions])
     assert np.all(durations[1:] <= (1 - GAIN) * durations[:-1])
     for motion in motions:
-        assert Limits.of(model.robot).load(motion) <= 1.001
+        assert load(motion, Limits.of(model.robot)) <= 1.001
         np.testing.assert_allclose(motion.position[[0, -1]], [LEFT, RIGHT], atol=1e-9)
         position, _, _ = motion.sample(np.linspace(0.0, motion.duration, 400))
         assert clearances(model, WALL, position).min() > 0.0

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import pytorch_kinematics as pk
-import torch
 from numpy.typing import NDArray
 
 from support.planner.small_arm import small_arm
@@ -41,6 +39,9 @@ def ur5e() -> RobotModel:
 
 
 def test_every_pose_is_the_one_that_pytorch_kinematics_computes_from_the_urdf(model: RobotModel) -> None:
+    import pytorch_kinematics as pk  # loads torch, for seconds: not where this file is only collected
+    import torch
+
     joints = random_joints(model, 200, np.random.default_rng(1))
     descriptor = model.robot.descriptor
     # pytorch-kinematics insists on attributes that the URDF specification asks for and that do not matter here.

@@ -29,6 +29,7 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.manifold import CLOSE
 from zarm_planner.kinematics.ik import solve_ik
+from zarm_planner.timing.sampling import load
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -102,7 +103,7 @@ def assert_kept(model: RobotModel, message: PathConstraint, motion: TimedTraject
     worst = np.argsort(held.use(positions))[-20:]
     rows = np.unique(np.concatenate((worst, np.arange(0, len(moments), 25))))
     assert max(used(model, message, motion.position[0], positions[row]) for row in rows) <= 1.0 + 1e-6
-    assert Limits.of(model.robot).load(motion) <= 1.001
+    assert load(motion, Limits.of(model.robot)) <= 1.001
     assert not motion.velocity[[0, -1]].any()
     assert np.all((positions >= model.lower - 1e-4) & (positions <= model.upper + 1e-4))
 

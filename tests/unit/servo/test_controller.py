@@ -122,6 +122,29 @@ def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
     session.assert_sound()
 
 
+def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls() -> None:
+    session = Session(wall(-0.03))
+    scene = ExactScene(MODEL, session.world)
+    step = session.follow(TwistTarget(np.array([0.1, 0.1, 0.0, 0.0, 0.0, 0.0])), 0.5)
+    assert step.limitation.pair is not None
+    assert step.limitation.pair[1] == "wall"
+    session.follow(TwistTarget(np.array([-0.1, 0.0, 0.0, 0.0, 0.0, 0.0])), 4.0)
+    distances = np.array([scene.nearest(state[0], itself=False).distance for state in session.states[::10]])
+    assert distances[0] < -0.02
+    assert distances[-1] > MARGIN
+    assert np.diff(np.minimum(distances, MARGIN)).min() > -PRECISION
+
+
+def test_the_elbow_is_stretched_slowly() -> None:
+    session = Session()
+    session.follow(PoseTarget(moved(1.5, 0.0, 0.3)), 6.0)
+    singular = [np.linalg.svd(MODEL.tip_jacobian(state[0]), compute_uv=False)[-1] for state in session.states]
+    speeds = np.abs([state[1] for state in session.states]).max(axis=1)
+    assert min(singular) < 0.02
+    assert speeds[np.array(singular) < 0.02].max() < 0.3 * LIMITS.velocity.max()
+    session.assert_sound()
+
+
 def a_target(rng: np.random.Generator) -> Target | None:
     kind = rng.integers(6)
     if kind == 0:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from zarm_contract._model import Message, ShortMessage
-from zarm_contract.messages.motion import Joints, Name, Positive, Quaternion, Vector3
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Quaternion, Vector3
 
 MAX_OBJECTS = 10_000
 MAX_ATTACHED = 16
@@ -110,6 +110,24 @@ class Attached(Message):
 
     object: Primitive
     touch_links: tuple[str, ...] = ()
+
+
+class ObjectPose(ShortMessage):
+    """Where an object of the scene was at `stamp` (Unix time, s), in the base frame, and how it moves; its name is in the key.
+
+    The newest `stamp` counts. From there the object moves with `linear` (m/s) and turns with `angular` (rad/s); its true velocity is
+    within `speed` (m/s) of that, whatever its direction. For an object that may turn around at any time leave `linear` out and
+    say its largest speed. Publish it again and again, also of an object that rests: without news it grows by these speeds for 1 s,
+    and is lost then, see `ServoState.lost_objects`. Objects that consist of voxels do not move. An edit of the object itself
+    places it anew.
+    """
+
+    stamp: float
+    position: Vector3
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    linear: Vector3 = (0.0, 0.0, 0.0)
+    angular: Vector3 = (0.0, 0.0, 0.0)
+    speed: NonNegative
 
 
 SceneRevision = Annotated[str, Field(pattern=r"^(0|[1-9][0-9]{0,17})-[0-9a-f]{12}$")]

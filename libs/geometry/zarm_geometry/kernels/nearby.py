@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.arrays import Pointer
 from zarm_geometry.kernels.clearance import Obstacles
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.convex import Extents, Vector, core_gap, turned, turned_back
+from zarm_geometry.kernels.convex import Extents, Vector, core_gap, separation, turned, turned_back
 from zarm_geometry.kernels.motion import (
     EXTENTS,
     POSE,
@@ -36,7 +36,8 @@ def _gap(
     frames: Pointer, at: int, core: Extents, others: Pointer, where: int, other: Extents, shift: Vector
 ) -> tuple[float, Vector, Vector]:
     """A lower bound (m) of the distance of two cores, the direction from the other one in the base frame, and the point of the
-    first one that is nearest along it."""
+    first one that is nearest along it. Where they overlap the bound is negative: so far along that direction they are apart.
+    """
     turn, mine = turn_of(others, where), turn_of(frames, at)
     x = frames[at + 3] - others[where + 3] - shift[0]
     y = frames[at + 7] - others[where + 7] - shift[1]
@@ -45,7 +46,15 @@ def _gap(
     v0, v1, v2 = turned_back(turn, (mine[1], mine[4], mine[7]))
     w0, w1, w2 = turned_back(turn, (mine[2], mine[5], mine[8]))
     own = (u0, v0, w0, u1, v1, w1, u2, v2, w2)
-    gap, _, n = core_gap(turned_back(turn, (x, y, z)), own, core, other, math.inf)
+    c = turned_back(turn, (x, y, z))
+    gap, _, n = core_gap(c, own, core, other, math.inf)
+    if gap < 0.0:  # they overlap: of the ways out across their sides the shortest
+        for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (u0, u1, u2), (v0, v1, v2), (w0, w1, w2)):
+            sign = 1.0 if axis[0] * c[0] + axis[1] * c[1] + axis[2] * c[2] >= 0.0 else -1.0
+            out = (sign * axis[0], sign * axis[1], sign * axis[2])
+            apart = separation(out, c, own, core, other)
+            if apart > gap:
+                gap, n = apart, out
     n = turned(turn, n)
     d0, d1, d2 = turned_back(mine, n)
     flat = math.sqrt(d0 * d0 + d1 * d1)

@@ -27,6 +27,8 @@ _ON_TIME = 0.1
 """A robot that is this long (s) more than `delay` behind its driver's clock has a driver that is not on time."""
 _UNTAKEN = 0.3
 """A trajectory of which the driver has told nothing for so long (s), while the robot stands, was late or lost."""
+_SILENT = 0.3
+"""A driver that has told of no further point for so long (s), while the robot stands at the end of its path, tells of none any more."""
 _ENCODING = 12e-6
 """Time (s) that it takes to send one point: measured, 36 ms for 3000 points of six joints."""
 
@@ -49,6 +51,7 @@ class JointTrajectory(DriverStrategy):
         self._index = 0.0
         self._clock = 0.0
         self._told = 0.0
+        self._told_at = 0.0
         self._gone_on = False
         self._braking = False
         self._unsent = False
@@ -102,7 +105,12 @@ class JointTrajectory(DriverStrategy):
             self._clock = (now - self._sent_at) / command.dt
             told = self._told_of(command)
             self._gone_on, self._told = told > self._told, told
+            if self._gone_on:
+                self._told_at = now
             self._index = min(max(self._index, self._reached(command, dt)), command.last)
+            if self._ended_untold(command, now):
+                self._index = command.last
+                self.link.stop()  # a driver that has points left after all must not go on with them
         if self._stopping:
             self._brake(command, now, dt)
         elif self._resuming:
@@ -280,6 +288,21 @@ class JointTrajectory(DriverStrategy):
             window = max(_WINDOW, dt) / command.dt
             return self._nearest(self._index - window, min(self._index + window, self._clock))
         return self._told
+
+    def _ended_untold(self, command: RetimedTrajectory, now: float) -> bool:
+        """Whether the robot rests at the end of its path, of which its driver has not told: progress may get lost.
+
+        From the point that the driver told of last the path does not lead away from its end, so that the robot is not still to come
+        back to it.
+        """
+        measured, execution = self.link.measured(), self.link.execution
+        if measured is None or self._trajectory is None or self._braking or self._index == command.last:
+            return False
+        if self._told <= 0.0 or self._clock < command.last or now - self._told_at < _SILENT or not self.link.standing():
+            return False
+        end, left = self._trajectory.end, command.points.position[int(self._told) :]
+        there = np.abs(measured.position - end) <= execution.goal_tolerance
+        return bool(there.all() and np.all(np.abs(left - end) <= execution.path_tolerance))
 
     def _told_of(self, command: RetimedTrajectory) -> float:
         """The index of the point that the driver has told of last; 0 before it has told of any."""

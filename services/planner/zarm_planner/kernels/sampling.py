@@ -1,4 +1,9 @@
-"""Samples of a motion that is averaged over time."""
+"""Samples of a motion that is averaged over time: when, and what it is there.
+
+The average of a motion at stepwise constant acceleration has stepwise constant jerk. Where the jerk of a joint changes there
+is a knot; between two knots the joint moves along one cubic, which the quintic through samples at both describes exactly.
+Across a knot the quintic swings: its jerk passes that of the motion by up to 0.374 of the change.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,43 @@ import numpy as np
 
 from zarm_geometry.kernels.compiled import brief
 from zarm_planner.kernels.ramps import Array, Ramps
+
+CLOSE = 1e-4
+"""Seconds; samples are further apart, so that the cube of their difference can be divided by."""
+
+
+@brief
+def knots(ramps: Ramps, count: int, window: float, begin: float, fastest: Array, strongest: Array) -> Array:
+    """The ascending times (k,) in s of the knots of the first `count` ramps, averaged over `window` s; the first and the last
+    of them are the ends of the motion from `begin` on, which is time 0.
+
+    The ends of ramps count for all joints, what lies between them for those that get faster than `fastest` (dof,) in rad/s,
+    or accelerate more than `strongest` (dof,) in rad/s^2.
+    """
+    dof = ramps.position.shape[1]
+    found = np.empty(2 * (1 + count * (1 + 2 * dof)))
+    found[0], found[1] = -begin, window - begin
+    n, end = 2, -begin
+    for i in range(count):
+        start, end = end, end + ramps.duration[i]
+        found[n], found[n + 1] = end, end + window
+        n += 2
+        for j in range(dof):
+            a = ramps.acceleration[i, j]
+            if abs(a) > strongest[j] or abs(ramps.velocity[i, j] + a * ramps.first[i, j]) > fastest[j]:
+                found[n], found[n + 1] = start + ramps.first[i, j], end - ramps.last[i, j]
+                found[n + 2], found[n + 3] = found[n] + window, found[n + 1] + window
+                n += 4
+    times = np.sort(found[:n])
+    last = times[n - 1]
+    kept, times[0] = 1, 0.0
+    for k in range(n):
+        if times[k] > times[kept - 1] + CLOSE:
+            times[kept] = times[k]
+            kept += 1
+    kept = max(kept, 2)
+    times[kept - 1] = last
+    return times[:kept]
 
 
 @brief

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from zarm_contract.errors import InvalidRequest
+from zarm_planner.kernels.quintic import peaks
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -34,13 +36,25 @@ def sample_times(knots: Array, factor: float, dt: float) -> Array:
     return np.interp(np.arange(int(count) + 1), np.insert(np.cumsum(pieces), 0, 0.0), knots)
 
 
+def load(trajectory: TimedTrajectory, limits: Limits) -> float:
+    """How far velocity, acceleration and jerk use their limits, 1 being fully, at any time between the samples too.
+
+    Slower by this factor, the trajectory just keeps all of them. NaN where it holds no numbers.
+    """
+    most = np.stack((limits.velocity, limits.acceleration, limits.jerk))
+    velocity, acceleration, jerk = peaks(
+        trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, most
+    )
+    return max(velocity, math.sqrt(acceleration), math.cbrt(jerk))
+
+
 def within(sample: Callable[[float], TimedTrajectory], limits: Limits) -> TimedTrajectory:
     """A motion that can be sampled at any factor of its shortest duration, as much slower as the limits demand."""
     factor = 1.0
     for _ in range(8):  # one or two rounds are the rule: sampled elsewhere, the motion has its extremes elsewhere
         trajectory = sample(factor)
-        load = limits.load(trajectory)
-        if load <= 1 + TOLERANCE:
+        used = load(trajectory, limits)
+        if used <= 1 + TOLERANCE:
             return trajectory
-        factor *= load
-    return trajectory.slower(load)
+        factor *= used
+    return trajectory.slower(used)

@@ -17,11 +17,11 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.ramps import along, make_ramps, ramps_from
-from zarm_planner.kernels.sampling import sample_average
+from zarm_planner.kernels.sampling import knots, sample_average
 from zarm_planner.kernels.smoothing import smooth
 from zarm_planner.timing.averaging import DEVIATION, averaging_window, gentle_acceleration
 from zarm_planner.timing.lead_in import LeadIn
-from zarm_planner.timing.sampling import TOLERANCE, sample_times, within
+from zarm_planner.timing.sampling import TOLERANCE, load, sample_times, within
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -32,8 +32,6 @@ _ROOM = 256
 """Ramps of a motion at most, on top of one for each edge of the path."""
 _MUCH = 0.5
 """A joint that uses less of its speed and acceleration may swing beyond them between two samples, which spares samples."""
-_CLOSE = 1e-5
-"""Seconds; samples are further apart, so that their differences can be divided by it."""
 
 
 class Smoothing:
@@ -97,11 +95,13 @@ class Smoothing:
             return within(self._sample, self._limits)
         # To be slower is to begin otherwise. What swings beyond a limit between two samples is cured by more of them.
         trajectory = self._sample(1.0)
-        return trajectory if self._limits.load(trajectory) <= 1 + TOLERANCE else self._sample(1.0, share=0.0)
+        return trajectory if load(trajectory, self._limits) <= 1 + TOLERANCE else self._sample(1.0, share=0.0)
 
     def _sample(self, factor: float, share: float = _MUCH) -> TimedTrajectory:
-        """The motion at `factor` times its shortest duration; `share` as in `_knots`."""
-        t = sample_times(self._knots(share), factor, self._dt)
+        """The motion at `factor` times its shortest duration, sampled at the knots of joints that use more than a `share` of their limits."""
+        _, _, fastest, strongest = self._bounds
+        times = knots(self._ramps, self._count, self._window, self._begin, share * fastest, share * strongest)
+        t = sample_times(times, factor, self._dt)
         out = np.empty((3, len(t), self._model.dof))
         sample_average(self._ramps, self._count, self._window, t + self._begin, out)
         out[1:, -1] = 0.0
@@ -111,24 +111,6 @@ class Smoothing:
             out[:, 0] = self._lead_in.state
         position, velocity, acceleration = out
         return TimedTrajectory(t * factor, position, velocity / factor, acceleration / factor**2)
-
-    def _knots(self, share: float) -> Array:
-        """Times (k,) in s between which each joint that uses more than a share of its limits moves along one cubic.
-
-        Samples there describe it exactly; the quintic across a change of jerk would swing beyond the limit.
-        """
-        duration, _, velocity, acceleration, first, last = (column[: self._count] for column in self._ramps[1:])
-        ends = np.cumsum(duration)
-        _, _, fastest, strongest = self._bounds
-        much = np.abs(velocity + acceleration * first) > share * fastest
-        much |= np.abs(acceleration) > share * strongest
-        up, down = (ends - duration)[:, None] + first, ends[:, None] - last
-        steps = np.concatenate(([0.0], ends, up[much], down[much]))
-        knots = np.unique(np.concatenate((steps, steps + self._window)) - self._begin)
-        knots = np.append(0.0, knots[knots > _CLOSE])
-        knots = knots[np.insert(np.diff(knots) > _CLOSE, 0, True)]
-        knots[-1] = self.duration
-        return knots
 
 
 def smooth_path(
@@ -149,7 +131,7 @@ def smooth_path(
 
     It passes the rows `vias` of the path, in their order, each joint within `deviation` (rad), and stops there only where
     no faster way is found to be free. Where it leaves the path it is free of `world` in spheres, as straight edges
-    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `TimedTrajectory.load` measures them. The same
+    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `sampling.load` measures them. The same
     seed gives the same motion; `deadline` only makes the search for a faster one end sooner.
 
     Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.

@@ -8,7 +8,8 @@ import numpy as np
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_planner.constraints.path_constraint import ConstraintManifold
-from zarm_planner.timing.sampling import TOLERANCE
+from zarm_planner.kernels.quintic import followed
+from zarm_planner.timing.sampling import TOLERANCE, load
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -16,7 +17,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 _POSITION = 1e-6
 """Rad by which a motion may miss its start and its goal."""
 LOAD = 1 + 1.5 * TOLERANCE
-"""How far the limits may be used, as `Limits.load` has it: what timing makes, and some rounding."""
+"""How far the limits may be used, as `sampling.load` has it: what timing makes, and some rounding."""
 RANGE = 1e-4
 """Rad by which a joint may be outside its range: rounding, and interpolation between samples."""
 
@@ -53,11 +54,12 @@ def verify(
     ):
         if not np.all(np.abs(values - wanted) <= _POSITION):
             raise VerificationFailed(f"the trajectory {what}")
-    if not (load := limits.load(trajectory)) <= LOAD:
-        raise VerificationFailed(f"the trajectory needs {load:.2f} times the allowed speed")
+    if not (used := load(trajectory, limits)) <= LOAD:
+        raise VerificationFailed(f"the trajectory needs {used:.2f} times the allowed speed")
 
-    times = _moments(trajectory, scene.reach)
-    position = trajectory.positions(times)
+    times, position = followed(
+        trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, scene.reach, RESOLUTION
+    )
     outside = np.maximum(model.lower - position, position - model.upper)
     if not np.all(outside <= RANGE):
         sample, joint = np.unravel_index(int(np.argmax(outside)), outside.shape)
@@ -74,9 +76,3 @@ def verify(
             f"{times[nearest.sample]:.2f} s of the trajectory"
         )
     return nearest.distance
-
-
-def _moments(trajectory: TimedTrajectory, reach: Array) -> Array:
-    """Times (k,) between which no point of the robot moves further than RESOLUTION, the samples' own among them."""
-    pieces = np.maximum(1, np.ceil(trajectory.travel(reach) / RESOLUTION)).astype(int)
-    return np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), trajectory.time)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from zarm_contract.errors import InvalidRequest
+from zarm_ros_bridge.convergence import Convergence
 from zarm_ros_bridge.convert.motions import MotionRequest
 from zarm_ros_bridge.generations.generation import Generation
 
@@ -24,7 +25,9 @@ class GenerationA(Generation):
         """None: a goal has no fields."""
         return None
 
-    def feedback(self, kind: type[Any], state: str, progress: float, joint_command: Any) -> Any:
+    def feedback(
+        self, kind: type[Any], state: str, progress: float, joint_command: Any, convergence: Convergence | None = None
+    ) -> Any:
         """Where the joints are commanded to be, and how far that is."""
         return kind(joint_command=joint_command, step_progression=progress)
 

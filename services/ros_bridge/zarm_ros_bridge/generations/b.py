@@ -5,11 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from zarm_ros_bridge.convergence import Convergence
 from zarm_ros_bridge.convert.motions import MotionRequest, filled
 from zarm_ros_bridge.generations.generation import Generation
 
-_STATES = {"planning": "PLANNING", "cancelled": "FAILED", "aborted": "FAILED"}
-"""Where that is not EXECUTING. TRACKING and ON_TARGET are those of closed loops, which zarm does not have."""
+_STATES = {
+    "planning": "PLANNING",
+    "tracking": "TRACKING",
+    "on_target": "ON_TARGET",
+    "cancelled": "FAILED",
+    "aborted": "FAILED",
+}
+"""Where that is not EXECUTING."""
 
 
 class GenerationB(Generation):
@@ -24,6 +31,17 @@ class GenerationB(Generation):
             return None
         return self.motion(goal, planner, joints)
 
-    def feedback(self, kind: type[Any], state: str, progress: float, joint_command: Any) -> Any:
-        """The errors stay 0 and `on_target` false, as with every planner that closes no loop."""
-        return kind(state=_STATES.get(state, "EXECUTING"), step_progression=progress, joint_command=joint_command)
+    def feedback(
+        self, kind: type[Any], state: str, progress: float, joint_command: Any, convergence: Convergence | None = None
+    ) -> Any:
+        """The errors stay 0 and `on_target` false, as with every planner that closes no loop, where there is no convergence."""
+        told = convergence or Convergence()
+        return kind(
+            state=_STATES.get(state, "EXECUTING"),
+            step_progression=progress,
+            joint_command=joint_command,
+            position_error=told.position_error,
+            orientation_error=told.orientation_error,
+            on_target=told.on_target,
+            hold_count=told.hold_count,
+        )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from zarm_contract.messages import Plan
+from zarm_ros_bridge.convergence import Convergence
 from zarm_ros_bridge.convert.motions import MotionRequest, filled, motion_to, path_constraint_of, pose_sets
 from zarm_ros_bridge.ros import Ros
 
@@ -70,8 +71,12 @@ class Generation(ABC):
         """
 
     @abstractmethod
-    def feedback(self, kind: type[Any], state: str, progress: float, joint_command: Any) -> Any:
-        """The feedback of a goal; `state` is that of the executor's goal, or `planning`."""
+    def feedback(
+        self, kind: type[Any], state: str, progress: float, joint_command: Any, convergence: Convergence | None = None
+    ) -> Any:
+        """The feedback of a goal. `state` is that of the executor's goal, or `planning`; in closed loop, where there is a
+        `convergence`, `tracking`, `on_target` or `aborted`.
+        """
 
     def strategy(self, request: Any, robot_type: str) -> str:
         """The strategy that SetRobotStrategy asks for, of a robot with the v1 name `robot_type`. Raises InvalidRequest."""

@@ -1,0 +1,60 @@
+"""`zarm view`: a page in the browser beside a bus that runs already."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.util import find_spec
+from typing import Annotated
+
+import typer
+
+from zarm_cli.client import Connect
+from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_runtime.session import DEFAULT_ENDPOINT
+
+VIEW = "127.0.0.1:8017"
+"""Where the page is served unless told otherwise."""
+VIEWER = "zarm_viewer.service"
+_PACKAGES = ("viser", "trimesh", "websockets")
+
+
+def view(
+    robot: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]DESCRIPTOR",
+            help="A robot on the bus and its descriptor (default: every robot there whose descriptor comes with zarm).",
+        ),
+    ] = None,
+    listen: Annotated[
+        str,
+        typer.Option(
+            envvar="ZARM_VIEW",
+            metavar="HOST:PORT",
+            help="Where the page is served; elsewhere than on this machine its address has a token.",
+        ),
+    ] = VIEW,
+    role: Annotated[
+        str | None, typer.Option(help="operator, or viewer: that sees everything and moves nothing.")
+    ] = None,
+    connect: Connect = DEFAULT_ENDPOINT,
+) -> None:
+    """Serve a page that shows the robots on the bus, plans and moves them; Ctrl-C ends it, and no motion."""
+    require_viewer()
+    if role not in (None, "operator", "viewer"):
+        raise InvalidRequest(f"{role} is neither operator nor viewer", field="--role")
+    words = [word for each in robot or () for word in ("--robot", each)]
+    words += ["--connect", connect, "--listen", listen]
+    words += ["--role", role] if role else []
+    sys.stdout.flush()
+    os.execv(sys.executable, [sys.executable, "-P", "-m", VIEWER, *words])  # noqa: S606 - our own interpreter
+
+
+def require_viewer() -> None:
+    """Raise Unavailable where the packages of the page are not installed."""
+    if missing := [package for package in _PACKAGES if find_spec(package) is None]:
+        raise Unavailable(
+            f"there is no page, because {' and '.join(missing)} cannot be imported here; `pip install 'zarm[viewer]'` "
+            "installs what is needed"
+        )

@@ -1,0 +1,127 @@
+"""What a person would get wrong in a descriptor and no schema finds: units, covers, links that do not meet, a robot that cannot move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_contract.robot import RobotDescription
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.shapes import distance
+from zarm_geometry.world import World
+from zarm_robot_import.kernels.balls import around_shapes
+from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.spheres import depths
+
+Array = NDArray[np.float64]
+
+SAMPLES = 1000
+"""Random configurations; of what is true in more than 0.5 % of all, one shows it with 99 % confidence."""
+LARGEST, SMALLEST = 6.0, 0.05
+"""No arm reaches further, and none less far (m): beyond it lengths are most likely in another unit."""
+OUTSIDE = 0.004
+"""Exact geometry that stands out of its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
+_FINEST = 0.0005
+PROTRUDES = 0.06
+"""A sphere that stands out of its link by more than this (m) most likely belongs elsewhere."""
+APART = 0.1
+"""Neighbouring links that are never nearer than this (m) most likely have a wrong frame, axis or unit."""
+RARELY = 0.02
+"""Where a smaller share of all configurations is free, something is nearly always in contact."""
+
+
+def findings(robot: RobotDescription) -> list[str]:
+    """What is most likely wrong, a sentence each with the key to look at and the remedy; nothing where all seems well."""
+    model = RobotModel.of(robot)
+    q = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, model.dof))
+    return [*_size(model, q), *_joints(model), *_covers(robot), *_neighbours(model, q), *_contacts(model, q)]
+
+
+def _size(model: RobotModel, q: Array) -> Iterator[str]:
+    origins = [joint.xyz for joint in model.robot.urdf.joint_of_child.values()]
+    reach = float(np.linalg.norm(model.fk_tip(q)[:, :3, 3], axis=1).max())
+    longest = float(np.linalg.norm(np.array(origins).reshape(-1, 3), axis=1).max(initial=0.0))
+    if longest > LARGEST:
+        yield f"urdf: an origin is {longest:g} m from its parent; it is most likely in mm: divide every xyz by 1000"
+    elif not SMALLEST < reach < LARGEST:
+        yield f"urdf: the tip reaches {reach:.3g} m; lengths are in m: look at every xyz, and at tip_link"
+    largest = max(float(body.placed_balls[:, 3].max()) for body in model.bodies)
+    if largest > max(reach, SMALLEST):
+        yield f"spheres: a radius of {largest:g} m is more than the robot reaches ({reach:.3g} m); lengths are in m"
+
+
+def _joints(model: RobotModel) -> Iterator[str]:
+    descriptor = model.robot.descriptor
+    home = np.array(descriptor.home)
+    still = model.fk_tip(home)
+    for index, joint in enumerate(descriptor.joints):
+        width = model.upper[index] - model.lower[index]
+        if width < 1e-3:
+            yield f"{joint}: its range is {width:g} wide in the URDF; make the joint fixed, or correct lower and upper"
+        elif min(home[index] - model.lower[index], model.upper[index] - home[index]) < 0.02 * width:
+            yield f"home: {joint} stands at its limit; choose a pose from which it can turn both ways"
+        moved = home.copy()
+        moved[index] += 0.1 if home[index] < model.upper[index] - 0.1 else -0.1
+        if np.allclose(model.fk_tip(moved), still, atol=1e-9):
+            yield f"tip_link: {joint} does not move {descriptor.tip_link}; look at its axis in the URDF"
+
+
+def _covers(robot: RobotDescription) -> Iterator[str]:
+    for link, primitives in robot.descriptor.collision.items():
+        rows = rows_of(primitives)
+        balls = np.array([(*ball.center, ball.radius) for ball in robot.descriptor.spheres[link]])
+        lacking = float((around_shapes(balls, rows, _FINEST)[:, 3] - balls[:, 3]).max())
+        if lacking > OUTSIDE:
+            yield (
+                f"spheres.{link}: its exact geometry stands out of its spheres, by up to {1e3 * lacking:.0f} mm; the search would "
+                "take what is verified as a collision afterwards: enlarge the spheres or add some"
+            )
+        out = balls[:, 3] - depths(balls[:, :3], rows)
+        if out.max() > PROTRUDES:
+            index = int(out.argmax())
+            yield (
+                f"spheres.{link}[{index}]: it stands out of the link by {1e3 * out[index]:.0f} mm and takes free space; look at its "
+                "center and radius"
+            )
+
+
+def _neighbours(model: RobotModel, q: Array) -> Iterator[str]:
+    few = model.link_transforms(q[:50])
+    by_joint = {
+        joint: [(link, shape) for link, shape in model.parts if model.link_joint[link] == joint]
+        for joint in sorted(set(model.link_joint.tolist()))
+    }
+    for (one, carrier), (other, carried) in pairwise(by_joint.items()):
+        nearest = min(
+            distance(a, poses[i] @ a.pose, b, poses[j] @ b.pose)
+            for poses in few
+            for i, a in carrier
+            for j, b in carried
+        )
+        if other == one + 1 and nearest > APART:
+            names = [model.links[parts[0][0]] for parts in (carrier, carried)]
+            yield (
+                f"collision.{names[1]}: it never comes nearer than {1e3 * nearest:.0f} mm to {names[0]}, which carries it; look at the "
+                "origin and axis of the joint between them, and at the units of both"
+            )
+
+
+def _contacts(model: RobotModel, q: Array) -> Iterator[str]:
+    empty, exact = World((), 0.0), ExactScene(model, World((), 0.0))
+    home = np.array(model.robot.descriptor.home)
+    nearest = exact.nearest(home)
+    if nearest.pair is not None and nearest.distance <= 0.0:
+        yield f"home: {' and '.join(nearest.pair)} are in contact there; choose another pose, or ignore the pair"
+    elif not is_free(model, empty, home):
+        yield "home: spheres of two links overlap there; the search could not start: shrink them, or choose another pose"
+    free = float(np.mean([is_free(model, empty, each) for each in q]))
+    if free < RARELY:
+        yield (
+            f"spheres: {free:.1%} of all configurations are free of self-collision; look which pair always touches, and put it into "
+            "self_collision_ignore if it may"
+        )

@@ -1,0 +1,104 @@
+"""What the robot's motion waits for and whether a servo watches it, on /diagnostics, where tools of ROS look."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import TracebackType
+from typing import Self
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from zarm_contract.messages import ExecutorState, GoalState
+from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.holds import waits_for
+from zarm_ros_bridge.ros import Ros
+
+DEPTH = 10
+PERIOD = 1.0
+"""How often (s) it is told where nothing changes, as `diagnostic_updater` does."""
+_LOOK = 0.1
+"""How often (s) a goal that runs is looked at: its executor tells of it as often."""
+
+
+class Diagnostics:
+    """Publishes one status, `<robot>: motion`, when it changes and every `PERIOD` s. Use it in `with`.
+
+    ERROR is a fault. WARN is a goal that is held, or that no servo watches; OK is all else. While no executor runs nothing is
+    published, which tools show as stale.
+    """
+
+    def __init__(self, ros: Ros, engine: Engine) -> None:
+        self._engine = engine
+        self._publisher = ros.node.create_publisher(DiagnosticArray, "/diagnostics", DEPTH)
+        self._state: ExecutorState | None = None
+        self._changed = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="diagnostics")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._engine.bus.watch(self._engine.keys.executor_state, ExecutorState, self._hear)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._changed.set()
+        self._thread.join()
+
+    def _hear(self, _key: str, state: ExecutorState) -> None:
+        self._state = state
+        self._changed.set()
+
+    def _run(self) -> None:
+        told, told_at = None, 0.0
+        executor = self._engine.keys.alive("executor", "*")
+        while not self._ended:
+            state = self._state
+            if state is not None:
+                status, now = self._status(state), time.monotonic()
+                if status != told or (now - told_at >= PERIOD and self._engine.bus.alive(executor)):
+                    told, told_at = status, now
+                    message = DiagnosticArray(status=[status])
+                    message.header.stamp = ros_time(time.time())
+                    self._publisher.publish(message)
+            self._changed.wait(_LOOK if state is not None and state.goal_id is not None else PERIOD)
+            self._changed.clear()
+
+    def _status(self, state: ExecutorState) -> DiagnosticStatus:
+        engine = self._engine
+        goal = None if state.goal_id is None else engine.client.connection.goals.known(state.goal_id)
+        level, message = _said(state, goal)
+        found = None if goal is None or goal.hold is None else goal.hold.obstruction
+        values = {
+            "mode": state.mode,
+            "strategy": state.strategy,
+            "goal_id": state.goal_id or "",
+            "guarded": str(state.guarded),
+            "object": "" if found is None else found.object,
+            "link": "" if found is None else found.link,
+        }
+        return DiagnosticStatus(
+            level=level,
+            name=f"{engine.keys.robot}: motion",
+            message=engine.terms.of(message),
+            hardware_id=engine.keys.robot,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+
+
+def _said(state: ExecutorState, goal: GoalState | None) -> tuple[bytes, str]:
+    """The level and the message."""
+    if state.problem is not None:
+        return DiagnosticStatus.ERROR, state.problem.message
+    if goal is not None and goal.hold is not None:
+        return DiagnosticStatus.WARN, f"the goal waits: {waits_for(goal.hold)}"
+    if state.goal_id is not None and not state.guarded:
+        return (
+            DiagnosticStatus.WARN,
+            "no servo watches the goal that runs; it does not stop for what comes into its way",
+        )
+    return DiagnosticStatus.OK, state.mode

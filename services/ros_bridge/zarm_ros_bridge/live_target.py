@@ -1,0 +1,57 @@
+"""The pose that a goal in closed loop follows."""
+
+from __future__ import annotations
+
+import threading
+
+from zarm.servoing import PERIOD, Tracking
+from zarm_contract.messages import Pose, ServoSession
+
+_PAUSE = 0.08
+"""A stream of poses without a new one for so long (s) has paused: a target that is older than 0.1 s brakes the robot."""
+_STILL = (0.0, 0.0, 0.0)
+
+
+class LiveTarget:
+    """`pose` of the tip in the base frame, until `put` moves it. Safe from any thread.
+
+    With `timed`, poses that come at least every 0.08 s are a stream: how they move from one to the next counts as their velocity.
+    Otherwise each is where the tip is to rest.
+    """
+
+    def __init__(self, pose: Pose, *, timed: bool) -> None:
+        self.pose = pose
+        self._timed = timed
+        self._changed = threading.Condition()
+        self._new = True
+        self._streaming = False
+        self._sent = 0
+        self._first = 1  # the sequence number of the first target at this pose
+
+    def put(self, pose: Pose) -> None:
+        """Move it."""
+        with self._changed:
+            self.pose, self._new = pose, True
+            self._changed.notify_all()
+
+    def lead(self, tracking: Tracking) -> bool:
+        """Tell the servo as soon as it has moved, or must be repeated; whether it has moved to where the robot is to rest.
+
+        Raises what ends the session.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._new, _PAUSE if self._streaming else PERIOD)
+            pose, moved, self._new = self.pose, self._new, False
+        self._sent += 1
+        streamed, self._streaming = moved and self._streaming, moved and self._timed
+        if streamed:
+            tracking.to(pose)
+            return False
+        tracking.to(pose, linear=_STILL, angular=_STILL)
+        if moved:
+            self._first = self._sent
+        return moved
+
+    def told_of(self, state: ServoSession | None) -> ServoSession | None:
+        """What the servo tells, where that is of this pose, or of one before it in its stream."""
+        return state if state is not None and state.sequence >= self._first else None

@@ -1,0 +1,90 @@
+"""Where a robot in closed loop is led, for RViz: its target, and the way of the tip that is checked."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PoseStamped, Vector3
+from nav_msgs.msg import Path
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
+
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import GoalTrajectory, Pose
+from zarm_ros_bridge.convert.poses import ros_pose
+from zarm_ros_bridge.convert.times import ros_time
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.live_target import LiveTarget
+from zarm_ros_bridge.ros import Ros
+from zarm_trajectory.trajectory import TimedTrajectory
+
+log = logging.getLogger(__name__)
+
+_PERIOD = 0.2
+"""s between two looks at what is to be shown."""
+_ANSWER_SECONDS = 1.0
+_ARROW = 0.1
+"""Length (m) of the arrow along the z axis of the target."""
+_COLOUR = ColorRGBA(r=0.2, g=0.8, b=0.4, a=0.9)
+
+
+class PredictedPath:
+    """Publishes `mpc_goal_marker`, and `mpc_predicted_path` as long as somebody listens there."""
+
+    def __init__(self, ros: Ros, engine: Engine) -> None:
+        self._engine = engine
+        self._frame = engine.robot.descriptor.base_link
+        self._marker = ros.node.create_publisher(Marker, "mpc_goal_marker", 1)
+        self._path = ros.node.create_publisher(Path, "mpc_predicted_path", 1)
+
+    @contextmanager
+    def shown(self, live: LiveTarget, steps: int, step: float) -> Iterator[None]:
+        """A block in which the target is shown, and the path for so many steps of `step` s."""
+        ended = threading.Event()
+        times = step * np.arange(steps + 1)
+        thread = threading.Thread(target=self._show, args=(live, times, ended), name="mpc_predicted_path")
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+            self._marker.publish(Marker(action=Marker.DELETEALL))
+
+    def _show(self, live: LiveTarget, times: np.ndarray, ended: threading.Event) -> None:
+        while True:
+            self._marker.publish(self._arrow(live.pose))
+            if self._path.get_subscription_count():
+                try:
+                    self._path.publish(self._predicted(times))
+                except ZarmError as error:  # the robot is led all the same
+                    log.info("no predicted path reason=%s", error)
+            if ended.wait(_PERIOD):
+                return
+
+    def _predicted(self, times: np.ndarray) -> Path:
+        """The tip along what the executor follows: the next steps, and the braking after them."""
+        engine = self._engine
+        followed = engine.client.connection.read(
+            engine.keys.goal_trajectory, GoalTrajectory, timeout=_ANSWER_SECONDS
+        ).trajectory
+        trajectory = TimedTrajectory.of(followed, engine.joints)
+        ahead = trajectory.time[0] + times
+        positions, _, _ = trajectory.sample(ahead[ahead <= trajectory.time[-1]])
+        tips = engine.client.fk([tuple(row) for row in positions.tolist()], timeout=_ANSWER_SECONDS)
+        header = Header(frame_id=self._frame, stamp=ros_time(time.time()))
+        return Path(header=header, poses=[PoseStamped(header=header, pose=ros_pose(tip)) for tip in tips])
+
+    def _arrow(self, pose: Pose) -> Marker:
+        """Along the z axis of the target. A stamp of 0: RViz shows it where the frame is now."""
+        marker = Marker(ns="mpc_goal", type=Marker.ARROW, action=Marker.ADD, pose=ros_pose(pose), color=_COLOUR)
+        marker.header = Header(frame_id=self._frame, stamp=Time())
+        marker.points = [Point(), Point(z=_ARROW)]
+        marker.scale = Vector3(x=_ARROW / 10, y=_ARROW / 5)  # diameters of shaft and head
+        return marker

@@ -1,0 +1,218 @@
+"""Topics that the clients of MoveIt Servo know: twists, poses and joint speeds in, a status out."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+from typing import Any, Self
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Int8, String
+
+from zarm.servoing import Jogging, Tracking, limited
+from zarm_contract.errors import Cancelled, ZarmError
+from zarm_contract.messages import ServoSession
+from zarm_ros_bridge.convert.servo_commands import (
+    INVALID,
+    NO_WARNING,
+    STATUS,
+    Send,
+    joint_speed_of,
+    target_of,
+    twist_of,
+)
+from zarm_ros_bridge.convert.times import NANOSECONDS
+from zarm_ros_bridge.engine import Engine
+from zarm_ros_bridge.ros import Ros
+
+log = logging.getLogger(__name__)
+
+COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""The newest command counts. Publishers that are reliable are heard as well."""
+STALE = 0.1
+"""s; a command counts for so long, and one that came so much later than others of its topic does not count."""
+SESSION_SECONDS = 1.0
+"""A session ends after so long (s) without a command."""
+RELEASE_SECONDS = 0.5
+"""After a session that somebody else has ended, or that could not begin, commands must pause for so long (s)."""
+_TELL_SECONDS = 0.1
+_FORGOTTEN = 10.0
+_DRIFT = 1e-3  # two clocks drift by less (s per s)
+
+Opens = Callable[..., AbstractContextManager[Tracking] | AbstractContextManager[Jogging]]
+
+
+@dataclass(frozen=True)
+class _Command:
+    """What came on `topic` at `time` (s, monotonic)."""
+
+    topic: str
+    time: float
+    send: Send
+
+
+class Punctuality:
+    """Sees by the stamps of a topic which of its messages come late, whatever clock they are stamped by."""
+
+    def __init__(self) -> None:
+        self._least: float | None = None  # from stamp to arrival (s), of the quickest
+        self._heard = 0.0
+
+    def late(self, stamp: float, now: float) -> bool:
+        """Whether a message came STALE s later than others; never one with a stamp of 0, which is none."""
+        if not stamp:
+            return False
+        offset, passed = now - stamp, now - self._heard
+        if self._least is None or passed > _FORGOTTEN:
+            self._least = offset
+        self._least = min(self._least + _DRIFT * passed, offset)
+        self._heard = now
+        return offset - self._least > STALE
+
+
+class ServoCommands:
+    """Jogs and tracks by what comes on three topics, in one session of the servo at a time. Use it in `with`.
+
+    The first command on a topic opens a session, which belongs to that topic until it pauses.
+    """
+
+    def __init__(self, ros: Ros, engine: Engine) -> None:
+        self._engine = engine
+        self._log = ros.node.get_logger()
+        self._came = threading.Condition()
+        self._newest: dict[str, _Command] = {}
+        self._ended = False
+        self._told: tuple[int, str] | None = None
+        self._told_at = 0.0
+        self._status = ros.node.create_publisher(Int8, "~/servo_status", 10)
+        self._text = ros.node.create_publisher(String, "~/servo_status/text", 10)
+        client = engine.client
+        self._opens: dict[str, Opens] = {}
+        for topic, kind, read, opens in (
+            ("delta_twist_cmds", TwistStamped, twist_of, client.jog),
+            ("delta_joint_cmds", _joint_jog(), joint_speed_of, client.jog),
+            ("pose_target_cmds", PoseStamped, target_of, client.track),
+        ):
+            self._opens[topic] = opens
+            hear = partial(self._hear, topic, read, Punctuality())
+            ros.listen(kind, ros.node.resolve_topic_name(f"~/{topic}"), hear, COMMANDS)
+        self._thread = threading.Thread(target=self._run, name="servo commands")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._came:
+            self._ended = True
+            self._came.notify_all()
+        self._thread.join()
+
+    # -- in the thread that listens --
+
+    def _hear(self, topic: str, read: Callable[[Any, Any], Send], punctuality: Punctuality, message: Any) -> None:
+        now, stamp = time.monotonic(), message.header.stamp
+        if punctuality.late(stamp.sec + stamp.nanosec / NANOSECONDS, now):
+            self._refuse(f"a message on {topic} came more than {STALE:g} s late; see what holds it up")
+            return
+        try:
+            command = _Command(topic, now, read(message, self._engine.robot.descriptor))
+        except ZarmError as error:
+            self._refuse(f"{topic}: {error}")
+            return
+        with self._came:
+            self._newest[topic] = command
+            self._came.notify_all()
+
+    def _refuse(self, text: str) -> None:
+        self._tell(INVALID, text)
+        self._log.warning(text, throttle_duration_sec=5.0)
+
+    # -- in its own thread --
+
+    def _run(self) -> None:
+        while (command := self._next()) is not None:
+            try:
+                with self._opens[command.topic]() as session:
+                    self._follow(session, command)
+            except ZarmError as error:
+                text = self._engine.terms.of(str(error))
+                log.warning("commands not followed topic=%s reason=%s", command.topic, text)
+                self._refuse(f"{text}; then pause the commands for {RELEASE_SECONDS:g} s")
+                self._wait_for_release()
+            else:
+                self._tell(NO_WARNING, "no commands")
+
+    def _follow(self, session: Tracking | Jogging, command: _Command) -> None:
+        """Pass the commands of one topic on, until they pause and others come, or none have come for SESSION_SECONDS.
+
+        Raises what the session ends with.
+        """
+        topic, last = command.topic, command.time
+        newest: _Command | None = command
+        while not self._ended and session.running:
+            now = time.monotonic()
+            if newest is not None and now - newest.time < STALE:
+                newest.send(session)
+                last = newest.time
+            self._tell_of(session.state)
+            if now - last > SESSION_SECONDS or (now - last > STALE and self._others(topic)):
+                return
+            newest = self._next(topic, _TELL_SECONDS)
+        if not self._ended:
+            raise Cancelled("another client has ended the session of the servo; see who leads the robot")
+
+    def _next(self, topic: str | None = None, timeout: float | None = None) -> _Command | None:
+        """The newest command, of that topic if given, once there is one; None after the timeout, or at the end."""
+        with self._came:
+            self._came.wait_for(lambda: self._ended or self._waiting(topic), timeout)
+            waiting = [] if self._ended else self._waiting(topic)
+            return self._newest.pop(max(waiting, key=lambda one: one.time).topic) if waiting else None
+
+    def _waiting(self, topic: str | None = None) -> list[_Command]:
+        """The commands that still count."""
+        fresh = time.monotonic() - STALE
+        return [one for one in self._newest.values() if topic in (None, one.topic) and one.time > fresh]
+
+    def _others(self, topic: str) -> bool:
+        """Whether there is a command of another topic."""
+        with self._came:
+            return any(one.topic != topic for one in self._waiting())
+
+    def _wait_for_release(self) -> None:
+        while self._next(timeout=RELEASE_SECONDS) is not None:
+            pass
+
+    def _tell_of(self, state: ServoSession | None) -> None:
+        if state is not None and state.refused is not None:
+            self._tell(INVALID, state.refused.message)
+        elif state is not None:
+            self._tell(STATUS[state.limiting], limited(state))
+
+    def _tell(self, code: int, text: str) -> None:
+        """Each change, and ten times a second while there are commands."""
+        now = time.monotonic()
+        if (code, text) == self._told and now - self._told_at < _TELL_SECONDS:
+            return
+        self._told, self._told_at = (code, text), now
+        self._status.publish(Int8(data=code))
+        self._text.publish(String(data=text))
+
+
+def _joint_jog() -> Any:
+    """The type of delta_joint_cmds: that of MoveIt Servo where it is installed, which PyPI does not have."""
+    try:
+        from control_msgs.msg import JointJog
+    except ImportError:
+        return JointState
+    return JointJog

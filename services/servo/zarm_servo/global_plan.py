@@ -1,0 +1,114 @@
+"""A global plan: a way in joint space to a live target, as the planner finds it, and the point on it that is to be steered for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import product
+
+import numpy as np
+
+from zarm_contract.errors import DeadlineExceeded, PlanningFailed, ZarmError
+from zarm_contract.messages import JointGoal, Plan, PlanRequest, Pose, PoseGoal
+from zarm_geometry.frames import pose_of
+from zarm_servo.targets import JointTarget, PoseTarget
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+PlanFor = Callable[[PlanRequest], Plan]
+"""Asks the planner. Raises what it refuses with, and Unavailable where there is none."""
+
+TIMEOUT = 1.0
+"""The planner may take so long (s)."""
+_ROOM = 0.005
+"""A plan keeps so much more (m) than the margin where it can, so that following it never sticks."""
+_RINGS = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""Distances (m) from a pose that cannot be reached at which the planner looks for others."""
+_SAMPLE = 0.02
+"""Seconds of the plan from one of its positions to the next."""
+
+
+class GlobalPlan:
+    """A path through `positions` (N, J) that leads to where `target` was; with a `refusal`, to a
+    place near it, because the planner refused the target itself with that.
+    """
+
+    def __init__(self, positions: Array, target: PoseTarget | JointTarget, refusal: ZarmError | None = None) -> None:
+        self.target, self.refusal = target, refusal
+        self._positions = positions
+        steps = np.abs(np.diff(positions, axis=0)).max(axis=1)
+        self._lengths = np.append(0.0, np.cumsum(steps))
+        self._passed = 0
+
+    @property
+    def left(self) -> float:
+        """How long the path still is (rad), each step as long as that of the joint that moves most."""
+        return float(self._lengths[-1] - self._lengths[self._passed])
+
+    def advance(self, position: Array, within: float) -> None:
+        """The robot is at `position` (J,): on the path that is where it is nearest, at most `within` (rad) further than before."""
+        end = int(np.searchsorted(self._lengths, self._lengths[self._passed] + within, side="right"))
+        away = np.abs(self._positions[self._passed : end] - position).max(axis=1)
+        self._passed += int(np.argmin(away))
+
+    def ahead(self, length: float) -> Array:
+        """The position (J,) on the path so far (rad) ahead of the robot, or at its end."""
+        wanted = self._lengths[self._passed] + length
+        return np.array([np.interp(wanted, self._lengths, joint) for joint in self._positions.T])
+
+
+def find_global_plan(
+    ask: PlanFor,
+    joints: tuple[str, ...],
+    margin: float,
+    target: PoseTarget | JointTarget,
+    start: Array,
+    distance: float,
+) -> GlobalPlan:
+    """A plan from rest at `start` (J,) to a target, `margin` (m) away from everything.
+
+    Where a pose, which is `distance` (m) away, cannot be reached: to one that is nearer to it than the robot, turned in the same
+    way. Raises what the planner refuses the target with.
+    """
+
+    def plan(goal: PoseGoal | JointGoal, margin: float) -> Array:
+        request = PlanRequest(goal=goal, start=tuple(start.tolist()), margin=margin, timeout=TIMEOUT, optimize_s=0.0)
+        trajectory = TimedTrajectory.of(ask(request).trajectory, joints)
+        return trajectory.positions(np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / _SAMPLE)))
+
+    refusal: ZarmError | None = None
+    goal = _goal(target)
+    for kept in (margin + _ROOM, margin):
+        try:
+            return GlobalPlan(plan(goal, kept), target)
+        except (PlanningFailed, DeadlineExceeded) as error:
+            refusal = error
+    for nearer in _nearer(target, distance):
+        try:
+            return GlobalPlan(plan(nearer, margin + _ROOM), target, refusal)
+        except (PlanningFailed, DeadlineExceeded):
+            continue
+    raise refusal or PlanningFailed("there is no plan", code="no_path")
+
+
+def _goal(target: PoseTarget | JointTarget) -> PoseGoal | JointGoal:
+    if isinstance(target, JointTarget):
+        return JointGoal(kind="joints", position=tuple(target.position.tolist()))
+    return _poses(target, target.pose[None, :3, 3])
+
+
+def _poses(target: PoseTarget, places: Array) -> PoseGoal:
+    """A goal set: the pose of the target at each of these places (N, 3)."""
+    turn = pose_of(target.pose).orientation
+    first, *others = (Pose(position=tuple(place.tolist()), orientation=turn) for place in places)
+    return PoseGoal(kind="pose", position=first.position, orientation=first.orientation, alternatives=tuple(others))
+
+
+def _nearer(target: PoseTarget | JointTarget, distance: float) -> Iterator[PoseGoal]:
+    """Goal sets around a pose, the nearest first, that are nearer to it than `distance` (m)."""
+    if isinstance(target, JointTarget):
+        return
+    ways = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    for radius in _RINGS:
+        if radius < distance:
+            yield _poses(target, target.pose[:3, 3] + radius * ways)

@@ -1,0 +1,169 @@
+"""What the local controller is to steer for: the live target, or where it is stuck on the way there, a point on a global plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+
+import numpy as np
+
+from zarm_contract.errors import InternalError, Problem, Unavailable, ZarmError
+from zarm_contract.messages import SceneRevision
+from zarm_geometry.robot_model import RobotModel
+from zarm_servo.controller import PERIOD
+from zarm_servo.global_plan import GlobalPlan
+from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
+from zarm_trajectory.quintic import Array
+
+Find = Callable[[PoseTarget | JointTarget, Array, float], GlobalPlan]
+"""Finds a plan to a target from a position (J,) that is `distance` (m) away from it. Raises ZarmError where there is none."""
+Free = Callable[[Array, Array], bool]
+"""Whether the straight line between two positions (J,) keeps the margin."""
+
+_STUCK = 0.4
+"""A robot is stuck where it has moved by less than `_MOVED` for so long (s)."""
+_MOVED = 0.01
+"""rad, the joint that moves most."""
+_REACHED = 0.0005, 0.005, 0.001
+"""m, rad, rad of a joint: so near, nothing has to be planned."""
+_REFRESHED = 0.2
+"""A plan to a target that moves is asked for so often (s)."""
+_SAME = 0.001, 0.01, 0.001
+"""m, rad, rad of a joint: a target that has moved by less is where it was."""
+_FAR = 0.1, 0.5, 0.3
+"""The same: a target that is further from the end of a plan has jumped, and the plan leads elsewhere."""
+_ARRIVED = 0.1
+"""rad before the end of a plan to a target that moves, it is followed directly again."""
+_AHEAD = 0.8, 0.4, 0.2, 0.1, 0.05
+"""The point that is steered for lies so far (rad) ahead on the plan: the first to which the straight line is free."""
+_LOOKS = 5
+"""Steps after which the point is chosen anew."""
+_ATTEMPTS = 4
+"""So many plans to one target in one scene; where the robot is stuck on all of them, it rests there."""
+_RETRIES = 1.0
+"""A planner that gave no answer is asked again after so long (s)."""
+
+
+class Guide:
+    """Decides step by step for one robot; `find` runs in `pool`, one call at a time."""
+
+    def __init__(self, model: RobotModel, find: Find, free: Free, pool: Executor) -> None:
+        self._model, self._find, self._free = model, find, free
+        self._pool = pool
+        self._asked: Future[GlobalPlan] | None = None
+        self._asked_for: PoseTarget | JointTarget | None = None
+        self._plan: GlobalPlan | None = None
+        self._point: Array | None = None
+        self._steps = self._asked_at = 0
+        self._anchor, self._anchored = np.full(model.dof, np.inf), 0
+        self._attempts = 0
+        self._revision: SceneRevision | None = None
+        self.problem: Problem | None = None
+
+    @property
+    def planned(self) -> bool:
+        """Whether the robot follows a global plan."""
+        return self._plan is not None
+
+    def target(self, wanted: Target | None, position: Array, revision: SceneRevision | None) -> Target | None:
+        """What is to be steered for on the way to `wanted`, from `position` (J,), in the scene of this revision."""
+        self._steps += 1
+        self._watch(position)
+        if not isinstance(wanted, PoseTarget | JointTarget):
+            self._forget()
+            return wanted
+        self._compare(wanted, revision)
+        self._take()
+        plan = self._plan
+        if plan is not None and _led(plan, wanted):
+            plan = self._plan = None
+        if self._must_ask(wanted, position, revision):
+            distance = self._errors(wanted, position)[0]
+            self._asked, self._asked_for, self._asked_at = (
+                self._pool.submit(self._find, wanted, position.copy(), distance),
+                wanted,
+                self._steps,
+            )
+            self._revision, self._anchored = revision, self._steps
+            self._attempts += 1
+        return wanted if plan is None else JointTarget(self._ahead(plan, position))
+
+    def _watch(self, position: Array) -> None:
+        if np.abs(position - self._anchor).max() > _MOVED:
+            self._anchor, self._anchored = position.copy(), self._steps
+
+    def _compare(self, wanted: PoseTarget | JointTarget, revision: SceneRevision | None) -> None:
+        """Where the target or the scene is another one, everything may be tried again."""
+        if self._asked_for is None or revision != self._revision or _apart(wanted, self._asked_for, _SAME):
+            self._attempts = 0
+            self.problem = None
+
+    def _take(self) -> None:
+        """The plan that was asked for, once it is there."""
+        asked = self._asked
+        if asked is None or not asked.done():
+            return
+        self._asked = None
+        error = asked.exception()
+        if error is None:
+            self._plan, self._point = asked.result(), None
+            self._anchored = self._steps
+            if self._plan.refusal is not None:
+                self.problem, self._attempts = self._plan.refusal.problem, _ATTEMPTS
+        else:
+            self._plan = None
+            known = error if isinstance(error, ZarmError) else InternalError(f"{type(error).__name__}: {error}")
+            self.problem = known.problem
+            self._attempts = 0 if isinstance(error, Unavailable) else _ATTEMPTS
+
+    def _must_ask(self, wanted: PoseTarget | JointTarget, position: Array, revision: SceneRevision | None) -> bool:
+        since = (self._steps - self._asked_at) * PERIOD
+        if self._asked is not None or self._attempts >= _ATTEMPTS or since < _REFRESHED:
+            return False
+        if self.problem is not None and since < _RETRIES:
+            return False
+        plan = self._plan
+        if plan is not None and (revision != self._revision or _apart(wanted, plan.target, _SAME)):
+            return True
+        if (self._steps - self._anchored) * PERIOD < _STUCK or (plan is not None and plan.left < _MOVED):
+            return False
+        return bool(np.any(np.greater(self._errors(wanted, position), _REACHED)))
+
+    def _errors(self, wanted: PoseTarget | JointTarget, position: Array) -> tuple[float, float, float]:
+        if isinstance(wanted, JointTarget):
+            return 0.0, 0.0, float(np.abs(wanted.position - position).max())
+        return (*_between(wanted.pose, self._model.fk_tip(position)), 0.0)
+
+    def _ahead(self, plan: GlobalPlan, position: Array) -> Array:
+        if self._point is None or self._steps % _LOOKS == 0:
+            plan.advance(position, _AHEAD[0])
+            points = [plan.ahead(length) for length in _AHEAD]
+            self._point = next((point for point in points[:-1] if self._free(position, point)), points[-1])
+        return self._point
+
+    def _forget(self) -> None:
+        self._plan = self._asked_for = self.problem = None
+        self._attempts, self._anchored = 0, self._steps
+        if self._asked is not None and self._asked.done():
+            self._asked = None
+
+
+def _led(plan: GlobalPlan, wanted: PoseTarget | JointTarget) -> bool:
+    """Whether a plan is of no more use: it leads elsewhere, or has led near to where the target can be followed directly."""
+    if _apart(wanted, plan.target, _FAR):
+        return True
+    return plan.left < _ARRIVED and (plan.refusal is not None or _apart(wanted, plan.target, _SAME))
+
+
+def _between(a: Array, b: Array) -> tuple[float, float]:
+    """How far apart two poses (4, 4) are: m, rad."""
+    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.linalg.norm(rotation_vector(a[:3, :3] @ b[:3, :3].T)))
+
+
+def _apart(a: PoseTarget | JointTarget, b: PoseTarget | JointTarget, limits: tuple[float, float, float]) -> bool:
+    """Whether two targets are further apart than these limits: m, rad, rad of a joint."""
+    if isinstance(a, PoseTarget) and isinstance(b, PoseTarget):
+        return bool(np.any(np.greater(_between(a.pose, b.pose), limits[:2])))
+    if isinstance(a, JointTarget) and isinstance(b, JointTarget):
+        return float(np.abs(a.position - b.position).max()) > limits[2]
+    return True

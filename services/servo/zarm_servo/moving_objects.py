@@ -1,0 +1,166 @@
+"""Moving objects: where each was told to be last, and how far it can be from there."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from zarm_contract.codec import decode
+from zarm_contract.errors import InvalidRequest, Problem, ZarmError
+from zarm_contract.messages import ObjectPose, SceneObject, Sphere, Vector3, Voxels
+from zarm_geometry import rows
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.motion_check import MovingObject
+from zarm_geometry.world import convex_shapes
+from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
+
+AGREE = 0.02
+"""The clocks of those who tell poses agree with that of the servo within so much (s)."""
+LOST = 1.0
+"""An object of which no pose has come for so long (s) is lost: it can be anywhere that it reached within that time."""
+_SHAPES = 500
+"""A mesh of more convex shapes cannot move."""
+
+
+@dataclass(frozen=True)
+class Mover:
+    """`item` of the scene was told to be where `placed` is at the moment `seen` (s, monotonic; rather earlier than later).
+
+    From there it moves with `velocity` (m/s, base frame), and each of its points with at most `speed` (m/s) besides. `stamp` is that
+    of the pose.
+    """
+
+    item: SceneObject
+    placed: SceneObject
+    velocity: Vector3
+    speed: float
+    seen: float
+    stamp: float
+
+    def age(self, now: float) -> float:
+        """For how long (s) it has moved at the moment `now` (s, monotonic), at most LOST."""
+        return min(now - self.seen, LOST)
+
+    def moving(self, now: float, ahead: float = 0.0, scale: float = 1.0) -> MovingObject:
+        """For the check of a motion that begins `ahead` s after `now` (s, monotonic), and is followed at `scale` times its speed."""
+        x, y, z = self.velocity
+        return MovingObject(
+            self.placed, (x / scale, y / scale, z / scale), self.speed / scale, -scale * (self.age(now) + ahead)
+        )
+
+    def swept(self, now: float, ahead: float, fineness: float) -> list[tuple[SceneObject, float]]:
+        """Where it can be at any time from `now` (s, monotonic) until `ahead` s later: within so much (m) of one of these objects, which
+        are up to twice the `fineness` (m) apart.
+        """
+        first, fast = self.age(now), math.sqrt(sum(v * v for v in self.velocity))
+        count = max(1, math.ceil(fast * ahead / (2 * fineness)))
+        step = ahead / count
+        found = []
+        for k in range(count):
+            middle = first + (k + 0.5) * step
+            x, y, z = (p + middle * v for p, v in zip(self.placed.position, self.velocity, strict=True))
+            growth = fast * step / 2 + self.speed * (first + (k + 1) * step)
+            found.append((self.placed.model_copy(update={"position": (x, y, z)}), growth))
+        return found
+
+
+class MovingObjects:
+    """Takes the poses of objects of the scene that `monitor` knows; `changed` is called after each. Safe from any thread.
+
+    `refused` says why the last pose that came was not taken, None where it was.
+    """
+
+    def __init__(self, monitor: SceneMonitor, meshes: Meshes, changed: Callable[[], None]) -> None:
+        self._monitor, self._meshes, self._changed = monitor, meshes, changed
+        self._lock = threading.Lock()
+        self._movers: dict[str, Mover] = {}
+        self._all: tuple[Mover, ...] = ()
+        self._scene: SceneSnapshot | None = None
+        self.refused: Problem | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether there are any."""
+        return bool(self._movers)
+
+    def hear(self, key: str, payload: bytes) -> None:
+        """A message on the key of an object's pose."""
+        self.tell(key.split("/")[-2], payload, time.monotonic(), time.time())
+
+    def tell(self, name: str, payload: bytes, now: float, wall: float) -> None:
+        """Take a pose of the object `name`, unless it is refused, at the moment `now` (s, monotonic), in Unix time `wall` (s)."""
+        try:
+            self._take(name, decode(ObjectPose, payload), now, wall)
+            self.refused = None
+        except ZarmError as error:
+            self.refused = error.problem
+        self._changed()
+
+    def of(self, scene: SceneSnapshot) -> tuple[Mover, ...]:
+        """What moves in this scene: an object that was edited after its last pose stands where the edit has put it."""
+        with self._lock:
+            if scene is not self._scene:
+                self._scene = scene
+                self._movers = {
+                    name: mover for name, mover in self._movers.items() if scene.objects.get(name) == mover.item
+                }
+                self._all = tuple(self._movers.values())
+            return self._all
+
+    def lost(self, now: float) -> tuple[str, ...]:
+        """The names of the lost objects at the moment `now` (s, monotonic)."""
+        with self._lock:
+            return tuple(name for name, mover in self._movers.items() if now - mover.seen > LOST)
+
+    def _take(self, name: str, message: ObjectPose, now: float, wall: float) -> None:
+        late = wall - message.stamp
+        if late < -AGREE:
+            raise InvalidRequest(
+                f"the pose of {name} is from {-late:.3f} s later than now; make the clocks of both machines agree within {AGREE:g} s",
+                field="stamp",
+            )
+        if late > LOST:
+            raise InvalidRequest(
+                f"the pose of {name} is {late:.3f} s old (at most {LOST:g} s); see what holds it up, and whether the clocks agree",
+                field="stamp",
+            )
+        item = self._monitor.snapshot(now).objects.get(name)
+        if item is None:
+            raise InvalidRequest(
+                f"there is no object {name} in the scene; add it first, then tell its poses", field="name"
+            )
+        with self._lock:
+            before = self._movers.get(name)
+        if before is not None and before.item is item and message.stamp <= before.stamp:
+            return
+        placed, far = self._placed(item, message)
+        turning = far * math.sqrt(sum(w * w for w in message.angular))
+        mover = Mover(item, placed, message.linear, message.speed + turning, now - late - AGREE, message.stamp)
+        with self._lock:
+            self._movers[name] = mover
+            self._all = tuple(self._movers.values())
+
+    def _placed(self, item: SceneObject, message: ObjectPose) -> tuple[SceneObject, float]:
+        """The object at the pose that was told, and how far (m) its points are from its origin."""
+        if isinstance(item, Voxels):
+            raise InvalidRequest(
+                f"{item.name} consists of voxels, which do not move; add it as a primitive or a mesh", field="name"
+            )
+        if isinstance(item, Sphere):
+            return item.model_copy(update={"position": message.position}), 0.0
+        placed = item.model_copy(update={"position": message.position, "orientation": message.orientation})
+        shapes, _ = convex_shapes([placed], self._meshes)
+        if len(shapes) > _SHAPES:
+            raise InvalidRequest(
+                f"{item.name} has {len(shapes)} triangles (at most {_SHAPES} can move); add a simpler mesh or a primitive",
+                field="name",
+            )
+        lower, upper = rows.bounds(shapes)
+        center = np.array(message.position)
+        far = np.maximum(np.abs(lower - center), np.abs(upper - center)).max(axis=0)
+        return placed, float(np.linalg.norm(far))

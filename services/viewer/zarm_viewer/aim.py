@@ -1,0 +1,197 @@
+"""The goal in the picture: a gizmo at the tip, and the ghost of the robot where it would reach that pose.
+
+The planner's inverse kinematics answer while somebody drags; only the newest pose is asked for.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from viser import ClientHandle, TransformControlsEvent
+from viser.transforms import SE3, SO3
+
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import IkRequest
+from zarm_viewer.arm import Arm
+from zarm_viewer.desk import Desk
+from zarm_viewer.kinematics import Array, message_of
+
+FREE, COLLIDING, UNREACHABLE = (64, 192, 87), (240, 62, 62), (134, 142, 150)
+BRANCHES = 8
+"""So many solutions are asked for at most."""
+_SECONDS = 1.0  # for an answer; somebody drags meanwhile
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Joint positions (J,) in rad that reach the pose, and what they would touch, if anything."""
+
+    joints: Array
+    touching: tuple[str, str] | None = None
+    in_collision: bool = False
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Where the goal is. `branches` reach `pose`, of which `chosen` is shown; there is none where it cannot be reached.
+
+    `took` (s) is from the drag to the ghost.
+    """
+
+    pose: SE3
+    branches: tuple[Branch, ...]
+    chosen: int = 0
+    took: float = 0.0
+    fault: str = ""
+
+    @property
+    def branch(self) -> Branch | None:
+        """The one that is shown."""
+        return self.branches[self.chosen] if self.branches else None
+
+    def describe(self) -> str:
+        """In words, as Markdown."""
+        if self.fault:
+            return f"**{self.fault}**"
+        branch = self.branch
+        if branch is None:
+            return "**unreachable**: no joint positions bring the tip there"
+        many = f"branch {self.chosen + 1} of {len(self.branches)} · " if len(self.branches) > 1 else ""
+        if branch.in_collision:
+            return f"{many}**collision** of {' and '.join(branch.touching or ())}"
+        return f"{many}reachable, free"
+
+
+class Goal:
+    """The goal that people aim with. It follows the robot until somebody moves it."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        scene = desk.server.scene
+        self._ghost = Arm(scene, f"{desk.root}/goal_ghost", desk.description, FREE, 0.45)
+        self._ghost.visible = False
+        self.gizmo = scene.add_transform_controls(f"{desk.root}/goal", scale=0.3, line_width=3.0, depth_test=False)
+        self._changed = threading.Condition()
+        self._wanted: tuple[float, SE3 | Array, Array] | None = None
+        self._aim = Aim(desk.chain.tip(desk.joints), ())
+        self._place_gizmo(self._aim.pose)
+        self.aimed = False
+        """Whether somebody has chosen a goal; until then the gizmo stays at the tip."""
+        self.dragged: Callable[[SE3, ClientHandle | None], object] = lambda *_: None
+        """Is told poses of the gizmo while somebody drags it, and on which page, besides."""
+        self.revision = 0
+        """Grows with every change."""
+        threading.Thread(target=self._solve, name="ik", daemon=True).start()
+
+        @self.gizmo.on_update
+        async def _(event: TransformControlsEvent) -> None:
+            pose = SE3.from_rotation_and_translation(SO3(np.array(event.target.wxyz)), np.array(event.target.position))
+            self.dragged(pose, event.client)
+            self.reach(pose)
+
+    @property
+    def now(self) -> Aim:
+        """The goal as it is known."""
+        return self._aim
+
+    def reach(self, pose: SE3) -> None:
+        """Aim at a pose of the tip."""
+        self._want(pose)
+
+    def at(self, joints: Array) -> None:
+        """Aim at joint positions (J,) in rad."""
+        self._place_gizmo(self._desk.chain.tip(joints))
+        self._want(joints)
+
+    def choose(self, branch: int) -> None:
+        """Show another solution, by its index."""
+        if branch < len(self._aim.branches):
+            self._show(replace(self._aim, chosen=branch))
+
+    def forget(self) -> None:
+        """No goal: the gizmo goes back to the tip and stays with it."""
+        self.aimed = False
+        self._ghost.visible = False
+        self.follow()
+
+    def follow(self) -> None:
+        """Stay with the robot where nobody has chosen a goal."""
+        if not self.aimed:
+            pose = self._desk.chain.tip(self._desk.joints)
+            if np.abs(pose.translation() - self._aim.pose.translation()).max() > 1e-4:
+                self._place_gizmo(pose)
+                self._aim = Aim(pose, ())
+
+    def preview(self, joints: Array) -> None:
+        """Show the ghost at joint positions (J,) on the way, as when a plan is scrubbed through."""
+        self._ghost.move(joints)
+        self._ghost.paint(FREE)
+        self._ghost.visible = True
+
+    def show(self, *, gizmo: bool) -> None:
+        """Show the gizmo, or not."""
+        self.gizmo.visible = gizmo
+        if not gizmo:
+            self._ghost.visible = False
+
+    def _want(self, wanted: SE3 | Array) -> None:
+        branch = self._aim.branch
+        near = self._desk.joints if branch is None else branch.joints
+        with self._changed:
+            self.aimed = True
+            self._wanted = time.monotonic(), wanted, near
+            self._changed.notify()
+
+    def _solve(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._wanted is not None)
+                wanted, self._wanted = self._wanted, None
+            if wanted is None:
+                continue
+            since, what, near = wanted
+            pose = what if isinstance(what, SE3) else self._desk.chain.tip(what)
+            try:
+                found = self._branches(pose, near) if isinstance(what, SE3) else self._checked([tuple(what.tolist())])
+                aim = Aim(pose, found, took=time.monotonic() - since)
+            except ZarmError as error:
+                aim = Aim(pose, (), fault=str(error))
+            if self.aimed:
+                self._show(aim)
+
+    def _branches(self, pose: SE3, near: Array) -> tuple[Branch, ...]:
+        request = IkRequest(
+            poses=(message_of(pose),),
+            near=tuple(near.tolist()),
+            max_solutions=BRANCHES,
+            collision_free=False,
+        )
+        found = self._desk.robot.request_ik(request, timeout=_SECONDS).solutions[0]
+        return tuple(sorted(self._checked(list(found)), key=lambda branch: branch.in_collision))
+
+    def _checked(self, solutions: list[tuple[float, ...]]) -> tuple[Branch, ...]:
+        if not solutions:
+            return ()
+        results = self._desk.robot.check(solutions, timeout=_SECONDS)
+        return tuple(
+            Branch(np.array(joints), result.pair, result.in_collision)
+            for joints, result in zip(solutions, results, strict=True)
+        )
+
+    def _show(self, aim: Aim) -> None:
+        branch = aim.branch
+        with self._desk.server.atomic():
+            if branch is not None:
+                self._ghost.move(branch.joints)
+                self._ghost.visible = True
+            self._ghost.paint(UNREACHABLE if branch is None else COLLIDING if branch.in_collision else FREE)
+        self._aim = aim
+        self.revision += 1
+
+    def _place_gizmo(self, pose: SE3) -> None:
+        self.gizmo.position = pose.translation()
+        self.gizmo.wxyz = pose.rotation().wxyz

@@ -1,0 +1,67 @@
+"""What the panels of one robot share: whom they ask, what they know, and how they tell what went wrong."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import viser
+from viser import ClientHandle
+
+from zarm.robot import Robot
+from zarm_contract.errors import ZarmError
+from zarm_contract.robot import RobotDescription
+from zarm_viewer.kinematics import Array, Chain
+
+log = logging.getLogger(__name__)
+
+EVENTS = 40
+"""So many of the last events are shown."""
+
+
+@dataclass
+class Desk:
+    """One robot on the page: `root` is its node in the scene, `joints` (J,) are the last measured (rad)."""
+
+    server: viser.ViserServer
+    robot: Robot
+    description: RobotDescription
+    root: str
+    moves: bool
+    """Whether this page may move robots: its process is no mere viewer."""
+    chain: Chain = field(init=False)
+    joints: Array = field(init=False)
+    measured: bool = False
+    """Whether `joints` were measured; else they are the home position."""
+    events: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
+
+    def __post_init__(self) -> None:
+        self.chain = Chain(self.description)
+        self.joints = np.array(self.description.descriptor.home)
+
+    def note(self, event: str) -> None:
+        """Write an event into the log of events, which all pages show."""
+        self.events.appendleft(f"`{time.strftime('%H:%M:%S')}` {event}")
+
+    def attempt(self, what: str, work: Callable[[], object], client: ClientHandle | None = None) -> bool:
+        """Whether `work` succeeded; its ZarmError is told to the page of `client`, left out to all pages."""
+        try:
+            work()
+        except ZarmError as error:
+            self.tell(f"{what}: {error.problem.code}", str(error), client, "red")
+            return False
+        except Exception as error:
+            log.exception("failed action=%s", what.replace(" ", "_"))
+            self.tell(f"{what} failed", f"{type(error).__name__}; the log of the viewer has the trace", client, "red")
+            return False
+        return True
+
+    def tell(self, title: str, body: str, client: ClientHandle | None = None, colour: str = "blue") -> None:
+        """Show a note on the page of `client`, left out on all pages, and in the log of events."""
+        self.note(f"**{title}** {body}")
+        for page in [client] if client is not None else self.server.get_clients().values():
+            page.add_notification(title, body, color=colour, auto_close_seconds=10.0)  # type: ignore[call-overload]

@@ -1,0 +1,105 @@
+"""Jog: by holding buttons or keys, and by leading the robot with the gizmo."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from viser import ClientHandle
+from viser.transforms import SE3
+
+from zarm.servoing import Jogging, Tracking, limited
+from zarm.values import pose_of
+from zarm_contract.messages import ServoState
+from zarm_viewer.aim import Goal
+from zarm_viewer.desk import Desk
+from zarm_viewer.jogger import Jogger
+from zarm_viewer.kinematics import message_of
+
+LINEAR, ANGULAR, JOINT = 0.15, 0.6, 0.4
+"""Speeds (m/s, rad/s, rad/s) at the scale 1."""
+RATE = 20.0
+"""Requests a second (Hz) of a page that holds a button."""
+KEY_HOLD = 0.3
+"""A key counts for so long (s): until the browser repeats it."""
+_AXES = ("x", "y", "z", "about x", "about y", "about z")
+_KEYS = {"arrowup": (0, 1), "arrowdown": (0, -1), "arrowleft": (1, 1), "arrowright": (1, -1), "pageup": (2, 1), "pagedown": (2, -1)}  # fmt: skip
+
+
+class JogPanel:
+    """What is jogged, how fast, and what limits it."""
+
+    def __init__(self, desk: Desk, goal: Goal) -> None:
+        self._desk, self._goal = desk, goal
+        self._jogger = Jogger(desk)
+        gui = desk.server.gui
+        self._limits = gui.add_markdown("Hold a button; let go to stop. Shift and arrows or page keys move the tip.")
+        self._along = gui.add_dropdown("along", [*_AXES, *desk.description.descriptor.joints])
+        for label, sign in (("− hold", -1), ("+ hold", 1)):
+            button = gui.add_button(label)
+            button.on_hold(self._held(sign), callback_hz=RATE)
+        self._frame = gui.add_dropdown("axes of", ["base", "tool"])
+        self._scale = gui.add_slider("jog speed", 0.05, 1.0, 0.05, 0.3)
+        self._lead = gui.add_checkbox(
+            "the robot follows the handle", False, hint="It moves while the handle is dragged."
+        )
+        goal.dragged = self._dragged
+        for key, (axis, sign) in _KEYS.items():
+            command = gui.add_command(f"Jog {'+' if sign > 0 else '-'}{_AXES[axis]}", hotkey=key, modifier="shift")  # type: ignore[arg-type]
+            command.on_trigger(self._pressed(axis, sign))
+
+    def draw(self, servo: ServoState | None) -> None:
+        """Show what limits a session."""
+        if servo is not None and servo.session is not None:
+            text = f"**{limited(servo.session)}**"
+            if servo.session.clearance is not None:
+                text += f" · clearance {servo.session.clearance * 1e3:.0f} mm"
+            if self._limits.content != text:
+                self._limits.content = text
+
+    def _held(self, sign: int) -> Any:
+        async def hold(event: Any) -> None:  # in the server's own loop: what was asked in order comes in order
+            along = self._along.value
+            if along in _AXES:
+                self._twist(event.client, _AXES.index(along), sign)
+            else:
+                self._joint(event.client, along, sign)
+
+        return hold
+
+    def _pressed(self, axis: int, sign: int) -> Any:
+        async def press(event: Any) -> None:
+            self._twist(event.client, axis, sign, hold=KEY_HOLD)
+
+        return press
+
+    def _twist(self, client: ClientHandle | None, axis: int, sign: int, **hold: float) -> None:
+        vectors = [[0.0] * 3, [0.0] * 3]
+        vectors[axis // 3][axis % 3] = sign * self._scale.value * (LINEAR if axis < 3 else ANGULAR)
+        frame: Literal["base", "tool"] = "tool" if self._frame.value == "tool" else "base"
+
+        def send(session: Jogging | Tracking) -> None:
+            if isinstance(session, Jogging):
+                session.twist(vectors[0], vectors[1], frame=frame)
+
+        self._jogger.ask(client, "jog", send, **hold)
+
+    def _joint(self, client: ClientHandle | None, joint: str, sign: int) -> None:
+        joints = self._desk.description.descriptor.joints
+        speeds = [sign * self._scale.value * JOINT if each == joint else 0.0 for each in joints]
+
+        def send(session: Jogging | Tracking) -> None:
+            if isinstance(session, Jogging):
+                session.joint_speed(speeds)
+
+        self._jogger.ask(client, "jog", send)
+
+    def _dragged(self, pose: SE3, client: ClientHandle | None) -> None:
+        if not self._lead.value:
+            return
+        target = pose_of(message_of(pose))
+
+        def send(session: Jogging | Tracking) -> None:
+            if isinstance(session, Tracking):
+                session.to(target)
+
+        self._jogger.ask(client, "track", send, hold=KEY_HOLD)

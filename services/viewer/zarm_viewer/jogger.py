@@ -1,0 +1,97 @@
+"""Jogging with a dead man's switch: the robot moves as long as the page keeps asking, and no longer.
+
+A page asks again and again while a button is held. Where it asks no more, as when it is closed or frozen, nothing is sent to the
+servo, whose target goes stale: the robot brakes. Who jogs has it, until a second after the last request.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Literal
+
+from viser import ClientHandle
+
+from zarm.servoing import PERIOD, Jogging, Tracking
+from zarm_contract.errors import ZarmError
+from zarm_viewer.desk import Desk
+
+log = logging.getLogger(__name__)
+
+HOLD = 0.15
+"""A request counts for so long (s); a page that holds a button sends one every 0.05 s."""
+LINGER = 1.0
+"""So long (s) after the last request the session stays open."""
+_TOLD = 3.0  # s between two words to somebody who cannot have it
+
+Kind = Literal["jog", "track"]
+Send = Callable[[Jogging | Tracking], None]
+
+
+class Jogger:
+    """The one who jogs a robot. Safe from any thread."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._changed = threading.Condition()
+        self._owner: int | None = None
+        self._kind: Kind = "jog"
+        self._send: Send | None = None
+        self._until = 0.0
+        self._told = 0.0
+        desk.server.on_client_disconnect(lambda client: self.release(client.client_id))
+        threading.Thread(target=self._run, name="jog", daemon=True).start()
+
+    def ask(self, client: ClientHandle | None, kind: Kind, send: Send, hold: float = HOLD) -> None:
+        """Send this to a session of `kind` for `hold` s from now on; another page that jogs keeps the robot, and this one is told."""
+        if client is None:
+            return
+        now = time.monotonic()
+        with self._changed:
+            if self._owner not in (None, client.client_id):
+                if now - self._told > _TOLD:
+                    self._told = now
+                    client.add_notification("Somebody else jogs", "Try again when they have let go.", color="orange")
+                return
+            self._owner, self._kind, self._send, self._until = client.client_id, kind, send, now + hold
+            self._changed.notify()
+
+    def release(self, client_id: int | None) -> None:
+        """This page jogs no more."""
+        with self._changed:
+            if self._owner == client_id:
+                self._until = 0.0
+                self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: time.monotonic() < self._until)
+                kind = self._kind
+            try:
+                robot = self._desk.robot
+                with robot.jog() if kind == "jog" else robot.track() as session:
+                    self._lead(session, kind)
+            except ZarmError as error:
+                self._desk.tell(f"jog: {error.problem.code}", str(error), colour="red")
+                with self._changed:
+                    self._until = 0.0
+            except Exception:
+                log.exception("jogging failed")
+            finally:
+                with self._changed:
+                    self._owner = None
+
+    def _lead(self, session: Jogging | Tracking, kind: Kind) -> None:
+        while session.running:
+            with self._changed:
+                now = time.monotonic()
+                send = self._send if now < self._until else None
+                if self._kind != kind or now > self._until + LINGER:
+                    return
+            if send is not None:
+                send(session)
+            with self._changed:
+                self._changed.wait(PERIOD)

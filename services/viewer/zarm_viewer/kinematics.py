@@ -1,0 +1,57 @@
+"""Where the tip is at joint positions, computed here: it is drawn many times a second."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from viser.transforms import SE3, SO3
+
+from zarm_contract.messages import Pose
+from zarm_contract.robot import RobotDescription
+from zarm_contract.urdf import Joint
+
+Array = NDArray[np.float64]
+
+
+def origin(joint: Joint) -> SE3:
+    """The frame of a joint at its zero position, in the frame of its parent link."""
+    return SE3.from_rotation_and_translation(SO3.from_rpy_radians(*joint.rpy), np.array(joint.xyz))
+
+
+def motion(joint: Joint, value: float) -> SE3:
+    """How far a joint at `value` (rad, or m where it is prismatic) takes its child link from there."""
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    if joint.type == "prismatic":
+        return SE3.from_translation(axis * value)
+    return SE3.from_rotation(SO3.exp(axis * value))
+
+
+class Chain:
+    """The joints from the base of a robot to its tip."""
+
+    def __init__(self, robot: RobotDescription) -> None:
+        names = robot.descriptor.joints
+        self._links = [
+            (origin(joint), joint, names.index(joint.name) if joint.name in names else None)
+            for joint in robot.urdf.chain(robot.descriptor.base_link, robot.descriptor.tip_link)
+        ]
+
+    def tip(self, joints: Array) -> SE3:
+        """The tip's pose in the base frame at joint positions (J,) in rad."""
+        pose = SE3.identity()
+        for at, joint, index in self._links:
+            pose = pose @ at if index is None else pose @ at @ motion(joint, float(joints[index]))
+        return pose
+
+
+def message_of(pose: SE3) -> Pose:
+    """A pose as the bus has it, quaternion (x, y, z, w)."""
+    w, x, y, z = pose.rotation().wxyz.tolist()
+    px, py, pz = pose.translation().tolist()
+    return Pose(position=(px, py, pz), orientation=(x, y, z, w))
+
+
+def pose_of(position: tuple[float, ...], orientation: tuple[float, ...]) -> SE3:
+    """A pose of the bus: position in m, quaternion (x, y, z, w)."""
+    x, y, z, w = orientation
+    return SE3.from_rotation_and_translation(SO3(np.array([w, x, y, z])), np.array(position))

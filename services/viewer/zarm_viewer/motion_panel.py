@@ -1,0 +1,222 @@
+"""Aim, plan and move: the panel beside the gizmo."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+from viser import Icon
+from viser.transforms import SE3, SO3
+
+from zarm.values import AXES, Axis, PathConstraint, Waypoints, invalid, pose_of
+from zarm.values import Goal as Target
+from zarm_contract.messages import Plan
+from zarm_trajectory.trajectory import TimedTrajectory
+from zarm_viewer.aim import Goal
+from zarm_viewer.controls import button, changed, put
+from zarm_viewer.desk import Desk
+from zarm_viewer.kinematics import message_of
+from zarm_viewer.named_poses import NamedPoses
+from zarm_viewer.watching import News
+
+
+class MotionPanel:
+    """Buttons that plan and move, joint sliders, numbers, named poses, options, and scrubbing through a plan."""
+
+    def __init__(self, desk: Desk, goal: Goal, poses: NamedPoses) -> None:
+        self._desk, self._goal, self._poses = desk, goal, poses
+        self._plan: Plan | None = None
+        self._timed: TimedTrajectory | None = None
+        self._waypoints: list[Any] = []
+        self._shown = 0
+        gui = desk.server.gui
+        self._say = gui.add_markdown("Drag the handle at the tip, or choose a pose.")
+        button(self._desk, "Plan", Icon.ROUTE, self._plan_it)
+        button(self._desk, "Execute", Icon.PLAYER_PLAY, self._execute)
+        button(self._desk, "Plan and execute", Icon.PLAYER_TRACK_NEXT, self._plan_and_execute)
+        self._scrub = gui.add_slider("time (s)", 0.0, 1.0, 0.01, 0.0, disabled=True, hint="Look through the plan")
+        changed(desk, self._scrub, "look through the plan", self._scrub_to)
+        robot = desk.robot
+        self._group("motion", {"Pause": robot.pause, "Resume": robot.resume, "Cancel": robot.cancel})
+        self._speed = gui.add_slider("speed", 0.05, 1.0, 0.05, 1.0)
+        changed(desk, self._speed, "speed", lambda: robot.speed(self._speed.value))
+        self._strategy = gui.add_dropdown("strategy", ["-"])
+        changed(desk, self._strategy, "strategy", lambda: robot.strategy(self._strategy.value))
+        self._branch = gui.add_dropdown("branch", ["1"], visible=False)
+        changed(desk, self._branch, "branch", self._choose_branch)
+        with gui.add_folder("Poses", expand_by_default=False):
+            self._add_poses()
+        with gui.add_folder("Joints (deg)", expand_by_default=False):
+            self._add_joints()
+        with gui.add_folder("Tip", expand_by_default=False):
+            self._add_numbers()
+        with gui.add_folder("Waypoints", expand_by_default=False):
+            self._add_waypoints()
+        with gui.add_folder("Options", expand_by_default=False):
+            self._add_options()
+
+    def draw(self, news: News) -> None:
+        """Show what is new."""
+        if news.state is not None:
+            put(self._speed, news.state.speed_scale)
+        if news.strategies is not None:
+            self._strategy.options = [each.name for each in news.strategies.strategies if each.available] or ["-"]
+            put(self._strategy, news.strategies.active)
+        if self._goal.revision != self._shown:
+            self._shown = self._goal.revision
+            self._draw_goal()
+        self._goal.follow()
+
+    # -- what is on it --
+
+    def _add_poses(self) -> None:
+        gui = self._desk.server.gui
+        choice = gui.add_dropdown("pose", self._poses.names())
+        button(self._desk, "Aim there", Icon.TARGET, lambda: self._aim_at(np.array(self._poses.joints(choice.value))))
+        button(self._desk, "Home", Icon.HOME, lambda: self._aim_at(np.array(self._poses.joints("home"))))
+        button(self._desk, "Back to the robot", Icon.ARROW_BACK_UP, self._goal.forget)
+        name = gui.add_text("name", "here")
+
+        def keep() -> None:
+            branch = self._goal.now.branch
+            joints = self._desk.joints if branch is None else branch.joints
+            try:
+                self._poses.keep(name.value, tuple(joints.tolist()))
+            except ValidationError as error:
+                raise invalid("the name", error) from None
+            choice.options = self._poses.names()
+            put(choice, name.value)
+
+        button(self._desk, "Keep the goal under this name", Icon.BOOKMARK, keep)
+
+    def _add_joints(self) -> None:
+        robot, gui = self._desk.description, self._desk.server.gui
+        self._sliders = [
+            gui.add_slider(joint, *_degrees(low, high), 0.1, float(np.degrees(at)))
+            for joint, low, high, at in zip(
+                robot.descriptor.joints, robot.lower, robot.upper, self._desk.joints, strict=True
+            )
+        ]
+
+        def slide() -> None:
+            self._goal.at(np.radians([slider.value for slider in self._sliders]))
+
+        for slider in self._sliders:
+            changed(self._desk, slider, "joints", slide)
+
+    def _add_numbers(self) -> None:
+        gui = self._desk.server.gui
+        self._position = gui.add_vector3("xyz (m)", (0.0, 0.0, 0.0), step=0.001)
+        self._turn = gui.add_vector3("rpy (deg)", (0.0, 0.0, 0.0), step=0.1)
+
+        def aim() -> None:
+            turn = SO3.from_rpy_radians(*np.radians(self._turn.value))
+            pose = SE3.from_rotation_and_translation(turn, np.array(self._position.value))
+            self._goal.gizmo.position, self._goal.gizmo.wxyz = pose.translation(), turn.wxyz
+            self._goal.reach(pose)
+
+        for numbers in (self._position, self._turn):
+            changed(self._desk, numbers, "tip", aim)
+
+    def _add_waypoints(self) -> None:
+        self._through = self._desk.server.gui.add_markdown("none: straight to the goal")
+
+        def add() -> None:
+            self._waypoints.append(pose_of(message_of(self._goal.now.pose)))
+            self._through.content = f"{len(self._waypoints)} before the goal"
+
+        def clear() -> None:
+            self._waypoints.clear()
+            self._through.content = "none: straight to the goal"
+
+        button(self._desk, "Pass through here", Icon.MAP_PIN_PLUS, add)
+        button(self._desk, "Forget them", Icon.MAP_PIN_OFF, clear)
+
+    def _add_options(self) -> None:
+        gui = self._desk.server.gui
+        self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, 1.0)
+        self._acceleration = gui.add_slider("acceleration", 0.05, 1.0, 0.05, 1.0)
+        self._margin = gui.add_number("margin (m)", 0.005, min=0.0, max=0.2, step=0.001)
+        self._timeout = gui.add_number("timeout (s)", 5.0, min=0.1, max=60.0, step=0.5)
+        self._attempts = gui.add_number("attempts", 100, min=1, max=1000, step=1)
+        self._optimize = gui.add_number("optimise (s)", 0.02, min=0.0, max=30.0, step=0.1)
+        self._held = [gui.add_checkbox(f"hold {axis}", False) for axis in AXES]
+        self._frame = gui.add_dropdown("hold in", ["base", "tool"])
+
+    def _group(self, label: str, actions: dict[str, Callable[[], object]]) -> None:
+        group = self._desk.server.gui.add_button_group(label, list(actions))
+
+        @group.on_click
+        def _(event: Any) -> None:
+            self._desk.attempt(group.value, actions[group.value], event.client)
+
+    # -- what it does --
+
+    def _aim_at(self, joints: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+        self._goal.at(joints)
+
+    def _target(self, constrained: bool) -> Target:
+        aim = self._goal.now
+        if self._waypoints:
+            return Waypoints(*self._waypoints, pose_of(message_of(aim.pose)))
+        if constrained or aim.branch is None:
+            return pose_of(message_of(aim.pose))
+        return tuple(aim.branch.joints.tolist())
+
+    def _plan_it(self) -> None:
+        held: list[Axis] = [axis for axis, box in zip(AXES, self._held, strict=True) if box.value]  # type: ignore[misc]
+        plan = self._desk.robot.plan(
+            self._target(bool(held)),
+            path_constraint=PathConstraint(held, frame="tool" if self._frame.value == "tool" else "base")
+            if held
+            else None,
+            velocity_scale=self._velocity.value,
+            acceleration_scale=self._acceleration.value,
+            margin=self._margin.value,
+            timeout=self._timeout.value,
+            max_attempts=int(self._attempts.value),
+            optimize_s=self._optimize.value,
+        )
+        self._plan = plan
+        self._timed = TimedTrajectory.of(plan.trajectory, self._desk.description.descriptor.joints)
+        self._scrub.max, self._scrub.disabled = self._timed.duration, False
+        put(self._scrub, 0.0)
+
+    def _execute(self) -> None:
+        self._desk.robot.start(self._plan)
+        self._goal.forget()
+
+    def _plan_and_execute(self) -> None:
+        self._plan_it()
+        self._execute()
+
+    def _choose_branch(self) -> None:
+        self._goal.choose(int(self._branch.value.split()[0]) - 1)
+
+    def _scrub_to(self) -> None:
+        if self._timed is not None:
+            self._goal.preview(self._timed.at(self._scrub.value)[0])
+
+    def _draw_goal(self) -> None:
+        aim = self._goal.now
+        put(self._say, aim.describe(), "content")
+        options = [f"{at + 1} {'collides' if each.in_collision else 'free'}" for at, each in enumerate(aim.branches)]
+        if options and list(self._branch.options) != options:
+            self._branch.options = options
+        if options:
+            put(self._branch, options[aim.chosen])
+        self._branch.visible = len(options) > 1
+        if aim.branch is not None:
+            for slider, value in zip(self._sliders, np.degrees(aim.branch.joints), strict=True):
+                with contextlib.suppress(ValueError):
+                    put(slider, round(float(np.clip(value, slider.min, slider.max)), 1))
+        put(self._position, tuple(np.round(aim.pose.translation(), 4).tolist()))
+        put(self._turn, tuple(np.round(np.degrees(tuple(aim.pose.rotation().as_rpy_radians())), 2).tolist()))
+
+
+def _degrees(low: float, high: float) -> tuple[float, float]:
+    """Limits as a slider has them, rounded inwards."""
+    return float(np.ceil(np.degrees(low) * 10) / 10), float(np.floor(np.degrees(high) * 10) / 10)

@@ -1,0 +1,180 @@
+"""Objects of the scene: add, drag and turn, resize, remove, attach, detach, load, save."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from viser import (
+    GuiButtonHandle,
+    GuiEvent,
+    GuiUploadButtonHandle,
+    Icon,
+    TransformControlsEvent,
+    TransformControlsHandle,
+)
+from viser.transforms import SE3, SO3
+
+from zarm.values import Capsule, Cuboid, Cylinder, Sphere
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.messages import Scene, SceneObject
+from zarm_viewer.controls import button, put
+from zarm_viewer.desk import Desk
+from zarm_viewer.kinematics import message_of, pose_of
+from zarm_viewer.scene_view import SceneView
+
+KINDS = ("cuboid", "sphere", "cylinder", "capsule")
+_NOTHING = "-"
+
+
+class ObjectsPanel:
+    """The objects by name; the one that is chosen, by its name or by a click in the picture, has a gizmo."""
+
+    def __init__(self, desk: Desk, view: SceneView) -> None:
+        self._desk, self._view = desk, view
+        self._scene: Scene | None = None
+        self._gizmo: TransformControlsHandle | None = None
+        gui = desk.server.gui
+        self._choice = gui.add_dropdown("object", [_NOTHING])
+        self._choice.on_update(lambda _: self._choose())
+        self._size = gui.add_vector3("size (m)", (0.1, 0.1, 0.1), min=(0.001,) * 3, step=0.01, hint=_SIZES)
+        button(self._desk, "Resize", Icon.RESIZE, self._resize)
+        button(self._desk, "Remove", Icon.TRASH, lambda: desk.robot.scene.remove(self._name()))
+        button(self._desk, "Attach to the tip", Icon.MAGNET, lambda: desk.robot.scene.attach(self._name()))
+        button(self._desk, "Detach", Icon.MAGNET_OFF, lambda: desk.robot.scene.detach(self._name()))
+        with gui.add_folder("Add"):
+            self._kind = gui.add_dropdown("kind", KINDS)
+            self._new_name = gui.add_text("name", "box")
+            self._new_size = gui.add_vector3("size (m)", (0.15, 0.15, 0.15), min=(0.001,) * 3, step=0.01, hint=_SIZES)
+            self._new_place = gui.add_vector3("place (m)", (0.5, 0.4, 0.2), step=0.01)
+            button(self._desk, "Add", Icon.PLUS, self._add)
+        with gui.add_folder("File", expand_by_default=False):
+            upload = gui.add_upload_button("Load", icon=Icon.UPLOAD, mime_type=".yaml,.yml")
+
+            @upload.on_upload
+            def _(event: GuiEvent[GuiUploadButtonHandle]) -> None:
+                desk.attempt("load", lambda: self._load(upload.value.content), event.client)
+
+            save = gui.add_button("Save", icon=Icon.DOWNLOAD)
+
+            @save.on_click
+            def _(event: GuiEvent[GuiButtonHandle]) -> None:
+                desk.attempt("save", lambda: self._save(event.client), event.client)
+
+        view.clicked = self._click
+
+    def draw(self, scene: Scene | None) -> None:
+        """Show the objects of a scene that is new."""
+        if scene is None:
+            return
+        self._scene = scene
+        names = [item.name for item in scene.objects] + [carried.object.name for carried in scene.attached]
+        options = names or [_NOTHING]
+        if list(self._choice.options) != options:
+            self._choice.options = options
+        self._choose()
+
+    def _click(self, name: str) -> None:
+        if name in self._choice.options:
+            put(self._choice, name)
+
+    def _object(self) -> SceneObject | None:
+        objects = self._scene.objects if self._scene else ()
+        return next((item for item in objects if item.name == self._choice.value), None)
+
+    def _name(self) -> str:
+        if self._choice.value == _NOTHING:
+            raise InvalidRequest("there is no object yet; add one")
+        return self._choice.value
+
+    def _choose(self) -> None:
+        """Put the gizmo to the object that is chosen; carried ones have none, and the robot's own pose moves them."""
+        item = self._object()
+        if item is None:
+            if self._gizmo is not None:
+                self._gizmo.remove()
+                self._gizmo = None
+            return
+        at = _pose(item)
+        put(self._size, _size(item))
+        if self._gizmo is None:
+            self._gizmo = self._desk.server.scene.add_transform_controls(
+                f"{self._desk.root}/object", scale=0.2, depth_test=False
+            )
+            self._gizmo.on_update(self._drag)
+        self._gizmo.position, self._gizmo.wxyz = at.translation(), at.rotation().wxyz
+
+    def _drag(self, event: TransformControlsEvent) -> None:
+        item = self._object()
+        if item is None:
+            return
+        at = SE3.from_rotation_and_translation(SO3(np.array(event.target.wxyz)), np.array(event.target.position))
+        if event.phase == "end":
+            self._desk.attempt(f"move {item.name}", lambda: self._replace(_placed(item, at)), event.client)
+        else:
+            self._view.place(item.name, at)
+
+    def _resize(self) -> None:
+        if (item := self._object()) is not None:
+            self._replace(_made(item.kind, item.name, self._size.value, _pose(item)))
+
+    def _replace(self, item: SceneObject) -> None:
+        self._desk.robot.scene.add(item, replace=True)
+
+    def _add(self) -> None:
+        at = SE3.from_translation(np.array(self._new_place.value))
+        self._desk.robot.scene.add(_made(self._kind.value, self._new_name.value, self._new_size.value, at))
+        self._desk.note(f"added {self._new_name.value}")
+
+    def _load(self, content: bytes) -> None:
+        with tempfile.NamedTemporaryFile(suffix=".yaml") as file:
+            file.write(content)
+            file.flush()
+            self._desk.robot.scene.load(file.name)
+
+    def _save(self, client: Any) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "scene.yaml")
+            self._desk.robot.scene.save(file)
+            client.send_file_download("scene.yaml", file.read_bytes())
+
+
+_SIZES = "cuboid: edges; sphere: radius first; cylinder and capsule: radius, -, length"
+
+
+def _made(kind: str, name: str, size: tuple[float, float, float], at: SE3) -> SceneObject:
+    """An object of a kind, sized as `_SIZES` says. Raises InvalidRequest."""
+    pose = message_of(at)
+    match kind:
+        case "cuboid":
+            return Cuboid(name, size=size, position=pose.position, orientation=pose.orientation)
+        case "sphere":
+            return Sphere(name, radius=size[0], position=pose.position)
+        case "cylinder":
+            return Cylinder(name, radius=size[0], length=size[2], position=pose.position, orientation=pose.orientation)
+        case "capsule":
+            return Capsule(name, radius=size[0], length=size[2], position=pose.position, orientation=pose.orientation)
+        case _:
+            raise InvalidRequest(f"a {kind} cannot be resized here; add it anew with another scale", field="kind")
+
+
+def _size(item: SceneObject) -> tuple[float, float, float]:
+    """The size of an object, as `_SIZES` says; of a mesh or voxels none."""
+    size: tuple[float, float, float] | None = getattr(item, "size", None)
+    radius = getattr(item, "radius", 0.1)
+    return size or (radius, radius, getattr(item, "length", radius))
+
+
+def _pose(item: SceneObject) -> SE3:
+    return pose_of(item.position, getattr(item, "orientation", (0.0, 0.0, 0.0, 1.0)))
+
+
+def _placed(item: SceneObject, at: SE3) -> SceneObject:
+    """The object elsewhere."""
+    pose = message_of(at)
+    update: dict[str, object] = {"position": pose.position}
+    if item.kind != "sphere":
+        update["orientation"] = pose.orientation
+    return item.model_copy(update=update)

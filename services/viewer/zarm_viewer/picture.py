@@ -1,0 +1,79 @@
+"""The robot in the picture: measured, its ghost, the trail of its tip and the path that is planned."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+from zarm_contract.messages import Trajectory
+from zarm_trajectory.trajectory import TimedTrajectory
+from zarm_viewer.arm import Arm
+from zarm_viewer.desk import Desk
+from zarm_viewer.kinematics import Array
+from zarm_viewer.scene_view import SceneView
+from zarm_viewer.watching import News
+
+MEASURED, GHOST = (222, 226, 230), (90, 200, 250)
+TRAIL, PATH = (250, 176, 5), (64, 192, 87)
+TRAIL_POINTS, PATH_POINTS = 150, 120
+TRAIL_STEP = 0.005
+"""The trail has a point for every so many m."""
+_APART = 0.005  # rad between ghost and robot from which the ghost is worth seeing
+
+
+class Picture:
+    """What is seen of one robot."""
+
+    def __init__(self, desk: Desk, meshes: tuple[Path, ...]) -> None:
+        self._desk = desk
+        scene = desk.server.scene
+        self.arm = Arm(scene, f"{desk.root}/robot", desk.description, MEASURED, 1.0)
+        self._ghost = Arm(scene, f"{desk.root}/ghost", desk.description, GHOST, 0.35)
+        self._ghost.visible = False
+        scene.add_frame(f"{self.arm.tip}/tip_axes", axes_length=0.12, axes_radius=0.004)
+        self.scene = SceneView(desk, self.arm.tip, meshes)
+        self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
+        self._preview: Array | None = None
+
+    def draw(self, news: News) -> None:
+        """Show what is new."""
+        if news.joints is not None:
+            self._desk.joints, self._desk.measured = news.joints, True
+            if self.arm.move(news.joints):
+                self._extend_trail(news.joints)
+        if news.preview is not None:
+            self._preview = news.preview
+        if self._preview is not None:
+            apart = float(np.abs(self._preview - self._desk.joints).max()) > _APART
+            if apart:
+                self._ghost.move(self._preview)
+            self._ghost.visible = apart
+        if news.scene is not None:
+            self.scene.draw(news.scene)
+        if news.plan is not None:
+            self._draw_path(news.plan.trajectory)
+        elif news.trajectory is not None:
+            self._draw_path(news.trajectory.trajectory)
+
+    def _extend_trail(self, joints: Array) -> None:
+        at = np.asarray(self._desk.chain.tip(joints).translation(), dtype=np.float64)
+        if not self._trail or np.linalg.norm(at - self._trail[-1]) > TRAIL_STEP:
+            self._trail.append(at)
+            self._line("trail", np.array(self._trail), TRAIL)
+
+    def _draw_path(self, trajectory: Trajectory) -> None:
+        timed = TimedTrajectory.of(trajectory, self._desk.description.descriptor.joints)
+        times = np.linspace(float(timed.time[0]), timed.duration, PATH_POINTS)
+        self._line("path", np.array([self._desk.chain.tip(row).translation() for row in timed.positions(times)]), PATH)
+
+    def _line(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
+        if len(points) > 1:
+            self._desk.server.scene.add_line_segments(
+                f"{self._desk.root}/{name}",
+                np.stack((points[:-1], points[1:]), axis=1).astype(np.float32),
+                colour,
+                thickness=3.0,
+                thickness_units="screen",
+            )

@@ -1,0 +1,93 @@
+"""Plots against the limits: of the last plan, and of the last seconds."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+import numpy as np
+from viser import GuiUplotHandle, uplot
+
+from zarm_contract.messages import Plan
+from zarm_trajectory.trajectory import TimedTrajectory
+from zarm_viewer.desk import Desk
+from zarm_viewer.kinematics import Array
+from zarm_viewer.watching import News
+
+QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+SECONDS, RATE = 10.0, 10.0
+"""So much of the past (s) is shown live, at so many samples a second."""
+SAMPLES = 150
+_COLOURS = ("#e03131", "#2f9e44", "#1971c2", "#f08c00", "#9c36b5", "#0c8599", "#495057")
+
+
+class PlotsPanel:
+    """Each joint as a share of its limit: 100 % is the limit, or for positions the upper one and -100 % the lower."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        cspace = desk.description.descriptor.cspace
+        lower, upper = np.array(desk.description.lower), np.array(desk.description.upper)
+        self._middle, half = (upper + lower) / 2, (upper - lower) / 2
+        self._limits = (half, np.array(cspace.velocity), np.array(cspace.acceleration), np.array(cspace.jerk))
+        self._plan: Plan | None = None
+        self._past: deque[tuple[float, Array, Array, Array]] = deque(maxlen=int(SECONDS * RATE))
+        self._command: Array | None = None
+        self._velocity = np.zeros(len(lower))
+        gui = desk.server.gui
+        self._choice = gui.add_dropdown("of the plan", QUANTITIES, initial_value="velocity")
+        self._choice.on_update(lambda _: self._draw_plan())
+        self._of_plan = self._plot("share of the limit (%)")
+        self._live = gui.add_dropdown(
+            "live", ("off", "position", "velocity", "tracking error (mrad)"), initial_value="off"
+        )
+        self._of_now = self._plot("live")
+        self._of_now.visible = False
+
+    def draw(self, news: News) -> None:
+        """Show what is new."""
+        if news.plan is not None:
+            self._plan = news.plan
+            self._draw_plan()
+        self._velocity = self._velocity if news.velocity is None else news.velocity
+        for goal in news.goals:
+            self._command = None if goal.done else np.array(goal.joint_command)
+        now = time.monotonic()
+        if self._past and now - self._past[-1][0] < 1 / RATE:
+            return
+        joints = self._desk.joints
+        error = np.zeros(len(joints)) if self._command is None else 1e3 * (joints - self._command)
+        self._past.append(
+            (now, 100 * (joints - self._middle) / self._limits[0], 100 * self._velocity / self._limits[1], error)
+        )
+        shown = self._live.value
+        if self._of_now.visible != (shown != "off"):
+            self._of_now.visible = shown != "off"
+        if shown != "off" and len(self._past) > 1:
+            column = ("position", "velocity", "tracking error (mrad)").index(shown) + 1
+            times = np.array([row[0] for row in self._past]) - now
+            self._of_now.data = (times, *np.array([row[column] for row in self._past]).T)
+
+    def _plot(self, title: str) -> GuiUplotHandle:
+        joints = self._desk.description.descriptor.joints
+        series = (
+            uplot.Series(label="s"),
+            *(
+                uplot.Series(label=joint, stroke=_COLOURS[index % len(_COLOURS)], width=2)
+                for index, joint in enumerate(joints)
+            ),
+        )
+        nothing = tuple(np.zeros(2) for _ in joints)
+        return self._desk.server.gui.add_uplot(
+            (np.array([0.0, 1.0]), *nothing), series, title=title, scales={"x": {"time": False}}, height=220
+        )
+
+    def _draw_plan(self) -> None:
+        if self._plan is None:
+            return
+        timed = TimedTrajectory.of(self._plan.trajectory, self._desk.description.descriptor.joints)
+        times = np.linspace(float(timed.time[0]), timed.duration, SAMPLES)
+        position, velocity, acceleration = timed.sample(times)
+        rows = (position - self._middle, velocity, acceleration, np.gradient(acceleration, times, axis=0))
+        chosen = QUANTITIES.index(self._choice.value)
+        self._of_plan.data = (times, *(100 * rows[chosen] / self._limits[chosen]).T)

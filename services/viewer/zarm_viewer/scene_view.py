@@ -1,0 +1,56 @@
+"""The scene in the picture: objects, what the robot carries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from viser import SceneNodeHandle
+from viser.transforms import SE3
+
+from zarm_contract.messages import Scene, SceneObject
+from zarm_viewer.desk import Desk
+from zarm_viewer.drawing import Brush, draw_object
+
+OBJECT, CARRIED = (120, 144, 176), (230, 160, 60)
+
+
+class SceneView:
+    """Draws what has changed from one scene to the next. `tip` is the node that carries attached objects."""
+
+    def __init__(self, desk: Desk, tip: str, meshes: tuple[Path, ...]) -> None:
+        self._desk, self._tip, self._meshes = desk, tip, meshes
+        self._drawn: dict[str, tuple[SceneObject, SceneNodeHandle | None]] = {}
+        self.clicked: Callable[[str], object] = lambda _: None
+        """Is told the name of an object that somebody clicks on."""
+
+    def draw(self, scene: Scene) -> None:
+        """Show this scene."""
+        wanted: dict[str, tuple[str, SceneObject, bool]] = {}
+        for item in scene.objects:
+            wanted[f"{self._desk.root}/scene/{item.name}"] = item.name, item, False
+        for carried in scene.attached:
+            wanted[f"{self._tip}/carried_{carried.object.name}"] = carried.object.name, carried.object, True
+        for node in [node for node, (item, _) in self._drawn.items() if node not in wanted or wanted[node][1] != item]:
+            _, handle = self._drawn.pop(node)
+            if handle is not None:
+                handle.remove()
+        for node, (name, item, carried_too) in wanted.items():
+            if node not in self._drawn:
+                brush = Brush(self._desk.server.scene, CARRIED if carried_too else OBJECT, 0.9)
+                handle = draw_object(brush, node, item, self._meshes)
+                self._drawn[node] = item, handle
+                if handle is None:
+                    self._desk.note(f"{name} is not drawn: its mesh is in none of the viewer's --meshes folders")
+                elif not carried_too:
+                    self._listen(handle, name)
+
+    def place(self, name: str, at: SE3) -> None:
+        """Show an object elsewhere while somebody drags it; the next scene says where it is."""
+        _, handle = self._drawn.get(f"{self._desk.root}/scene/{name}", (None, None))
+        if handle is not None:
+            handle.position, handle.wxyz = at.translation(), at.rotation().wxyz
+
+    def _listen(self, handle: SceneNodeHandle, name: str) -> None:
+        if self._desk.moves and hasattr(handle, "on_click"):
+            handle.on_click(lambda _: self.clicked(name))

@@ -1,0 +1,101 @@
+"""What the robot does, in words, and the log of events."""
+
+from __future__ import annotations
+
+import time
+
+from zarm.servoing import limited
+from zarm_contract.messages import ExecutorState, GoalState, Plan, ServoState
+from zarm_viewer.controls import put
+from zarm_viewer.desk import Desk
+from zarm_viewer.watching import News
+
+SILENT = 1.0
+"""Joint states older than this (s) are told to be stale."""
+
+
+class StatusPanel:
+    """Mode, strategy, goal, progress, what limits the robot, the last plan's figures, faults."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._text = desk.server.gui.add_markdown("*waiting for the robot*")
+        self._progress = desk.server.gui.add_progress_bar(0.0, visible=False)
+        self._state: ExecutorState | None = None
+        self._goal: GoalState | None = None
+        self._plan: Plan | None = None
+        self._servo: ServoState | None = None
+
+    def draw(self, news: News, age: float | None) -> None:
+        """Show what is new; `age` (s) is that of the newest joint state."""
+        if news.state is not None:
+            if news.state.problem is not None and (self._state is None or news.state.problem != self._state.problem):
+                self._desk.note(f"**fault** {news.state.problem.message}")
+            self._state = news.state
+        for goal in news.goals:
+            if self._goal is None or (goal.goal_id, goal.status) != (self._goal.goal_id, self._goal.status):
+                why = f": {goal.problem.message}" if goal.problem else ""
+                self._desk.note(f"{goal.goal_id} {goal.status}{why}")
+            self._goal = goal
+        self._plan = news.plan or self._plan
+        self._servo = news.servo or self._servo
+        text = "  \n".join(self._lines(age))
+        if self._text.content != text:
+            self._text.content = text
+        self._draw_progress()
+
+    def _lines(self, age: float | None) -> list[str]:
+        state, goal, plan, servo = self._state, self._goal, self._plan, self._servo
+        if state is None:
+            return ["*no executor answers; `zarm status` shows what runs*"]
+        lines = [f"**{state.mode}** · {state.strategy} · speed {state.speed_scale:.0%}"]
+        if age is None or age > SILENT:
+            lines.append("**no joint states**")
+        if state.problem is not None:
+            lines.append(f"**{state.problem.code}**: {state.problem.message}")
+        if goal is not None:
+            lines.append(f"{goal.status} · {goal.progress:.0%} of {goal.duration:.2f} s")
+            if goal.hold is not None:
+                what = goal.hold.obstruction
+                lines.append(
+                    f"held: {goal.hold.reason}" + (f", {what.object} in the way of {what.link}" if what else "")
+                )
+        if state.mode == "running" and not state.guarded:
+            lines.append("unguarded" + (", and the scene has changed" if state.scene_changed else ""))
+        if servo is not None and servo.session is not None:
+            lines.append(f"jog: {limited(servo.session)}")
+        if plan is not None:
+            stages = plan.timings
+            lines.append(
+                f"plan {plan.trajectory.duration:.2f} s · clearance {plan.clearance * 1e3:.0f} mm · planned in "
+                f"{stages.total * 1e3:.0f} ms"
+            )
+            lines.append(
+                f"ik {stages.ik * 1e3:.1f} · search {stages.search * 1e3:.1f} · shortcut {stages.shortcut * 1e3:.1f} · timing "
+                f"{stages.timing * 1e3:.1f} · verify {stages.verify * 1e3:.1f} · optimise {stages.optimize * 1e3:.1f} ms"
+            )
+        return lines
+
+    def _draw_progress(self) -> None:
+        goal = self._goal
+        running = goal is not None and not goal.done
+        if self._progress.visible != running:
+            self._progress.visible = running
+        if goal is not None and running and abs(self._progress.value - 100 * goal.progress) >= 1.0:
+            put(self._progress, 100 * goal.progress)
+
+
+class EventsPanel:
+    """The log of events, newest first."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._text = desk.server.gui.add_markdown("")
+        self._shown = ""
+        desk.note(f"page opened on {desk.robot.name}, {time.strftime('%Y-%m-%d')}")
+
+    def draw(self) -> None:
+        """Show what was noted since."""
+        text = "  \n".join(list(self._desk.events))
+        if text != self._shown:
+            self._text.content = self._shown = text

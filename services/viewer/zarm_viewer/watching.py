@@ -1,0 +1,107 @@
+"""What the bus tells of one robot: the newest of each kind, taken by the page when it draws."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from zarm.robot import Robot
+from zarm_contract.messages import (
+    ExecutorState,
+    GoalState,
+    GoalTrajectory,
+    JointState,
+    Message,
+    Plan,
+    Scene,
+    ServoState,
+    Strategies,
+)
+from zarm_viewer.kinematics import Array
+
+
+@dataclass(frozen=True)
+class News:
+    """What is new since the page was drawn last; None is what is not. Joints are (J,) in rad, in the order of the descriptor."""
+
+    joints: Array | None = None
+    velocity: Array | None = None
+    preview: Array | None = None
+    state: ExecutorState | None = None
+    strategies: Strategies | None = None
+    servo: ServoState | None = None
+    scene: Scene | None = None
+    plan: Plan | None = None
+    trajectory: GoalTrajectory | None = None
+    goals: tuple[GoalState, ...] = ()
+
+
+@dataclass
+class Watching:
+    """Subscriptions to one robot. High-rate joints are decoded when they are taken, and no sooner."""
+
+    robot: Robot
+    joint_names: tuple[str, ...]
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _newest: dict[str, Any] = field(default_factory=dict)
+    _goals: dict[str, GoalState] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        bus, keys = self.robot.connection.bus, self.robot.connection.keys
+        self._joints = bus.latest(keys.joint_states, JointState)
+        self._preview = bus.latest(keys.preview_joint_states, JointState)
+        self._taken: dict[str, float] = {}
+        watched: tuple[tuple[str, str, type[Message]], ...] = (
+            ("state", keys.executor_state, ExecutorState),
+            ("servo", keys.servo_state, ServoState),
+            ("scene", keys.scene, Scene),
+            ("plan", keys.plans, Plan),
+            ("trajectory", keys.goal_trajectory, GoalTrajectory),
+            ("strategies", keys.strategy, Strategies),
+        )
+        for name, key, model in watched:
+            bus.watch(key, model, self._put(name))
+        bus.watch(keys.goal("*"), GoalState, self._put_goal)
+
+    def take(self) -> News:
+        """What is new since the last call."""
+        with self._lock:
+            newest, self._newest = self._newest, {}
+            goals, self._goals = tuple(self._goals.values()), {}
+        joints = self._new_joints("joints", self._joints.received())
+        preview = self._new_joints("preview", self._preview.received())
+        return News(
+            joints=None if joints is None else joints[0],
+            velocity=None if joints is None else joints[1],
+            preview=None if preview is None else preview[0],
+            goals=goals,
+            **newest,
+        )
+
+    def age(self, now: float) -> float | None:
+        """How old (s) the newest joint state is at `now` (monotonic), None where none has come."""
+        return now - self._taken["joints"] if "joints" in self._taken else None
+
+    def _new_joints(self, name: str, received: tuple[JointState, float] | None) -> tuple[Array, Array] | None:
+        if received is None or received[1] == self._taken.get(name):
+            return None
+        state, self._taken[name] = received
+        if set(state.joint_names) != set(self.joint_names):
+            return None
+        order = [state.joint_names.index(joint) for joint in self.joint_names]
+        return np.array(state.position)[order], np.array(state.velocity)[order]
+
+    def _put(self, name: str) -> Callable[[str, Message], None]:
+        def put(_: str, message: Message) -> None:
+            with self._lock:
+                self._newest[name] = message
+
+        return put
+
+    def _put_goal(self, _: str, goal: GoalState) -> None:
+        with self._lock:
+            self._goals[goal.goal_id] = goal

@@ -1,0 +1,284 @@
+"""Closed loops on ROS, against real processes: the planners mpc and retarget, mpc_move, and the topics of MoveIt Servo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import chain, repeat
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, Pose, PoseStamped, TwistStamped, Vector3
+from nav_msgs.msg import Path
+from rcl_interfaces.msg import Log
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Int8, String
+from visualization_msgs.msg import Marker
+
+from curobo_msgs.action import MpcMove
+from curobo_msgs.srv import SetPlanner, SetRobotStrategy, TrajectoryGeneration
+from support.harness import PATIENCE, eventually
+from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, Actions, Robot, Sent
+from support.ros.stack import KEYS, Stack, stack
+from support.trajectories import patient
+from zarm_contract.messages import CancelRequest, ExecutorState, FkPoses, FkRequest, Nothing, ServoEnd
+from zarm_ros_bridge.convert.poses import ros_pose
+
+MPC, RETARGET, CLASSIC = 1, 6, 0
+NODE = "/unified_planner"
+
+
+class Arm:
+    """A client on ROS, and what one on the bus sees of the robot."""
+
+    def __init__(self, running: Stack) -> None:
+        self.running, self.ros, self.node = running, running.ros, running.ros.node
+        self.robot = Robot(running.bus, KEYS)
+        self.execute = Actions(self.node)
+        self.move = Actions(self.node, "mpc_move", MpcMove)
+        self.mpc_goal = self.node.create_publisher(Pose, f"{NODE}/mpc_goal", 10)
+
+    def choose(self, planner: int) -> None:
+        answered = self.ros.call(SetPlanner, "set_planner", planner_type=planner)
+        assert answered.success, answered.message
+
+    def strategy(self, name: str) -> None:
+        answered = self.ros.call(SetRobotStrategy, "set_robot_strategy", robot_strategy=name)
+        assert answered.success, answered.message
+
+    def tip(self) -> Pose:
+        """Where it is now."""
+        request = FkRequest(joints=(self.robot.joints(),))
+        return ros_pose(self.robot.bus.call(KEYS.fk, request, FkPoses, timeout=PATIENCE).poses[0])
+
+    def beside(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Pose:
+        """A pose so far (m) from where it is now."""
+        tip = self.tip()
+        p = tip.position
+        return Pose(position=Point(x=p.x + x, y=p.y + y, z=p.z + z), orientation=tip.orientation)
+
+    def away_from(self, pose: Pose) -> float:
+        """Distance (m) of the tip from a pose."""
+        return float(np.linalg.norm(np.subtract(*(_xyz(one.position) for one in (self.tip(), pose)))))
+
+    def lead_to(self, pose: Pose) -> None:
+        """Publish it on mpc_goal until the tip is there: to 1 cm."""
+        eventually(lambda: self.mpc_goal.publish(pose) or self.away_from(pose) < 0.01, "the tip follows mpc_goal")
+
+    @contextmanager
+    def commanding(self, topic: str, *messages: Any) -> Iterator[Callable[[], None]]:
+        """A client that publishes them in turn, 50 a second, and the last one again and again until it is told to pause."""
+        publisher = self.node.create_publisher(type(messages[0]), f"{NODE}/{topic}", 10)
+        coming = chain(messages, repeat(messages[-1]))
+        timer = self.node.create_timer(0.02, lambda: publisher.publish(next(coming)))
+        yield timer.cancel
+        self.node.destroy_timer(timer)
+        self.node.destroy_publisher(publisher)
+
+
+def _xyz(point: Point) -> tuple[float, float, float]:
+    return point.x, point.y, point.z
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    folder = tmp_path_factory.mktemp("closed_loop")
+    robot = str(patient(folder / "patient"))
+    with stack(folder, robot=robot, servo=(), leeloo_sim=()) as started:
+        yield started
+
+
+@pytest.fixture
+def arm(running: Stack) -> Iterator[Arm]:
+    arm = Arm(running)
+    arm.strategy("emulator")
+    arm.robot.wait_rest()
+    yield arm
+    arm.robot.bus.call(KEYS.servo_end, ServoEnd(), Nothing, timeout=PATIENCE)
+    arm.robot.wait_rest()
+    arm.choose(CLASSIC)
+    arm.node.destroy_publisher(arm.mpc_goal)
+
+
+def on_target(goal: Sent) -> Any:
+    """The first feedback on target."""
+    return eventually(lambda: next((told for told in goal.feedback if told.on_target), None), "the robot is on target")
+
+
+def test_mpc_keeps_following_after_it_is_on_target_until_it_is_cancelled(arm: Arm) -> None:
+    arm.choose(MPC)
+    there = arm.beside(y=0.08)
+    goal = arm.execute.send(target_pose=there)
+    assert goal.accepted
+    told = on_target(goal)
+    assert goal.feedback[0].state == "TRACKING"
+    assert (told.state, told.hold_count >= 1, told.step_progression) == ("ON_TARGET", True, 1.0)
+    assert 0.0 <= told.position_error < 0.01
+    assert 0.0 <= told.orientation_error < 0.05
+    assert len(told.joint_command.position) == 6
+    arm.lead_to(arm.beside(y=-0.05, z=0.05))
+    goal.cancel()
+    status, result = goal.ended()
+    assert (status, result.success) == (CANCELED, False)
+    assert arm.robot.rests()
+    assert {one.state for one in goal.feedback} == {"TRACKING", "ON_TARGET"}
+
+
+def test_retarget_without_a_target_holds_the_tip_and_follows_a_stream_of_poses(arm: Arm) -> None:
+    arm.choose(RETARGET)
+    start = arm.tip()
+    markers, paths = arm.ros.heard(Marker, "/mpc_goal_marker"), arm.ros.heard(Path, "/mpc_predicted_path")
+    goal = arm.execute.send()
+    assert goal.accepted
+    on_target(goal)
+    assert arm.away_from(start) < 0.002
+    x, y, z = _xyz(start.position)
+    poses = [Pose(position=Point(x=x, y=y, z=z + 0.001 * step), orientation=start.orientation) for step in range(1, 81)]
+    with arm.commanding("mpc_goal", *poses):
+        eventually(lambda: arm.away_from(poses[-1]) < 0.005, "the tip follows the poses")
+    path = eventually(lambda: paths and paths[-1], "the path is published")
+    assert path.header.frame_id == "base_link"
+    assert path.poses
+    assert any(marker.pose.position.z > start.position.z + 0.05 for marker in markers)
+    goal.cancel()
+    assert goal.ended()[0] == CANCELED
+    eventually(lambda: markers[-1].action == Marker.DELETEALL, "the marker is taken away")
+
+
+def test_mpc_move_ends_on_target(arm: Arm) -> None:
+    there = arm.beside(x=-0.06)
+    goal = arm.move.send(target_pose=there)
+    status, result = goal.ended()
+    assert (status, result.success) == (SUCCEEDED, True), result.message
+    assert result.message.startswith("Target reached: ")
+    assert arm.away_from(there) < 0.012
+    assert goal.feedback[-1].step_progression == 1.0
+    assert len(goal.feedback[-1].joint_command.position) == 6
+
+
+def test_mpc_move_gives_up_after_its_steps_and_says_what_is_left(arm: Arm) -> None:
+    arm.ros.configure(max_mpc_iterations=10, mpc_step_dt=0.05)
+    try:
+        status, result = arm.move.send(target_pose=arm.beside(z=3.0)).ended()
+    finally:
+        arm.ros.configure(max_mpc_iterations=1000, mpc_step_dt=0.03)
+    assert status == ABORTED
+    assert "max_mpc_iterations" in result.message
+    assert " 0.0 mm" not in result.message
+    assert arm.robot.rests()
+
+
+def test_goals_that_a_closed_loop_cannot_follow_are_refused_with_the_field(arm: Arm) -> None:
+    status, result = arm.move.send().ended()
+    assert (status, "(target_pose)" in result.message) == (ABORTED, True)
+    arm.choose(MPC)
+    status, result = arm.execute.send(target_joint_positions=[0.0] * 6).ended()
+    assert (status, "(target_joint_positions)" in result.message) == (ABORTED, True)
+    planned = arm.ros.call(TrajectoryGeneration, "generate_trajectory", target_pose=arm.tip())
+    assert not planned.success
+    assert "makes no trajectory" in planned.message
+    assert arm.robot.rests()
+
+
+def test_a_second_goal_takes_the_place_of_one_in_closed_loop_where_that_is_configured(arm: Arm) -> None:
+    arm.choose(MPC)
+    first = arm.execute.send(target_pose=arm.tip())
+    assert first.accepted
+    on_target(first)
+    assert not arm.move.send(target_pose=arm.tip()).accepted
+    arm.ros.configure(preempt=True)
+    try:
+        second = arm.move.send(target_pose=arm.beside(y=0.03))
+        assert second.ended()[0] == SUCCEEDED
+    finally:
+        arm.ros.configure(preempt=False)
+    status, result = first.ended()
+    assert status == ABORTED
+    assert "another goal" in result.message
+
+
+def test_a_pose_on_mpc_goal_moves_nothing_where_no_closed_loop_runs_and_that_is_said(arm: Arm) -> None:
+    said: list[str] = []
+    listener = arm.node.create_subscription(Log, "/rosout", lambda log: said.append(log.msg), 100)
+    there = arm.beside(y=0.05)
+    eventually(
+        lambda: arm.mpc_goal.publish(there) or any("mpc_goal moves nothing" in line for line in said), "it is said"
+    )
+    assert arm.robot.rests()
+    arm.node.destroy_subscription(listener)
+
+
+def test_joint_speed_carries_a_closed_loop_and_joint_trajectory_refuses_it_with_the_reason(arm: Arm) -> None:
+    arm.strategy("joint_speed")
+    there = arm.beside(z=0.05)
+    status, result = arm.move.send(target_pose=there).ended()
+    assert status == SUCCEEDED, result.message
+    arm.robot.wait_rest()
+    arm.strategy("joint_trajectory")
+    status, result = arm.move.send(target_pose=arm.tip()).ended()
+    assert status == ABORTED
+    assert "joint_trajectory" in result.message
+    assert "switch to another" in result.message
+
+
+@pytest.mark.parametrize("frame", ["base_link", "link_6"])
+def test_a_twist_moves_the_tip_along_the_axes_of_its_frame_and_silence_brakes(arm: Arm, frame: str) -> None:
+    statuses = arm.ros.heard(Int8, f"{NODE}/servo_status")
+    start = arm.tip()
+    command = TwistStamped()
+    command.header.frame_id = frame
+    command.twist.linear = Vector3(z=-0.05)
+    with arm.commanding("delta_twist_cmds", command) as pause:
+        eventually(lambda: arm.away_from(start) > 0.02, "the tip moves")
+        pause()
+        arm.robot.wait_rest()
+    assert {told.data for told in statuses} == {0}
+    moved = np.subtract(_xyz(arm.tip().position), _xyz(start.position))
+    axis = np.array((0.0, 0.0, -1.0)) if frame == "base_link" else -_z_axis(start)
+    assert moved @ axis > 0.98 * np.linalg.norm(moved)
+
+
+def test_joint_speeds_and_poses_move_the_robot(arm: Arm) -> None:
+    before = arm.robot.joints()
+    with arm.commanding("delta_joint_cmds", JointState(name=["joint1"], velocity=[0.2])) as pause:
+        eventually(lambda: arm.robot.joints()[0] > before[0] + 0.03, "joint_1 moves")
+        there = arm.beside(x=-0.04)
+        pause()
+    with arm.commanding("pose_target_cmds", PoseStamped(pose=there)):
+        eventually(lambda: arm.away_from(there) < 0.003, "the tip is at the pose")
+    assert np.allclose(before[1:3], arm.robot.joints()[1:3], atol=0.2)
+
+
+def test_commands_that_are_none_are_refused_in_the_status(arm: Arm) -> None:
+    statuses, texts = arm.ros.heard(Int8, f"{NODE}/servo_status"), arm.ros.heard(String, f"{NODE}/servo_status/text")
+    lost = TwistStamped()
+    lost.header.frame_id = "camera"
+    with arm.commanding("delta_twist_cmds", lost):
+        eventually(lambda: any("camera" in told.data for told in texts), "the frame is refused")
+    nothing = JointState(velocity=[float("nan")] * 6)
+    with arm.commanding("delta_joint_cmds", nothing):
+        eventually(lambda: any("velocity[0]" in told.data for told in texts), "the number is refused")
+    assert {told.data for told in statuses} == {-1}
+    assert arm.robot.rests()
+
+
+def test_a_robot_that_was_stopped_stays_at_rest_until_the_commands_have_paused(arm: Arm) -> None:
+    texts = arm.ros.heard(String, f"{NODE}/servo_status/text")
+    start = arm.tip()
+    command = TwistStamped()
+    command.twist.linear = Vector3(z=0.03)
+    with arm.commanding("delta_twist_cmds", command):
+        eventually(lambda: arm.away_from(start) > 0.005, "the tip moves")
+        arm.robot.bus.call(KEYS.cancel, CancelRequest(), ExecutorState, timeout=PATIENCE)
+        eventually(lambda: any("pause the commands" in told.data for told in texts), "it is told")
+        arm.robot.wait_rest()
+        stopped, told = arm.robot.joints(), len(texts)
+        arm.robot.plan()  # which takes longer than many commands
+        assert arm.robot.joints() == stopped
+        assert all("pause the commands" in text.data for text in texts[told:])
+
+
+def _z_axis(pose: Pose) -> np.ndarray:
+    q = pose.orientation
+    return np.array((2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2)))

@@ -1,0 +1,310 @@
+"""Attacks on a guarded robot, in one process: an object that comes at the arm, on the classes of the servo and of the executor.
+
+The servo's guard or session, the executor's state machine and its follower are those of the product; the clock is turned here, messages
+take some milliseconds, and the arm follows exactly. Whether there is contact is seen by python-fcl on the shapes of the descriptor.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import time as real_time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from support.arrivals import arrival
+from support.executor.bench import LIMITS, Bench
+from support.planner.second_opinion import Clearance, link_pose
+from support.trajectories import ROBOT, SCENE, rest_to_rest
+from zarm_contract.codec import encode
+from zarm_contract.messages import (
+    Cuboid,
+    GoalState,
+    GoalTrajectory,
+    JointState,
+    ObjectPose,
+    Scene,
+    ServoStart,
+    ServoTarget,
+    Sphere,
+)
+from zarm_contract.messages import JointTarget as JointTargetMessage
+from zarm_executor.goal import Chunk, Goal
+from zarm_executor.monitor import Monitor
+from zarm_geometry.meshes import Meshes
+from zarm_geometry.robot_model import RobotModel
+from zarm_runtime.metrics import Metrics
+from zarm_servo import guard as guard_module
+from zarm_servo import session as session_module
+from zarm_servo.check import Checker, SceneCheck
+from zarm_servo.guard import Guard
+from zarm_servo.session import Session
+from zarm_trajectory.blending import blended
+from zarm_trajectory.trajectory import TimedTrajectory
+
+Array = np.ndarray[Any, Any]
+Mode = Literal["goal", "session"]
+Outcome = Literal["contact", "hit", "free"]
+"""`contact`: while the robot moved towards the object. `hit`: the object came upon a robot that did not. `free`: neither."""
+
+STEP = 0.002
+"""The clock is turned by so much (s)."""
+_TICK, _CYCLE, _LOOK = 5, 2, 8
+_JOINTS = ROBOT.descriptor.joints
+_LINKS = tuple(f"link_{k}" for k in range(2, 7))
+_TOWARDS = 2e-5
+"""A step of 10 ms that brings robot and object nearer by less (m), where the object stood, is none towards it: 2 mm/s."""
+_UNIX = 1.75e9
+MODEL, MESHES = RobotModel.of(ROBOT), Meshes()
+
+
+@dataclass(frozen=True)
+class Attack:
+    """How an attack ended, and how near the robot was to the object at least (m)."""
+
+    outcome: Outcome
+    clearance: float
+    held: bool
+    killed: bool
+    arrived: bool
+
+
+class Cell:
+    """What attacks share: kernels and bodies that are loaded once."""
+
+    def __init__(self) -> None:
+        self.checker, self.check = Checker(MODEL, MESHES), SceneCheck(MODEL, MESHES)
+
+    def attack(self, seed: int, mode: Mode) -> Attack:
+        """The attack with this seed."""
+        with _clock() as clock:
+            return _Run(self, np.random.default_rng(seed), mode, clock).result()
+
+
+@contextmanager
+def _clock() -> Iterator[SimpleNamespace]:
+    """The monotonic clock of guard and session, as `now`."""
+    clock = SimpleNamespace(now=100.0)
+    turned = SimpleNamespace(monotonic=lambda: clock.now, perf_counter=real_time.perf_counter, sleep=lambda _: None)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (guard_module, session_module):
+            patch.setattr(module, "time", turned)
+        yield clock
+
+
+class _Run:
+    def __init__(self, cell: Cell, rng: np.random.Generator, mode: Mode, clock: SimpleNamespace) -> None:
+        self._rng, self._mode, self._time = rng, mode, clock
+        dies = rng.random() < 0.3
+        guard = "required" if mode == "goal" and dies else "optional"
+        execution = ROBOT.descriptor.execution.model_copy(update={"guard": guard, "guard_timeout": 0.2})
+        robot = ROBOT.descriptor.model_copy(update={"execution": execution})
+        self._bench = Bench(now=clock.now, robot=robot)
+        self._bench.machine.scene = SCENE
+        self._mail: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = itertools.count()
+        start, goal = self._ends()
+        self._bench.arm.follower.trajectory = TimedTrajectory.standing(start)
+        self._bench.arm.exact = type(self._bench.arm.exact)(start, np.zeros(6), clock.now)
+        self._start, self._goal = start, goal
+        self._object(start)
+        measured: Any = SimpleNamespace(get=lambda max_age=1.0: self._measured())
+        authorities: Any = SimpleNamespace(put=lambda said: self._post(lambda: self._hear(said)))
+        nothing: Any = SimpleNamespace(set=lambda _: None)
+        self._guard = Guard(robot, cell.checker, MESHES, measured, authorities, nothing, "servo", Metrics())
+        self._guard.monitor.hear_scene("", Scene(revision=SCENE, objects=(self._item,)))
+        self._killed_at = clock.now + rng.uniform(0.1, 2.5) if dies else np.inf
+        self._due = clock.now
+        self._tell_pose(at_once=True)
+        self._session: Session | None = None
+        self._sequence = itertools.count(1)
+        if mode == "session":
+            chunks: Any = SimpleNamespace(put=lambda chunk: self._post(lambda: self._stream(chunk)))
+            self._session = Session(
+                "servo-1", ServoStart(margin=0.01), ROBOT, cell.check, self._guard.monitor, self._guard.moving, measured, chunks,
+                start, 0.0, lambda: None,
+            )  # fmt: skip
+            self._session._put(0.0, TimedTrajectory.standing(start), deadline=1.0)
+        else:
+            self._begin_goal()
+
+    # -- the robot --
+
+    def _ends(self) -> tuple[Array, Array]:
+        """Where the robot starts, and where it is to go: far enough, and apart from the floor of its own limits."""
+        home = np.array(ROBOT.descriptor.home)
+        start = home + self._rng.uniform(-0.5, 0.5, 6)
+        goal = start.copy()
+        goal[0] += self._rng.choice((-1.0, 1.0)) * self._rng.uniform(0.8, 2.0)
+        goal[1:] += self._rng.uniform(-0.4, 0.4, 5)
+        return start, np.clip(goal, MODEL.lower + 0.1, MODEL.upper - 0.1)
+
+    def _begin_goal(self) -> None:
+        message = rest_to_rest(self._goal, self._start, slower=float(self._rng.uniform(1.0, 2.0)))
+        trajectory = TimedTrajectory.of(message, _JOINTS)
+        goal = Goal("goal-1", None, trajectory, Monitor(trajectory, self._bench.robot), SCENE)
+        told = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=message, scene_revision=SCENE)
+        self._guard.hear_trajectory("", told)
+        self._guard._running = "goal-1"
+        self._guard._look()
+        while self._mail:
+            heapq.heappop(self._mail)[2]()
+        self._bench.machine.start(goal, arrival())
+
+    def _measured(self) -> JointState:
+        exact = self._bench.arm.exact
+        return JointState(
+            stamp=self._time.now, joint_names=_JOINTS, position=tuple(exact.position.tolist()), velocity=tuple(exact.velocity.tolist())
+        )  # fmt: skip
+
+    def _hear(self, said: Any) -> None:
+        self._bench.machine.hear(said, self._time.now)
+
+    def _stream(self, chunk: Any) -> None:
+        machine = self._bench.machine
+        trajectory = TimedTrajectory.of(chunk.trajectory, _JOINTS)
+        piece = Chunk(chunk.sequence, chunk.start, trajectory, self._time.now, chunk.deadline, chunk.last, scene=SCENE)
+        if chunk.sequence == 1:
+            path = blended(TimedTrajectory.standing(self._bench.arm.exact.position), 0.0, trajectory, 0.0, LIMITS)
+            goal = Goal("servo-1", None, path, Monitor(path, ROBOT.descriptor), SCENE, chunk=piece)
+            machine.start(goal, arrival())
+        else:
+            goal = machine.steer("servo-1", piece, LIMITS)
+        if goal is not None and self._session is not None:
+            followed, session = goal.followed(_JOINTS), self._session
+            self._post(lambda: session.hear_trajectory(followed))
+
+    # -- the object --
+
+    def _object(self, start: Array) -> None:
+        """An object that is told to have a velocity, and may have any other within its stated speed of that."""
+        rng = self._rng
+        self._speed = float(rng.uniform(0.05, 1.0)) ** 2
+        self._told = self._direction() * rng.uniform(0.0, 0.4) if rng.random() < 0.4 else np.zeros(3)
+        self._period, self._delay = float(rng.uniform(0.01, 0.05)), float(rng.uniform(0.001, 0.03))
+        self._offset = float(rng.uniform(-0.018, 0.018))
+        if rng.random() < 0.5:
+            item: Sphere | Cuboid = Sphere(
+                kind="sphere", name="box", position=(0.0, 0.0, 5.0), radius=float(rng.uniform(0.03, 0.15))
+            )
+        else:
+            x, y, z = rng.uniform(0.05, 0.3, 3).tolist()
+            item = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 5.0), size=(x, y, z))
+        self._item, self._clearance = item, Clearance(ROBOT, item)
+        while True:  # around the arm, often in front of where it goes
+            at = self._tip(start + rng.uniform(0.0, 1.0) * (self._goal - start)) + rng.normal(0.0, 0.4, 3)
+            if self._clearance.at(start, at) > 0.05:
+                break
+        self._at: Array = at
+        self._aim = "link_6"
+
+    def _direction(self) -> Array:
+        way = self._rng.normal(size=3)
+        return np.asarray(way / np.linalg.norm(way))
+
+    def _tip(self, q: Array) -> Array:
+        return np.asarray(link_pose(ROBOT, ROBOT.descriptor.tip_link, q)[:3, 3])
+
+    def _move_object(self, seconds: float) -> None:
+        """At the arm, as fast as stated most of the time: at where a link is, or will be soon."""
+        rng = self._rng
+        if rng.random() < 0.03:
+            self._aim, self._mood = str(rng.choice(_LINKS)), float(rng.random())
+        exact = self._bench.arm.exact
+        link = link_pose(ROBOT, self._aim, exact.position + rng.uniform(0.0, 0.5) * exact.velocity)[:3, 3]
+        away = link - self._at
+        way = away / max(float(np.linalg.norm(away)), 1e-9)
+        mood = getattr(self, "_mood", 1.0)
+        share = 0.0 if mood < 0.1 else 1.0 if mood > 0.3 else -0.5
+        self._at = self._at + seconds * (self._told + share * self._speed * way)
+
+    def _tell_pose(self, *, at_once: bool = False) -> None:
+        message = ObjectPose(
+            stamp=_UNIX + self._time.now + self._offset,
+            position=tuple(self._at.tolist()),
+            linear=tuple(self._told.tolist()),
+            speed=self._speed,
+        )
+        payload = encode(message)
+
+        def tell() -> None:
+            self._guard.moving.tell("box", payload, self._time.now, _UNIX + self._time.now)
+
+        if at_once:
+            tell()
+        else:
+            self._post(tell, self._delay)
+
+    # -- time --
+
+    def _post(self, deliver: Callable[[], None], delay: float | None = None) -> None:
+        """A message arrives some milliseconds later."""
+        late = float(self._rng.uniform(0.001, 0.006)) if delay is None else delay
+        heapq.heappush(self._mail, (self._time.now + late, next(self._count), deliver))
+
+    def result(self) -> Attack:
+        """Let it happen."""
+        bench, clock, arm = self._bench, self._time, self._bench.arm
+        before, place = arm.exact.position, self._at
+        nearest, held, told = np.inf, False, None
+        outcome: Outcome = "free"
+        for step in itertools.count(1):
+            clock.now += STEP
+            alive = clock.now < self._killed_at
+            while self._mail and self._mail[0][0] <= clock.now:
+                heapq.heappop(self._mail)[2]()
+            if clock.now >= self._due:
+                self._due = clock.now + self._period
+                self._tell_pose()
+            if alive:
+                self._servo(step)
+            self._move_object(STEP)
+            if step % _TICK:
+                continue
+            bench.now = clock.now
+            bench.machine.tick(clock.now)
+            goal = bench.machine.changes[-1] if bench.machine.changes else None
+            if goal is not None:
+                held = held or goal.hold is not None
+                if goal is not told or step % (5 * _TICK) == 0:
+                    told = goal
+                    self._tell_goal(bench.machine.goal_state() or goal)
+            now = arm.exact.position
+            apart = self._clearance.at(now, self._at)
+            nearest = min(nearest, apart)
+            if apart <= 0.0:
+                closer = self._clearance.at(before, place) - self._clearance.at(now, place)
+                outcome = "contact" if closer > _TOWARDS else "hit"
+                break
+            before, place = now, self._at
+            if step * STEP > (6.0 if self._session is None else 3.0) or (goal is not None and goal.done):
+                break
+        arrived = bool(np.abs(arm.exact.position - self._goal).max() < 0.01)
+        return Attack(outcome, float(nearest), held, self._killed_at < clock.now, arrived)
+
+    def _tell_goal(self, goal: GoalState) -> None:
+        session, guard = self._session, self._guard
+        self._post(lambda: guard.hear_goal("", goal) if session is None else session.hear_goal(goal))
+
+    def _servo(self, step: int) -> None:
+        session = self._session
+        if session is None:
+            if step % _LOOK == 0:
+                self._guard._look()
+        elif step % _CYCLE == 0:
+            if step % 10 == 0:
+                target = JointTargetMessage(kind="joints", position=tuple(self._goal.tolist()))
+                message = ServoTarget(
+                    goal_id="servo-1", sequence=next(self._sequence), stamp=self._time.now, target=target
+                )
+                session.inbox.hear(message, self._time.now)
+            session._cycle(self._time.now)
+            if session._news.is_set():
+                session._news.clear()
+                session._load(*session._present)

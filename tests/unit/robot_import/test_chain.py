@@ -1,0 +1,47 @@
+"""Where an arm ends that nobody has said the tip of."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from zarm_robot_import.chain import choose_chain
+from zarm_robot_import.description import describe
+from zarm_robot_import.source import read_source
+
+LINK = '<link name="{0}"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+JOINT = (
+    '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin xyz="0 0 0.2"/><axis xyz="0 1 0"/>'
+    '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+)
+Row = tuple[str, str, str]
+ARM: list[Row] = [(f"joint_{k}", f"link_{k}", f"link_{k + 1}") for k in range(5)]
+
+
+def tip(folder: Path, joints: list[Row]) -> str:
+    links = dict.fromkeys(name for _, *pair in joints for name in pair)
+    text = "".join([*map(LINK.format, links), *(JOINT.format(*joint) for joint in joints)])
+    file = folder / "arm.urdf"
+    file.write_text(f'<robot name="arm">{text}</robot>')
+    return choose_chain(describe(read_source(file, ())), None, None).tip
+
+
+def finger(name: str, palm: str, count: int) -> list[Row]:
+    names = [palm, *(f"{name}_{k}" for k in range(count))]
+    return [(f"{child}_joint", parent, child) for parent, child in itertools.pairwise(names)]
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ([], "link_5"),
+        ([("wrist_roll", "link_5", "gripper_link"), ("gripper", "gripper_link", "moving_jaw")], "gripper_link"),
+        ([("gripper", "link_5", "moving_jaw")], "link_5"),
+        ([*finger("thumb", "link_5", 4), *finger("index", "link_5", 4)], "link_5"),
+    ],
+    ids=["the last link", "a turning gripper", "a jaw", "a hand with long fingers"],
+)
+def test_an_arm_ends_where_what_grips_begins(tmp_path: Path, more: list[Row], expected: str) -> None:
+    assert tip(tmp_path, [*ARM, *more]) == expected

@@ -1,0 +1,62 @@
+"""`zarm robot check` finds what a person gets wrong and no schema can."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from zarm_contract.robot import ROBOTS, load_robot
+from zarm_robot_import.checking import findings
+
+Change = Callable[[str], str]
+
+
+def changed(folder: Path, descriptor: Change = str, urdf: Change = str) -> list[str]:
+    """What is found in the ur5e after these changes of its files."""
+    for suffix, change in ((".yaml", descriptor), (".urdf", urdf)):
+        before = (ROBOTS / "ur5e").with_suffix(suffix).read_text()
+        after = change(before)
+        assert after != before or change is str
+        (folder / "ur5e").with_suffix(suffix).write_text(after)
+    return findings(load_robot(str(folder / "ur5e.yaml")))
+
+
+@pytest.mark.parametrize("robot", sorted(file.stem for file in ROBOTS.glob("*.yaml")))
+def test_nothing_is_found_in_the_robots_that_zarm_brings(robot: str) -> None:
+    assert findings(load_robot(robot)) == []
+
+
+def test_lengths_in_millimetres(tmp_path: Path) -> None:
+    def in_millimetres(text: str) -> str:
+        return text.replace('xyz="-0.425 0 0"', 'xyz="-425 0 0"')
+
+    found = changed(tmp_path, urdf=in_millimetres)
+    assert any(fault.startswith("urdf: an origin is 425 m from its parent") and "mm" in fault for fault in found)
+
+
+def test_a_link_that_hangs_in_the_air(tmp_path: Path) -> None:
+    found = changed(tmp_path, urdf=lambda text: text.replace('xyz="-0.425 0 0"', 'xyz="-0.425 0 1.425"'))
+    assert any(fault.startswith("collision.forearm_link: it never comes nearer") for fault in found)
+
+
+def test_home_at_a_limit(tmp_path: Path) -> None:
+    limit = load_robot("ur5e").upper[0]
+    found = changed(tmp_path, descriptor=lambda text: text.replace("home: [0.0,", f"home: [{limit - 0.001:.4f},"))
+    assert "home: shoulder_pan_joint stands at its limit; choose a pose from which it can turn both ways" in found
+
+
+def test_spheres_that_are_too_small_or_elsewhere(tmp_path: Path) -> None:
+    radius = load_robot("ur5e").descriptor.spheres["wrist_3_link"][0].radius
+    small = changed(tmp_path, descriptor=lambda text: _last(text, f"radius: {radius:g}", "radius: 0.01"))
+    assert any(
+        fault.startswith("spheres.wrist_3_link: its exact geometry stands out of its spheres") for fault in small
+    )
+    large = changed(tmp_path, descriptor=lambda text: _last(text, f"radius: {radius:g}", "radius: 0.2"))
+    assert any(fault.startswith("spheres.wrist_3_link[0]: it stands out of the link") for fault in large)
+
+
+def _last(text: str, old: str, new: str) -> str:
+    before, _, after = text.rpartition(old)
+    return f"{before}{new}{after}" if before else text
