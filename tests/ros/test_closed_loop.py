@@ -22,7 +22,7 @@ from support.harness import PATIENCE, eventually
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, Actions, Robot, Sent
 from support.ros.stack import KEYS, Stack, stack
 from support.trajectories import patient
-from zarm_contract.messages import CancelRequest, ExecutorState, FkPoses, FkRequest, Nothing, ServoEnd
+from zarm_contract.messages import CancelRequest, ExecutorState, FkPoses, FkRequest
 from zarm_ros_bridge.convert.poses import ros_pose
 
 MPC, RETARGET, CLASSIC = 1, 6, 0
@@ -100,8 +100,7 @@ def arm(clients: Arm) -> Iterator[Arm]:
     clients.strategy("emulator")
     clients.robot.wait_rest()
     yield clients
-    clients.robot.bus.call(KEYS.servo_end, ServoEnd(), Nothing, timeout=PATIENCE)
-    clients.robot.wait_rest()
+    clients.robot.wait_rest()  # a session of commands has ended by then: one that somebody else ends is missed until they pause
     clients.choose(CLASSIC)
 
 
