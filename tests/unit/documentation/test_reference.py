@@ -43,7 +43,7 @@ def test_the_pages_are_those_of_the_code(generate: ModuleType) -> None:
 def test_every_key_is_on_its_page_once() -> None:
     keys = Keys("arm")
     every = {getattr(keys, name) for name, value in vars(Keys).items() if isinstance(value, property)}
-    every |= {keys.scene_object("<name>"), keys.goal("<goal_id>")}
+    every |= {keys.scene_object("<name>"), keys.object_pose("<name>"), keys.goal("<goal_id>")}
     every |= {keys.health("<service>"), keys.reread("<service>"), keys.alive("<service>", "<instance>")}
     assert sorted(f"zarm/arm/{key}" for key in _first_column("keys.md")) == sorted(every)
 
