@@ -18,7 +18,7 @@ from zarm_runtime.session import router_config
 KEYS = Keys("any_robot")
 OF_EVERY_SERVICE = {"health", "reread", "alive"}
 COMMANDS = [KEYS.execute, KEYS.cancel, KEYS.pause, KEYS.resume, KEYS.reset, KEYS.strategy, KEYS.speed]
-CHANGES = [KEYS.scene_edit, KEYS.settings, KEYS.plan]
+CHANGES = [KEYS.scene_edit, KEYS.settings]
 
 
 def test_every_key_stands_in_the_table() -> None:
@@ -44,6 +44,10 @@ def test_only_the_executor_commands_a_driver() -> None:
 def test_only_operators_and_the_bridge_move_the_robot_and_change_what_it_plans_around(key: str) -> None:
     allowed = {role for role in ROLES if _may(role, key)}
     assert allowed == {"operator", "bridge"}
+
+
+def test_the_servo_may_ask_for_plans_too_for_it_steers_around_what_is_in_the_way() -> None:
+    assert {role for role in ROLES if _may(role, KEYS.plan)} == {"operator", "bridge", "servo"}
 
 
 def test_everyone_may_stop_the_robot() -> None:
