@@ -14,7 +14,7 @@ from pathlib import Path
 from catkin_pkg.package import parse_package
 
 REQUIREMENTS = Path(__file__).parent / "requirements"
-IMAGES = {"executor": "all", "planner": "planner", "ros_bridge": "ROS bridge, simulated driver"}
+IMAGES = {"executor": "all", "planner": "planner", "ros_bridge": "ROS bridge, simulated driver", "viewer": "viewer"}
 
 READ = {"ros-fastcdr": "Apache-2.0", "ros-fastrtps": "Apache-2.0"}
 """Read in the licence files of packages that state theirs nowhere else."""
@@ -24,7 +24,8 @@ HEADER = """\
 
 Made by `make licences` from what each package states. zarm itself is under Apache-2.0, as are its own `curobo_msgs`.
 
-No package is under the GPL or a licence like it; eclipse-zenoh may be used under either of its two licences. Wheels carry
+No package is under the GPL or a licence like it; certifi and tqdm are under MPL-2.0, and come unchanged; eclipse-zenoh may be used
+under either of its two licences. Wheels carry
 libraries under other licences than their own, all of them loaded as libraries: numpy and scipy OpenBLAS (BSD), libgfortran (GPL
 with GCC's runtime library exception, for programs of any licence) and libquadmath (LGPL); pillow image libraries (permissive
 licences); ROS OpenSSL 1.1.1 (its own licence), lttng-ust and liburcu (LGPL). Packages of Debian, some under the GPL, come
