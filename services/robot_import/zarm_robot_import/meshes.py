@@ -26,6 +26,8 @@ LARGEST = 20.0
 """A link larger than this (m) is in millimetres."""
 CONTAINED = 0.001
 """Collision geometry that the visual one sticks out of by no more than this (m) contains it."""
+CABLE = 0.1
+"""A visual mesh that sticks further (m) out of the collision geometry shows more than the link, such as a cable that hangs from it."""
 SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
 
@@ -90,6 +92,10 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
     out = sticks_out(found["visual"], found["collision"])
     if out <= CONTAINED:
         reason = "contains the visual mesh"
+        return Surface(link.name, found["collision"], "collision", reason, warnings, files)
+    if out > CABLE:
+        reason = f"the visual mesh sticks {1e3 * out:.0f} mm out of it, as a cable does"
+        warnings.append(f"{reason}, and is left out; `--geometry visual` takes the visual meshes alone")
         return Surface(link.name, found["collision"], "collision", reason, warnings, files)
     both = np.concatenate([found["collision"], found["visual"]])
     reason = f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry"

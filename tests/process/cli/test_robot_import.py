@@ -75,6 +75,8 @@ def meshes(arm: RobotDescription) -> dict[str, np.ndarray]:
         for item in link.collision:
             if item.kind == "mesh":
                 mesh = trimesh.load_mesh(file.parent / item.file, process=False)
+            elif item.kind == "cylinder":
+                mesh = trimesh.creation.cylinder(*item.size)
             else:
                 mesh = trimesh.creation.icosphere(radius=item.size[0])
             mesh.apply_transform(item.pose)
