@@ -31,6 +31,7 @@ from zarm_contract.errors import (
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 from zarm_runtime.bus import Bus
+from zarm_runtime.publications import Encoded
 from zarm_runtime.requester import ANYONE, requester
 
 KEYS = Keys("arm")
@@ -333,16 +334,16 @@ def test_an_answer_that_cannot_be_sent_is_logged_with_its_trace_and_counted(
 ) -> None:
     outcomes: list[str] = []
 
-    def fail(_: m.Message) -> bytes:
-        raise RuntimeError("a fault on the way out")
+    def unsendable(_: m.Message) -> Encoded:
+        return Encoded(b"", object())  # type: ignore[arg-type]
 
     bus.watch_answers(lambda _, outcome: outcomes.append(outcome))
     serve(bus, lambda _: ANSWER)
     with monkeypatch.context() as patch:
-        patch.setattr("zarm_runtime.bus.encoding_of", fail)
+        patch.setattr(Encoded, "of", unsendable)
         assert reply_to(plain, KEYS.fk, encode(REQUEST)) == []
         (record,) = eventually(lambda: [one for one in caplog.records if KEYS.fk in one.getMessage()], "it is logged")
     assert record.exc_info is not None
-    assert isinstance(record.exc_info[1], RuntimeError)
+    assert isinstance(record.exc_info[1], TypeError)
     assert eventually(lambda: outcomes, "it is counted") == ["unsent"]
     assert call(other) == ANSWER

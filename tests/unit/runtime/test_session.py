@@ -123,6 +123,6 @@ def test_when_the_router_is_gone_and_back_everything_works_again() -> None:
         router = open_router(endpoint)
         eventually(lambda: ask(client), "calls are answered again")
         eventually(lambda: client.alive(KEYS.alive("*", "*")), "the service is seen again")
-        eventually(lambda: state.set(IDLE) or not inbox.empty(), "publications arrive again")
+        eventually(lambda: state.set(IDLE) and not inbox.empty(), "publications arrive again")
         assert inbox.get_nowait() == IDLE
     router.close()
