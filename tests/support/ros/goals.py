@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from action_msgs.msg import GoalStatus
@@ -105,8 +106,14 @@ class Robot:
         return self.bus.call(self.keys.executor_state, Nothing(), ExecutorState, timeout=10)
 
     def rests(self) -> bool:
-        """Whether it has no goal and its joints stand."""
-        velocity = eventually(lambda: self._measured.get(max_age=0.5), "the joints are measured").velocity
+        """Whether it has no goal and its joints stand, as they are measured from now on."""
+        now = time.time()
+
+        def measured() -> JointState | None:
+            latest = self._measured.get(max_age=0.5)
+            return latest if latest is not None and latest.stamp > now else None
+
+        velocity = eventually(measured, "the joints are measured").velocity
         return self.state().goal_id is None and not any(velocity)
 
     def wait_rest(self) -> None:
