@@ -90,7 +90,7 @@ clean:
 # One stamp for what runs zarm, one for what develops it; the second includes the first.
 $(VENV)/.planner: $(PINNED) | $(BIN)/python
 	@echo "installing zarm into $(VENV) ..."
-	@$(PIP) install -c constraints.txt -e ".[planner,viewer]"
+	@$(PIP) install -c constraints.txt -e ".[planner,import,viewer]"
 	@touch $@
 
 $(VENV)/.dev: $(PINNED) | $(BIN)/python
