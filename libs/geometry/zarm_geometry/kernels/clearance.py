@@ -227,31 +227,73 @@ def _note(found: Array, lower: float, upper: float, part: int, other: int, k: in
 
 
 @inlined
+def _box_distance(world: Obstacles, node: int, x: float, y: float, z: float) -> float:
+    """Square of the distance of a point to a box of the world's tree."""
+    b = world.boxes
+    dx = max(abs(x - b[node, 0]) - b[node, 3] + world.grown, 0.0)
+    dy = max(abs(y - b[node, 1]) - b[node, 4] + world.grown, 0.0)
+    dz = max(abs(z - b[node, 2]) - b[node, 5] + world.grown, 0.0)
+    return dx * dx + dy * dy + dz * dz
+
+
+@inlined
+def _closest_row(world: Obstacles, x: float, y: float, z: float) -> int:
+    """A row near a point: down the tree by way of the nearest boxes."""
+    node = 0
+    while world.leaf[node] < 0:
+        child, nearest = node + 1, math.inf
+        end = world.skip[node]
+        while child < end:
+            apart = _box_distance(world, child, x, y, z)
+            if apart < nearest:
+                node, nearest = child, apart
+            child = world.skip[child]
+    return int(world.leaf[node])
+
+
+@inlined
+def _part_in_box(
+    body: RobotParts, world: Obstacles, course: Course, link: int, k: int, node: int, within: float
+) -> bool:
+    """Whether a part of a link may be nearer than `within` (m) to a box of the world's tree."""
+    b = world.boxes
+    half = (
+        max(b[node, 3] - world.grown, 0.0), max(b[node, 4] - world.grown, 0.0), max(b[node, 5] - world.grown, 0.0), 0.0
+    )  # fmt: skip
+    for i in range(body.first[link], body.first[link + 1]):
+        center = (
+            course.centers[i, 0] - b[node, 0],
+            course.centers[i, 1] - b[node, 1],
+            course.centers[i, 2] - b[node, 2],
+        )
+        if core_distance(center, half) - body.extents[i, 5] >= within:
+            continue
+        wide = within + body.extents[i, 4]
+        lower, _, _ = core_gap(center, _part_turn(body, course, k, link, i), _core(body.extents, i, 0), half, wide)
+        if lower < wide:
+            return True
+    return False
+
+
+@inlined
 def _to_world(
     body: RobotParts, world: Obstacles, course: Course, found: Array, link: int, k: int, enough: float, best: float
 ) -> tuple[float, Array, float]:
-    """The distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted."""
+    """The distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted.
+
+    What is near the middle of the link is looked at first: so what is left of the tree is little.
+    """
     lowest = enough
     a = body.around
     cx, cy, cz = _at(course.frames, k, link, a[link, 0], a[link, 1], a[link, 2])
-    placed = False
-    node = 0
-    while node < world.boxes.shape[0]:
-        wide = max(best, lowest, 0.0) + a[link, 3]
-        b = world.boxes
-        dx = max(abs(cx - b[node, 0]) - b[node, 3] + world.grown, 0.0)
-        dy = max(abs(cy - b[node, 1]) - b[node, 4] + world.grown, 0.0)
-        dz = max(abs(cz - b[node, 2]) - b[node, 5] + world.grown, 0.0)
-        if dx * dx + dy * dy + dz * dz >= wide * wide:
-            node = world.skip[node]
-            continue
-        row = world.leaf[node]
-        node += 1
-        if row < 0:
-            continue
-        if not placed:
-            _place_parts(body, course, k, link)
-            placed = True
+    wide = max(best, lowest, 0.0) + a[link, 3]
+    nodes = world.boxes.shape[0]
+    if nodes == 0 or _box_distance(world, 0, cx, cy, cz) >= wide * wide:
+        return lowest, found, best
+    _place_parts(body, course, k, link)
+    closest = _closest_row(world, cx, cy, cz)
+    row, node = closest, 0
+    while True:
         r = world.rows
         core, rounding = _core(r, row, 12), r[row, 16]
         turn = (
@@ -277,7 +319,19 @@ def _to_world(
                 lower, upper = lower - rounded, upper - rounded
             lowest = min(lowest, lower)
             found, best = _note(found, lower, upper, i, row, k, best)
-    return lowest, found, best
+        row = -1
+        while row < 0 and node < nodes:
+            limit = max(best, lowest, 0.0)
+            wide = limit + a[link, 3]
+            if _box_distance(world, node, cx, cy, cz) >= wide * wide or (
+                not _part_in_box(body, world, course, link, k, node, limit)
+            ):
+                node = world.skip[node]
+                continue
+            row = world.leaf[node] if world.leaf[node] != closest else -1
+            node += 1
+        if row < 0:
+            return lowest, found, best
 
 
 @inlined
