@@ -237,18 +237,19 @@ def _box_distance(world: Obstacles, node: int, x: float, y: float, z: float) -> 
 
 
 @inlined
-def _closest_row(world: Obstacles, x: float, y: float, z: float) -> int:
-    """A row near a point: down the tree by way of the nearest boxes."""
-    node = 0
-    while world.leaf[node] < 0:
-        child, nearest = node + 1, math.inf
-        end = world.skip[node]
+def _closest_row(world: Obstacles, x: float, y: float, z: float, within: float) -> int:
+    """A row near a point: down the tree by way of the nearest boxes; -1 where no box is nearer than `within` (m)."""
+    child, end, enough = 0, world.boxes.shape[0], within * within
+    while True:
+        node, nearest = -1, enough
         while child < end:
             apart = _box_distance(world, child, x, y, z)
             if apart < nearest:
                 node, nearest = child, apart
             child = world.skip[child]
-    return int(world.leaf[node])
+        if node < 0 or world.leaf[node] >= 0:
+            return -1 if node < 0 else int(world.leaf[node])
+        child, end, enough = node + 1, world.skip[node], math.inf
 
 
 @inlined
@@ -286,14 +287,11 @@ def _to_world(
     lowest = enough
     a = body.around
     cx, cy, cz = _at(course.frames, k, link, a[link, 0], a[link, 1], a[link, 2])
-    wide = max(best, lowest, 0.0) + a[link, 3]
-    nodes = world.boxes.shape[0]
-    if nodes == 0 or _box_distance(world, 0, cx, cy, cz) >= wide * wide:
-        return lowest, found, best
-    _place_parts(body, course, k, link)
-    closest = _closest_row(world, cx, cy, cz)
-    row, node = closest, 0
-    while True:
+    closest = _closest_row(world, cx, cy, cz, max(best, lowest, 0.0) + a[link, 3])
+    if closest >= 0:
+        _place_parts(body, course, k, link)
+    row, node, nodes = closest, 0, world.boxes.shape[0]
+    while row >= 0:
         r = world.rows
         core, rounding = _core(r, row, 12), r[row, 16]
         turn = (
@@ -330,8 +328,7 @@ def _to_world(
                 continue
             row = world.leaf[node] if world.leaf[node] != closest else -1
             node += 1
-        if row < 0:
-            return lowest, found, best
+    return lowest, found, best
 
 
 @inlined
