@@ -233,7 +233,8 @@ def _box_distance(world: Obstacles, node: int, x: float, y: float, z: float) -> 
     dx = max(abs(x - b[node, 0]) - b[node, 3] + world.grown, 0.0)
     dy = max(abs(y - b[node, 1]) - b[node, 4] + world.grown, 0.0)
     dz = max(abs(z - b[node, 2]) - b[node, 5] + world.grown, 0.0)
-    return dx * dx + dy * dy + dz * dz
+    apart: float = dx * dx + dy * dy + dz * dz
+    return apart
 
 
 @inlined
