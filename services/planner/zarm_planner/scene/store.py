@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, assert_never
 
@@ -91,9 +91,15 @@ class SceneStore:
         """The present scene, which never changes; an edit makes a new one."""
         return self._scene
 
-    def edit(self, request: SceneEdit, tip: Array = _AT_BASE) -> Scene:
+    def edit(
+        self,
+        request: SceneEdit,
+        tip: Array = _AT_BASE,
+        prepare: Callable[[Sequence[SceneObject]], None] = lambda _: None,
+    ) -> Scene:
         """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
 
+        `prepare` is given the objects before they become those of the scene.
         Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved, or concerns links while the
         scene is lost; then nothing has changed.
         """
@@ -109,6 +115,7 @@ class SceneStore:
                     "first, or use a coarser resolution",
                     field="edit.objects",
                 )
+            prepare(scene.objects)
             try:
                 self._file.write(content)
             except Unavailable as error:
