@@ -220,7 +220,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_ATTACH),
     m.SceneEdit(edit=_DETACH),
     m.SceneEdit(edit=_LINKS),
-    m.SceneEdited(revision=_REVISION, count=4),
+    m.SceneEdited(revision=_REVISION, count=4, notes=("crate: a hole of at most 10 mm closed",)),
     # executor
     m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1", replan=True),
     m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=_REVISION),

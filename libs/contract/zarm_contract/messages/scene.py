@@ -216,10 +216,14 @@ class SceneEdit(Message):
 
 
 class SceneEdited(ShortMessage):
-    """The revision of the scene, and how many objects it holds."""
+    """The revision of the scene, how many objects it holds, and `notes` on what the edit has brought.
+
+    A mesh with small faults is mended, and of an open one only the surface is an obstacle: `notes` say so.
+    """
 
     revision: SceneRevision
     count: Annotated[int, Field(ge=0)]
+    notes: tuple[str, ...] = ()
 
 
 class OccupancyRequest(Message):

@@ -124,6 +124,14 @@ class SceneStore:
             self.meshes.keep(item for item in scene.objects if isinstance(item, Mesh))
             return scene
 
+    def notes(self, request: SceneEdit) -> tuple[str, ...]:
+        """What is said of the meshes that an edit has brought."""
+        if not isinstance(request.edit, AddObjects | LoadScene):
+            return ()
+        names = {item.name for item in request.edit.objects}
+        meshes = [item for item in self._scene.objects if isinstance(item, Mesh) and item.name in names]
+        return tuple(note for item in meshes for note in self.meshes.notes(item))
+
     def _read(self) -> Scene:
         saved = self._file.load()
         if saved is not None:
