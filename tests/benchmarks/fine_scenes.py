@@ -8,6 +8,7 @@ it. Times are CPU time of this process: of the edit that adds the object, from i
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 import tempfile
 import time
@@ -51,6 +52,8 @@ def main() -> None:
         meshes.mkdir()
         planner = Handlers(model, "panda", SceneStore(folder / "state", Meshes([meshes])), lambda: np.zeros(model.dof))
         planner.warm_up(lambda _: None)
+        gc.collect()
+        gc.freeze()  # as the service does
         for objects in ([_mesh(meshes, count) for count in SUBDIVISIONS], [_cloud(count) for count in POINTS]):
             coarsest = 0.0
             for what, item in objects:

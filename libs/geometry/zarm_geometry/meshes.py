@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.messages import Mesh
+from zarm_contract.messages import Mesh, Voxels
 from zarm_geometry import rows
 from zarm_geometry.mesh_repair import closed
-from zarm_geometry.solid import inside
+from zarm_geometry.solid import around, inside
+from zarm_geometry.voxels import coarse
 
 Array = NDArray[np.float64]
 
@@ -68,6 +69,14 @@ class Meshes:
                 f"the scene holds the mesh {item.name}, which cannot be read: {error.problem.message}. Until its file is "
                 f"back, or {item.name} is removed or replaced, nothing can be planned"
             ) from error
+
+    def around(self, item: Mesh | Voxels, most: int) -> tuple[Array, Array]:
+        """At most `most` boxes, by their corners (m, 3) in its own frame, that contain an object. Raises Unavailable like `rows`."""
+        if isinstance(item, Voxels):
+            return coarse(np.array(item.cells), item.resolution, most)
+        shapes = self.rows(item)
+        flat = shapes[:, 15] < 0.0
+        return around(rows.corners(shapes[flat]), most, solid=not flat.all())
 
     def count(self, item: Mesh) -> int:
         """How many shapes a mesh consists of; 0 while its file cannot be read."""

@@ -83,3 +83,15 @@ def merged(cells: Cells) -> tuple[Cells, Cells]:
 def edges(low: Cells, high: Cells, resolution: float) -> tuple[Array, Array]:
     """Corners (n, 3), in m, of boxes from their first and last cells."""
     return (low.astype(np.float64) - 0.5) * resolution, (high.astype(np.float64) + 0.5) * resolution
+
+
+def coarse(cells: Cells, resolution: float, most: int) -> tuple[Array, Array]:
+    """At most `most` boxes, by their corners (m, 3), that contain cells (n, 3): of blocks of as few cells as that allows."""
+    block = 1
+    while True:
+        low, high = merged(cells // block)
+        if len(low) <= most:
+            lower: Array = (low.astype(np.float64) * block - 0.5) * resolution
+            upper: Array = ((high.astype(np.float64) + 1.0) * block - 0.5) * resolution
+            return lower, upper
+        block += 1

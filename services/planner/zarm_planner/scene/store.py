@@ -121,7 +121,8 @@ class SceneStore:
             except Unavailable as error:
                 raise Unavailable(f"the edit was not applied: {error}; then send it again") from error
             self._scene, self.lost = scene, None
-            self.meshes.keep(item for item in scene.objects if isinstance(item, Mesh))
+            carried = (one.object for one in scene.attached)
+            self.meshes.keep(item for item in (*scene.objects, *carried) if isinstance(item, Mesh))
             return scene
 
     def notes(self, request: SceneEdit) -> tuple[str, ...]:
@@ -154,7 +155,7 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
     objects = {item.name: item for item in scene.objects}
     match request.edit:
         case AttachObject() as edit:
-            return attach(scene, edit, tip)
+            return attach(scene, edit, tip, meshes)
         case DetachObject() as edit:
             return detach(scene, edit, tip)
         case SetLinkCollision() as edit:
