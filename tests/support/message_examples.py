@@ -124,7 +124,12 @@ _SESSION = m.ServoSession(
 )
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
 _CHECKED = m.CheckResult(
-    in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"), spheres=(-0.004, 0.5)
+    in_collision=False,
+    within_limits=False,
+    clearance=0.1,
+    pair=("link_3", "table"),
+    spheres=(0.1, 0.5),
+    points=((0.5, 0.0, 0.1), (0.5, 0.0, 0.0)),
 )
 
 EXAMPLES: tuple[Message, ...] = (

@@ -19,6 +19,7 @@ from zarm_viewer.aim import Goal
 from zarm_viewer.desk import Desk
 from zarm_viewer.gate import Gate
 from zarm_viewer.jog_panel import JogPanel
+from zarm_viewer.looks_panel import LooksPanel
 from zarm_viewer.motion_panel import MotionPanel
 from zarm_viewer.named_poses import NamedPoses
 from zarm_viewer.objects_panel import ObjectsPanel
@@ -34,6 +35,8 @@ log = logging.getLogger(__name__)
 
 PERIOD = 1 / 30
 """s between two drawings, where anything changes."""
+UNSEEN = 0.5
+"""The same (s), where no page is open."""
 BESIDE = 2.5
 """Robots stand so many m apart in the picture, along y: the bus does not say where their bases are."""
 
@@ -128,7 +131,7 @@ class Page:
         choose()
 
     def _draw(self) -> None:
-        while not self._ended.wait(PERIOD):
+        while not self._ended.wait(PERIOD if self.server.get_clients() else UNSEEN):
             try:
                 with self.server.atomic():
                     for part in self._parts:
@@ -162,6 +165,8 @@ class _Part:
             if isinstance(shown.source, Playback):
                 with tabs.add_tab("Record"):
                     self._record = RecordPanel(self.desk, shown.source)
+            with tabs.add_tab("Look"):
+                self._looks = LooksPanel(self.desk, self._picture)
             with tabs.add_tab("Plots"):
                 self._plots = PlotsPanel(self.desk)
             if client is not None:
@@ -189,6 +194,7 @@ class _Part:
         self._status.draw(news, self._source.age())
         if news.state is not None and self._controls is not None:
             self._reset.visible = news.state.mode == "fault"
+        self._looks.draw()
         self._plots.draw(news)
         if self._controls is not None:
             self._controls.draw(news)
