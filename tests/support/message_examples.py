@@ -183,7 +183,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
     m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels"),
     m.FkPoses(poses=(_POSE,)),
-    m.CheckRequest(joints=((0.1, 0.2),), spheres=True),
+    m.CheckRequest(joints=((0.1, 0.2),), spheres=True, points=True),
     _CHECKED,
     m.CheckResults(results=(_CHECKED,)),
     m.PlannerSettings(
