@@ -18,7 +18,7 @@ BY_ITSELF = 0.06
 """How far (rad) an arm may leave its path that brakes by itself, each joint for itself."""
 
 
-@pytest.fixture(params=[case for case in MOVING if case.strategy != "emulator"], ids=str)
+@pytest.fixture(params=sampled(*(case for case in MOVING if case.strategy != "emulator")), ids=str)
 def bench(request: pytest.FixtureRequest, tmp_path: Folder) -> DriverBench:
     return DriverBench(request.param, tmp_path, ceiling=1000.0)
 
