@@ -240,7 +240,7 @@ def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
 numbers = st.floats(-1.0, 1.0)
 
 
-@examples(1)
+@examples(0.5)
 @given(st.lists(st.tuples(numbers, numbers, numbers, numbers), min_size=1, max_size=4))
 @example([(0.0, 0.5, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0)])
 def test_a_ramp_joins_two_states_inside_the_limits(joints: list[tuple[float, float, float, float]]) -> None:

@@ -139,8 +139,8 @@ def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls()
 def test_the_elbow_is_stretched_slowly() -> None:
     session = Session()
     session.follow(PoseTarget(moved(1.5, 0.0, 0.3)), 6.0)
-    singular = [np.linalg.svd(MODEL.tip_jacobian(state[0]), compute_uv=False)[-1] for state in session.states]
-    speeds = np.abs([state[1] for state in session.states]).max(axis=1)
+    singular = [np.linalg.svd(MODEL.tip_jacobian(state[0]), compute_uv=False)[-1] for state in session.states[::5]]
+    speeds = np.abs([state[1] for state in session.states[::5]]).max(axis=1)
     assert min(singular) < 0.02
     assert speeds[np.array(singular) < 0.02].max() < 0.3 * LIMITS.velocity.max()
     session.assert_sound()
