@@ -145,7 +145,7 @@ class Handlers:
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
         trajectory = verified.trajectory
-        return Plan(
+        return Plan.model_construct(  # of what was just verified
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
             robot_hash=model.robot.hash,

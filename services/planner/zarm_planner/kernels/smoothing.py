@@ -16,7 +16,7 @@ from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, state
+from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, least_time, state
 from zarm_planner.kernels.random import uniform
 
 STEP = 0.05
@@ -42,6 +42,8 @@ REST = 0.05
 takes longest, another velocity of the others saves nothing; but without a rest it is the better motion."""
 EQUAL = 1e-6
 """Part of its time by which a piece without a rest may last longer."""
+ENOUGH = 0.005
+"""Part of its time that a motion may last longer than any can between its ends, for further shortcuts to be of no use."""
 
 
 @inlined
@@ -211,6 +213,8 @@ def smooth(
 ) -> int:
     """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns how many it has.
 
+    It ends when the motion is about as fast as any between its ends can be.
+
     Before `begin` (s) it stays as it is. `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration
     (rad/s^2). Vias are passed as before, perhaps at another velocity.
     """
@@ -222,12 +226,21 @@ def smooth(
     middle, middle_velocity = np.empty(dof), np.empty(dof)
     end, end_velocity = np.empty(dof), np.empty(dof)
     first, second = capacity - 2, capacity - 1  # the ramps in hand
+    i, early = find(ramps, count, begin)
+    state(ramps, i, early, start, start_velocity)
+    state(ramps, count - 1, ramps.duration[count - 1], end, end_velocity)
+    least = 0.0
+    for j in range(dof):
+        time = least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j])
+        least = max(least, time if time < np.inf else 0.0)  # infinite from a start that is faster than allowed
     for attempt in range(attempts):
         if count + 5 > capacity or passed(deadline, now):
             break
         total = 0.0
         for i in range(count):
             total += ramps.duration[i]
+        if total - begin <= (1.0 + ENOUGH) * least:
+            break
         early = begin + uniform(random) * (total - begin)
         late = begin + uniform(random) * (total - begin)
         if early > late:

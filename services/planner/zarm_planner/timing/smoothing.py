@@ -74,6 +74,8 @@ class Smoothing:
 
     def shortcut(self, attempts: int, seed: int, deadline: Deadline) -> None:
         """Try so many shortcuts, as often again for each via, or fewer where `deadline` comes first."""
+        if self._count == 0:  # it stays where it is
+            return
         self._count = smooth(
             self._model.arrays,
             self._world.arrays,
