@@ -221,7 +221,7 @@ class Handlers:
             scene, results = self._look(), []
             for q in joints:
                 deadline.check()
-                nearest = scene.exact.nearest(q)
+                nearest = scene.exact.nearest(q, deadline.check)
                 spheres = tuple(sphere_distances(model, scene.world, q).tolist()) if request.spheres else None
                 results.append(
                     CheckResult(

@@ -58,7 +58,7 @@ class End:
 
 def check_start(context: PlanningContext, q: Array, field: str = "start") -> Nearest:
     """What is nearest at the start of a path, the request's `field`. Raises PlanningFailed (`start_in_collision`)."""
-    nearest = context.exact.nearest(q)
+    nearest = context.exact.nearest(q, context.deadline.check)
     if nearest.distance <= 0.0:
         raise PlanningFailed(
             f"the start is in collision: {_overlap(nearest)}; move the robot away by hand, or correct the scene",
@@ -99,7 +99,7 @@ def goal_ends(
     """
     if isinstance(goal, JointGoal):
         q = within_range(context.model, goal.position, f"{field}.position")
-        nearest = context.exact.nearest(q)
+        nearest = context.exact.nearest(q, context.deadline.check)
         end = _end(context, q, constraint) if nearest.distance > 0.0 else None
         if end is None:
             raise _blocked([nearest]).of_goal(field)
@@ -191,7 +191,7 @@ def _tight_ends(
         for q in new:
             context.deadline.check()
             roomy = clear_pose(context, pose, q)
-            nearest.append(context.exact.nearest(roomy))
+            nearest.append(context.exact.nearest(roomy, context.deadline.check))
             if nearest[-1].distance > 0.0 and (end := _end(context, roomy, constraint)) and len(ends) < most:
                 ends.append(end)
         if ends:

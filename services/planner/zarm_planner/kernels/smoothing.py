@@ -19,11 +19,11 @@ from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, least_time, state
 from zarm_planner.kernels.random import uniform
 
-STEP = 0.05
-"""A ramp is checked as straight edges that take so long (s), or, where it is slow, turn no joint further than TURN; what it
-bends between them, 6 mrad at 20 rad/s^2 and 5 mrad at any, is left to exact verification."""
+BOW = 0.006
+"""A ramp is checked as straight edges from which no joint is further away than this (rad), or, where it is slow, that turn none
+further than TURN; what it bends between them is left to exact verification."""
 TURN = 0.02
-"""Rad; see STEP."""
+"""Rad; see BOW."""
 GAIN = 0.001
 """A shortcut that saves less than this part of the piece it replaces is not worth a check."""
 BENDS = 3
@@ -48,19 +48,21 @@ ENOUGH = 0.005
 
 @inlined
 def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
-    """Whether ramp `i` keeps inside the joints' ranges, and free, looked at every STEP or TURN."""
+    """Whether ramp `i` keeps inside the joints' ranges, and free, looked at on straight edges, see BOW."""
     if not in_range(ramps, i, lower, upper):
         return False
     dof = lower.shape[0]
     position, velocity = np.empty(dof), np.empty(dof)
     before, after = np.empty(dof, np.float32), np.empty(dof, np.float32)
-    fastest = 0.0
+    fastest, strongest = 0.0, 0.0
     for j in range(dof):
+        strongest = max(strongest, abs(ramps.acceleration[i, j]))
         peak = ramps.velocity[i, j] + ramps.acceleration[i, j] * ramps.first[i, j]
         fastest = max(
             fastest, abs(ramps.velocity[i, j]), abs(peak), abs(peak - ramps.acceleration[i, j] * ramps.last[i, j])
         )
-    steps = max(2, math.ceil(ramps.duration[i] * min(1.0 / STEP, fastest / TURN)))
+    # At acceleration a, an arc of t s leaves its chord by a t^2 / 8 at most.
+    steps = max(2, math.ceil(ramps.duration[i] * min(math.sqrt(strongest / (8.0 * BOW)), fastest / TURN)))
     for step in range(steps + 1):
         state(ramps, i, ramps.duration[i] * step / steps, position, velocity)
         for j in range(dof):
