@@ -63,8 +63,7 @@ class Obstacles(NamedTuple):
 class Course(NamedTuple):
     """A motion and how far the look at it has come.
 
-    `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. `frames` (n, links, 3, 4) of the samples that are
-    `known` (n,), and `axes` (n, dof, 6) of their joints: direction, and a point. `keys` and `stretches`, which has
+    `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. `frames` (n, links, 3, 4) of the samples that are `known` (n,). `keys` and `stretches`, which has
     the columns subject, first sample, last sample + 1, are a heap of `size[0]` stretches with what they are sure to keep
     clear. `joints` (dof, 3, 4) and `centers` (parts, 3) are working memory.
     """
@@ -72,7 +71,6 @@ class Course(NamedTuple):
     q: Array
     moved: Array
     frames: Array
-    axes: Array
     known: NDArray[np.bool_]
     keys: Array
     stretches: Index
@@ -96,7 +94,6 @@ def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
         q=q,
         moved=moved,
         frames=np.empty((samples, len(body.link_joint), 3, 4)),
-        axes=np.empty((samples, q.shape[1], 6)),
         known=np.zeros(samples, np.bool_),
         keys=keys,
         stretches=stretches,
@@ -144,15 +141,21 @@ def _drop_top(course: Course) -> None:
 
 
 @inlined
+def _travel(body: RobotParts, course: Course, subject: int, low: int, high: int) -> float:
+    """How far (m) a subject moves at most from sample `low` to sample `high`."""
+    travel = 0.0
+    for joint in range(body.reach.shape[1]):
+        travel += body.reach[subject, joint] * (course.moved[high, joint] - course.moved[low, joint])
+    return travel
+
+
+@inlined
 def _place(body: RobotParts, course: Course, k: int) -> None:
     """The frames of all links at sample `k`."""
     if course.known[k]:
         return
     course.known[k] = True
     joint_frames(body.origin, body.revolute, course.q[k], course.joints)
-    for j in range(course.joints.shape[0]):
-        for r in range(3):
-            course.axes[k, j, r], course.axes[k, j, 3 + r] = course.joints[j, r, 2], course.joints[j, r, 3]
     for link in range(body.link_joint.shape[0]):
         j = body.link_joint[link]
         for r in range(3):
@@ -174,33 +177,6 @@ def _at(frames: Array, k: int, link: int, x: float, y: float, z: float) -> Vecto
         frames[k, link, 1, 0] * x + frames[k, link, 1, 1] * y + frames[k, link, 1, 2] * z + frames[k, link, 1, 3],
         frames[k, link, 2, 0] * x + frames[k, link, 2, 1] * y + frames[k, link, 2, 2] * z + frames[k, link, 2, 3],
     )
-
-
-@inlined
-def _travel(body: RobotParts, course: Course, subject: int, low: int, k: int, high: int) -> tuple[float, float]:
-    """How far (m) a subject moves at most from sample `low` to sample `k`, which has been placed, and from there to `high`.
-
-    A joint moves it by what it turns times how far it is from the axis: as at `k`, and by what the joints further out have
-    moved it further away at most.
-    """
-    links = body.link_joint.shape[0]
-    link = subject if subject < links else body.pairs[subject - links, 1]
-    a = body.around
-    x, y, z = _at(course.frames, k, link, a[link, 0], a[link, 1], a[link, 2])
-    before, after = 0.0, 0.0
-    for joint in range(body.reach.shape[1] - 1, -1, -1):
-        reach = body.reach[subject, joint]
-        if reach == 0.0:
-            continue
-        arm = reach
-        if body.revolute[joint]:
-            n = course.axes[k, joint]
-            vx, vy, vz = x - n[3], y - n[4], z - n[5]
-            along = vx * n[0] + vy * n[1] + vz * n[2]
-            arm = math.sqrt(max(vx * vx + vy * vy + vz * vz - along * along, 0.0)) + a[link, 3]
-        before += min(reach, arm + before) * (course.moved[k, joint] - course.moved[low, joint])
-        after += min(reach, arm + after) * (course.moved[high, joint] - course.moved[k, joint])
-    return before, after
 
 
 @inlined
@@ -427,7 +403,8 @@ def look(body: RobotParts, world: Obstacles, course: Course, best: float, most: 
         _drop_top(course)
         k = (low + high) // 2
         _place(body, course, k)
-        before, after = _travel(body, course, subject, low, k, high - 1)
+        before = _travel(body, course, subject, low, k)
+        after = _travel(body, course, subject, k, high - 1)
         enough = floor + max(before, after)
         if subject < links:
             lowest, found, best = _to_world(body, world, course, found, subject, k, enough, best)
