@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _CELLS = 12_000
 _BESIDE = 0.005
 """The grid reaches so far (m) beyond the surface."""
-_AROUND = 2000
+_AROUND = 1000
 """Points outside that are enough to compare shapes by."""
 _WOUND = 700
 """Triangles by which it is told what is inside."""
@@ -49,13 +49,15 @@ class Body:
         return cls(triangles, points, surface.query(points)[0], out, cell, surface)
 
     def around(self, points: Array) -> tuple[Array, Array]:
-        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each the square of its distance (n,) times its volume."""
+        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each the square of its distance
+        (n,) times its volume, the largest first."""
         low, high = points.min(axis=0), points.max(axis=0)
         more = 0.2 * (high - low).max()
         near = np.flatnonzero(
             self.out & (self.points > low - more).all(axis=1) & (self.points < high + more).all(axis=1)
         )
         some = near[:: 1 + len(near) // _AROUND]
+        some = some[np.argsort(-self.distance[some])]
         return self.points[some], self.distance[some] ** 2 * (self.cell * len(near) / max(len(some), 1))
 
 

@@ -28,6 +28,7 @@ CONTAINED = 0.001
 """Collision geometry that the visual one sticks out of by no more than this (m) contains it."""
 CABLE = 0.1
 """A visual mesh that sticks further (m) out of the collision geometry shows more than the link, such as a cable that hangs from it."""
+_POINTER = b"version https://git-lfs"
 SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
 
@@ -183,6 +184,9 @@ class _Unreadable(Exception):
 def _load(file: Path) -> Array:
     """The triangles of a file, in m where the file says its unit."""
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    with file.open("rb") as opened:
+        if opened.read(len(_POINTER)) == _POINTER:
+            raise _Unreadable(f"{file} is not the mesh but a pointer of Git LFS; run `git lfs pull` where it was cloned")
     try:
         loaded = trimesh.load_scene(file, process=False, skip_materials=True)
         meshes = loaded.dump()
