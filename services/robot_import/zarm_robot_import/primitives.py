@@ -272,7 +272,19 @@ def _cell(triangles: Array, axes: Array, body: Body) -> _Cell:
     which, out = _tightest(points, form, body.around(points))
     one = which % len(axes)
     shapes = around(corners, *(frames[[one]] for frames in form[:3]), form.middle)
-    return _Cell(triangles, points, shapes[which // len(axes)], out)
+    return _Cell(triangles, points, _grown(shapes[which // len(axes)], body.off), out)
+
+
+def _grown(row: Array, by: float) -> Array:
+    """A primitive (17,) that contains all points within `by` (m) of one without triangles."""
+    row = row.copy()
+    if row[16]:
+        row[16] += by
+    elif row[15]:
+        row[14:16] += by
+    else:
+        row[12:15] += by
+    return row
 
 
 def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
