@@ -126,7 +126,8 @@ def gathered(triangles: Array, most: int) -> tuple[Array, float]:
     given, off = triangles, 0.0
     while len(triangles) > most:
         cells = np.unique(np.round(given / size).astype(np.int32).reshape(-1, 9), axis=0)
-        triangles, off = cells.reshape(-1, 3, 3) * size, size * math.sqrt(3) / 2
+        triangles = np.asarray(cells.reshape(-1, 3, 3) * size, np.float64)
+        off = size * math.sqrt(3) / 2
         size *= 1.4
     return triangles, off
 

@@ -270,8 +270,8 @@ def _cell(triangles: Array, axes: Array, body: Body) -> _Cell:
     points = np.concatenate([points_on(triangles, _POINTS)[0], corners[furthest]])
     form = _form(points, axes)
     which, out = _tightest(points, form, body.around(points))
-    one = which % len(axes)
-    shapes = around(corners, *(frames[[one]] for frames in form[:3]), form.middle)
+    one = [which % len(axes)]
+    shapes = around(corners, form.turn[one], form.box[one], form.axis[one], form.middle)
     return _Cell(triangles, points, _grown(shapes[which // len(axes)], body.off), out)
 
 
