@@ -135,6 +135,7 @@ def _named(folder: Path) -> str | None:
 
 def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
     try:
+        from xacro import init_stacks
         from xacrodoc import XacroDoc
         from xacrodoc import packages as finder
     except ImportError as error:
@@ -147,6 +148,7 @@ def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
     finder.reset()
     finder.look_in([str(folder) for folder in packages])
     while True:
+        init_stacks(None)  # after a failure xacro would still look beside the file in which it was
         try:
             # xacro takes an include without a folder to lie in the working directory.
             with redirect_stdout(StringIO()), redirect_stderr(StringIO()), chdir(path.parent):
