@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from support.command_line import zarm
+from support.original_meshes import OriginalRobot, original_meshes, touch
 from support.tiers import sampled
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import JointGoal, Sphere
@@ -24,9 +25,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
-from zarm_robot_import.description import describe
 from zarm_robot_import.primitives import rows_of
-from zarm_robot_import.source import read_source
 from zarm_trajectory.limits import Limits
 
 PATIENCE = 600.0
@@ -84,22 +83,8 @@ def model(arm: RobotDescription) -> RobotModel:
 
 @pytest.fixture(scope="module")
 def meshes(source: Path) -> dict[str, np.ndarray]:
-    """The triangles of the original collision geometry, read by this test itself."""
-    found = {}
-    for link in describe(read_source(source)).links.values():
-        parts = []
-        for item in link.collision:
-            if item.kind == "mesh":
-                mesh = trimesh.load_mesh(source.parent / item.file, process=False)
-            elif item.kind == "cylinder":
-                mesh = trimesh.creation.cylinder(*item.size)
-            else:
-                mesh = trimesh.creation.icosphere(radius=item.size[0])
-            mesh.apply_transform(item.pose)
-            parts.append(mesh.triangles)
-        if parts:
-            found[link.name] = np.concatenate(parts)
-    return found
+    """The triangles of the original collision geometry."""
+    return original_meshes(source)
 
 
 @pytest.mark.timeout(PATIENCE)
@@ -127,7 +112,7 @@ def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_origi
     scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
     rng = np.random.default_rng(3)
     home = np.array(model.robot.descriptor.home)
-    bodies = {link: bvh(triangles) for link, triangles in meshes.items()}
+    original = OriginalRobot(model, meshes)
     post = fcl.CollisionObject(fcl.Sphere(RADIUS), fcl.Transform(np.array(POST)))
     planned = 0
     for goal in rng.uniform(np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi), (15, model.dof)):
@@ -138,28 +123,9 @@ def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_origi
             continue
         planned += 1
         for q in found.trajectory.position[::5]:
-            objects = placed(model, bodies, q)
+            objects = original.placed(q)
             for i, j in model.pairs.tolist():
                 assert not touch(objects[model.links[i]], objects[model.links[j]])
             for link, joint in zip(model.links, model.link_joint.tolist(), strict=True):
                 assert joint < 0 or not touch(objects[link], post)
     assert planned >= 3
-
-
-def placed(model: RobotModel, bodies: dict[str, fcl.BVHModel], q: np.ndarray) -> dict[str, fcl.CollisionObject]:
-    return {
-        link: fcl.CollisionObject(bodies[link], fcl.Transform(pose[:3, :3], pose[:3, 3]))
-        for link, pose in zip(model.links, model.link_transforms(q), strict=True)
-    }
-
-
-def touch(one: fcl.CollisionObject, other: fcl.CollisionObject) -> bool:
-    return bool(fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()))
-
-
-def bvh(triangles: np.ndarray) -> fcl.BVHModel:
-    mesh = fcl.BVHModel()
-    mesh.beginModel(len(triangles), 3 * len(triangles))
-    mesh.addSubModel(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-    mesh.endModel()
-    return mesh
