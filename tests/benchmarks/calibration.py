@@ -16,6 +16,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from rich.console import Console
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.ros.calibration import POSES, calibrate
 from support.ros.domain import isolate
@@ -29,6 +31,7 @@ def main() -> None:
     parser.add_argument("--strategies", nargs="+", default=["joint_speed", "joint_trajectory"])
     options = parser.parse_args()
     isolate()
+    out = Console(highlight=False, soft_wrap=True)
     whole = dict.fromkeys(options.strategies, 0)
     for index in range(1, options.runs + 1):
         for strategy in options.strategies:
@@ -36,12 +39,12 @@ def main() -> None:
             why = calibrate(folder, strategy, busy=options.busy, seed=index)
             took, load = time.monotonic() - began, os.getloadavg()[0]
             said = f"{why} (logs in {folder})" if why else f"{POSES} poses"
-            print(f"{strategy}, run {index}, {took:.0f} s, load {load:.1f}: {said}", flush=True)
+            out.print(f"{strategy}, run {index}, {took:.0f} s, load {load:.1f}: {said}")
             if not why:
                 whole[strategy] += 1
                 shutil.rmtree(folder)
     for strategy, count in whole.items():
-        print(f"{strategy}: {POSES} of {POSES} poses in {count} of {options.runs} runs")
+        out.print(f"{strategy}: {POSES} of {POSES} poses in {count} of {options.runs} runs")
 
 
 if __name__ == "__main__":
