@@ -5,8 +5,6 @@ Tried with rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy). tests/ros/test_rclpy_parts.py sa
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Iterable
 from typing import Any
 
@@ -37,12 +35,8 @@ class Reception:
     """Takes what comes on the subscriptions of a node that has nothing else, in one thread.
 
     It waits as `rclpy.wait_for_message` does, with one wait set. An executor of rclpy makes three of them for each message, out of every
-    entity of its nodes: at 100 Hz that took 7 % of a core, this takes 2 %. Events, which are rare, have a wait set of their own, as
-    each entity in one costs CPU at each message.
+    entity of its nodes: at 100 Hz that took 7 % of a core, this takes 2 %.
     """
-
-    EVENTS_PERIOD = 1.0
-    """How often (s) it is looked for events, as of a publisher with another QoS."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -51,36 +45,24 @@ class Reception:
 
     def run(self) -> None:
         """Call the callback of each message, and of each event of a subscription, until `end`. Raises what a callback raises."""
-        subscriptions, context = list(self._node.subscriptions), self._node.context.handle
+        subscriptions = list(self._node.subscriptions)
         events = [event for subscription in subscriptions for event in subscription.event_handlers]
-        arrivals, changes = (
-            WaitSet(len(subscriptions), 1, 0, 0, 0, 0, context),
-            WaitSet(0, 0, 0, 0, 0, len(events), context),
-        )
-        looked_at = -math.inf
+        wait_set = WaitSet(len(subscriptions), 1, 0, 0, 0, len(events), self._node.context.handle)
         while not self._ended:
-            arrivals.clear_entities()
-            arrivals.add_guard_condition(self._end.handle)
-            places = [arrivals.add_subscription(subscription.handle) for subscription in subscriptions]
-            arrivals.wait(int(self.EVENTS_PERIOD * 1e9))
+            wait_set.clear_entities()
+            wait_set.add_guard_condition(self._end.handle)
+            places = [wait_set.add_subscription(subscription.handle) for subscription in subscriptions]
+            for event in events:
+                event.add_to_wait_set(wait_set)
+            wait_set.wait(-1)
             for subscription, place in zip(subscriptions, places, strict=True):
-                if arrivals.is_ready("subscription", place) and (
+                if wait_set.is_ready("subscription", place) and (
                     taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
                 ):
                     subscription.callback(taken[0])
-            if time.monotonic() - looked_at >= self.EVENTS_PERIOD:
-                looked_at = time.monotonic()
-                self._look(changes, events)
-
-    @staticmethod
-    def _look(changes: Any, events: list[Any]) -> None:
-        changes.clear_entities()
-        for event in events:
-            event.add_to_wait_set(changes)
-        changes.wait(0)
-        for event in events:
-            if event.is_ready(changes) and (status := event.take_data()):
-                event.callback(status)
+            for event in events:
+                if event.is_ready(wait_set) and (status := event.take_data()):
+                    event.callback(status)
 
     def end(self) -> None:
         """Have `run` return, from any thread."""
