@@ -162,7 +162,7 @@ class _Run:
         goal = Goal("goal-1", None, trajectory, Monitor(trajectory, self._bench.robot), SCENE)
         told = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=message, scene_revision=SCENE)
         self._guard.hear_trajectory("", told)
-        self._guard._running = "goal-1"
+        self._guard._goals._running = "goal-1"
         self._guard._look()
         while self._mail:
             heapq.heappop(self._mail)[2]()
