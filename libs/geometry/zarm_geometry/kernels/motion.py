@@ -413,7 +413,8 @@ def _displacement(view: View, mover: int, k: int) -> Vector:
 def _growth(view: View, mover: int, a: int, b: int) -> float:
     """How far a point of a mover may be from there between two samples."""
     since = view.since[mover]
-    return view.speed[mover] * max(abs(view.time[a] - since), abs(view.time[b] - since))
+    growth: float = view.speed[mover] * max(abs(view.time[a] - since), abs(view.time[b] - since))
+    return growth
 
 
 @inlined
