@@ -68,7 +68,7 @@ _CLOUD = m.PointCloud(
     points=((0.01, 0.02, 0.03), (0.5, -0.5, 0.25)),
 )
 _OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER, _MESH, _VOXELS)
-_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",))
+_ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUBOID,))
 _ATTACH = m.AttachObject(op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2))
 _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
@@ -221,7 +221,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.SceneEdit(edit=_ATTACH),
     m.SceneEdit(edit=_DETACH),
     m.SceneEdit(edit=_LINKS),
-    m.SceneEdited(revision=_REVISION, count=4),
+    m.SceneEdited(revision=_REVISION, count=4, notes=("crate: a hole of at most 10 mm closed",)),
     # executor
     m.ExecuteRequest(plan_id="plan-1", preempt=True, goal_id="goal-1", replan=True),
     m.ExecuteRequest(trajectory=_TRAJECTORY, scene_revision=_REVISION),

@@ -62,8 +62,8 @@ class Scene:
     def attach(self, name: str, *, touch_links: Iterable[str] = (), joints: Numbers | None = None) -> SceneEdited:
         """From now on the robot carries an object of the scene; it keeps its place seen from the tip at `joints`.
 
-        `joints` (rad) left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers. Meshes and
-        voxels cannot be carried.
+        `joints` (rad) left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers. A mesh or
+        voxels are carried as at most 32 cuboids that contain them.
         """
         return self._edit(op="attach", name=name, touch_links=tuple(touch_links), joints=_joints(joints))
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_contract.messages import Attached, Vector3
+from zarm_contract.messages import Attached, Mesh, Vector3, Voxels
 from zarm_contract.robot import RobotDescription
 from zarm_contract.urdf import Joint
 from zarm_geometry.frames import rotation_to
 from zarm_geometry.rows import primitives
 from zarm_geometry.shapes import Shape, link_shape, obstacle_shape
-from zarm_geometry.sphere_cover import sphere_cover
+from zarm_geometry.sphere_cover import MOST, sphere_cover
 
 Array = NDArray[np.float64]
 
@@ -57,8 +57,11 @@ def link_body(robot: RobotDescription, link: str) -> Body:
 
 def attached_body(item: Attached, dof: int, tip: Array) -> Body:
     """An attached object as a body, named as in the scene and fixed to the tip (4, 4) in the last joint."""
-    shape = obstacle_shape(item.object.name, primitives([item.object])[0])
-    return Body(shape.name, dof - 1, tip, sphere_cover(shape), (shape,), touches=frozenset(item.touch_links))
+    name = item.object.name
+    parts = [item.object] if not isinstance(item.object, Mesh | Voxels) else item.parts
+    shapes = tuple(obstacle_shape(name, row) for row in primitives(parts))
+    balls = np.concatenate([sphere_cover(shape, max(2, MOST // len(shapes))) for shape in shapes])
+    return Body(name, dof - 1, tip, balls, shapes, touches=frozenset(item.touch_links))
 
 
 def along(chain: tuple[Joint, ...]) -> tuple[list[Array], Array]:

@@ -7,14 +7,17 @@ import io
 import stat
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.messages import Mesh
+from zarm_contract.messages import Mesh, Voxels
 from zarm_geometry import rows
-from zarm_geometry.solid import inside
+from zarm_geometry.mesh_repair import closed
+from zarm_geometry.solid import around, inside
+from zarm_geometry.voxels import coarse
 
 Array = NDArray[np.float64]
 
@@ -28,16 +31,23 @@ _Known = tuple[str, tuple[float, float, float]]
 """Digest of a file and scale."""
 
 
+class _Read(NamedTuple):
+    """What a file was found to hold: its shapes (n, 17), and a sentence about each of its faults."""
+
+    shapes: Array
+    notes: tuple[str, ...]
+
+
 class Meshes:
     """Shapes of meshes, by the content of their files: a file is read when a mesh is added, and once after a start.
 
-    A closed mesh, whose triangles are all wound the same way, is solid: its inside is filled with boxes. Of any other mesh
-    only the surface is an obstacle.
+    A closed mesh is solid: its inside is filled with boxes. Small faults are mended, see `mesh_repair`; of a mesh that is open
+    all the same only the surface is an obstacle.
     """
 
     def __init__(self, folders: Sequence[Path] = ()) -> None:
         self._folders = tuple(folders)
-        self._known: dict[_Known, Array] = {}
+        self._known: dict[_Known, _Read] = {}
 
     def checked(self, item: Mesh, field: str) -> Mesh:
         """The mesh with its file's digest; from now on its shapes are known. Raises InvalidRequest."""
@@ -51,26 +61,40 @@ class Meshes:
         """
         known = self._known.get((item.sha256 or "", item.scale))
         if known is not None:
-            return known
+            return known.shapes
         try:
-            return self._read(item, "")[1]
+            return self._read(item, "")[1].shapes
         except InvalidRequest as error:
             raise Unavailable(
                 f"the scene holds the mesh {item.name}, which cannot be read: {error.problem.message}. Until its file is "
                 f"back, or {item.name} is removed or replaced, nothing can be planned"
             ) from error
 
+    def around(self, item: Mesh | Voxels, most: int) -> tuple[Array, Array]:
+        """At most `most` boxes, by their corners (m, 3) in its own frame, that contain an object. Raises Unavailable like `rows`."""
+        if isinstance(item, Voxels):
+            return coarse(np.array(item.cells), item.resolution, most)
+        shapes = self.rows(item)
+        flat = shapes[:, 15] < 0.0
+        return around(rows.corners(shapes[flat]), most, solid=not flat.all())
+
     def count(self, item: Mesh) -> int:
         """How many shapes a mesh consists of; 0 while its file cannot be read."""
-        return len(self._known.get((item.sha256 or "", item.scale), ()))
+        known = self._known.get((item.sha256 or "", item.scale))
+        return 0 if known is None else len(known.shapes)
+
+    def notes(self, item: Mesh) -> tuple[str, ...]:
+        """What is said of a mesh that has been checked: what was mended, and whether only its surface is an obstacle."""
+        known = self._known.get((item.sha256 or "", item.scale))
+        return () if known is None else tuple(f"{item.name}: {note}" for note in known.notes)
 
     def keep(self, items: Iterable[Mesh]) -> None:
         """Forget the shapes of all other meshes."""
         wanted = {(item.sha256, item.scale) for item in items}
         self._known = {key: value for key, value in list(self._known.items()) if key in wanted}
 
-    def _read(self, item: Mesh, field: str) -> tuple[str, Array]:
-        """The digest of a mesh's file, and its shapes."""
+    def _read(self, item: Mesh, field: str) -> tuple[str, _Read]:
+        """The digest of a mesh's file, and what it holds."""
         content = self._content(item, field)
         digest = hashlib.sha256(content).hexdigest()
         if item.sha256 not in (None, digest):
@@ -79,10 +103,10 @@ class Meshes:
                 "sha256 out to take the file as it is now",
                 field=f"{field}.sha256",
             )
-        shapes = self._known.get((digest, item.scale))
-        if shapes is None:
-            shapes = self._known[digest, item.scale] = _shapes(item, content, field)
-        return digest, shapes
+        known = self._known.get((digest, item.scale))
+        if known is None:
+            known = self._known[digest, item.scale] = _held(item, content, field)
+        return digest, known
 
     def _content(self, item: Mesh, field: str) -> bytes:
         """What the mesh's file holds. A link that leads out of the folders is followed no further than that."""
@@ -115,8 +139,8 @@ class Meshes:
         raise refused(f"there is no file {item.file} in {', '.join(map(str, self._folders))}; check the name")
 
 
-def _shapes(item: Mesh, content: bytes, field: str) -> Array:
-    """The shapes (n, 17) of a file's content. Raises InvalidRequest."""
+def _held(item: Mesh, content: bytes, field: str) -> _Read:
+    """What a file's content holds. Raises InvalidRequest."""
     import trimesh  # takes half a second, which a planner without meshes need not wait
 
     def refused(reason: str) -> InvalidRequest:
@@ -149,10 +173,7 @@ def _shapes(item: Mesh, content: bytes, field: str) -> Array:
     surface = rows.triangles(used)
     if not len(surface):
         raise refused(f"{item.file} holds only triangles without area; check the scale, or export it again")
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.merge_vertices()
-    a, b, c = mesh.faces.T
-    mesh.update_faces((a != b) & (b != c) & (c != a))
-    if not mesh.is_watertight or not mesh.is_winding_consistent:
-        return surface
-    return np.concatenate([surface, rows.boxes(*inside(np.asarray(mesh.triangles)))])
+    solid, notes = closed(trimesh.Trimesh(vertices, faces, process=False))
+    if solid is None:
+        return _Read(surface, notes)
+    return _Read(np.concatenate([surface, rows.boxes(*inside(np.asarray(solid.triangles)))]), notes)

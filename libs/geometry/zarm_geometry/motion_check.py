@@ -113,7 +113,7 @@ class _Packed:
     @classmethod
     def of(cls, changed: dict[str, Array], moving: list[SceneObject], meshes: Meshes) -> Self:
         """Raises Unavailable for a mesh that is not in `meshes`."""
-        tables = [*changed.values(), *(convex_shapes([item], meshes)[0] for item in moving)]
+        tables = [*changed.values(), *(convex_shapes(item, meshes) for item in moving)]
         names, counts = [*changed, *(item.name for item in moving)], [len(table) for table in tables]
         shapes = np.concatenate(tables)
         each = [name for name, count in zip(names, counts, strict=True) for _ in range(count)]
@@ -150,7 +150,7 @@ class MotionCheck:
         gone = [index for index, name in enumerate(scene.world.names) if name in names]
         alive = np.where(np.isin(scene.world.owner, gone), np.uint8(0), scene.alive)
         others = {name: shapes for name, shapes in scene.changed.items() if name not in names}
-        fresh = {item.name: convex_shapes([item], self._meshes)[0] for item in changed}
+        fresh = {item.name: convex_shapes(item, self._meshes) for item in changed}
         self._scene = replace(scene, alive=alive, changed=others | fresh)
 
     def check(

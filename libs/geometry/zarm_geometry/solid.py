@@ -1,6 +1,8 @@
-"""What is inside a closed surface of triangles, filled with boxes so that nothing can hide there."""
+"""Boxes inside a closed surface of triangles, so that nothing can hide there, and boxes around any surface."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +26,31 @@ def inside(triangles: Array) -> tuple[Array, Array]:
     They are cells of a grid that no triangle touches and that the surface winds around, merged; so what they leave out is
     nowhere further from the surface than the diagonal of a cell.
     """
-    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    touched, enclosed, place = _cells(triangles, CELLS)
+    return place(np.argwhere(enclosed & ~touched))
+
+
+def around(triangles: Array, most: int, *, solid: bool) -> tuple[Array, Array]:
+    """At most `most` boxes, by their corners (m, 3), that contain the surface of `triangles` (n, 3, 3) and, if it is `solid`, its inside.
+
+    They are cells of the finest grid for which that many are enough, merged.
+    """
     cells = CELLS
+    while True:
+        touched, enclosed, place = _cells(triangles, cells)
+        lower, upper = place(np.argwhere(touched | enclosed if solid else touched))
+        if len(lower) <= most or cells == 1:
+            return lower, upper
+        cells = max(1, cells * 3 // 4)
+
+
+_Place = Callable[[Index], tuple[Array, Array]]
+"""Boxes, by their corners (m, 3), that cells (n, 3) are merged to."""
+
+
+def _cells(triangles: Array, cells: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_], _Place]:
+    """Which cells (x, y, z) of a grid around a surface a triangle touches, and which ones the surface winds around; where they are."""
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     while True:
         size = float((high - low).max()) / cells
         scaled = (triangles - low) / size
@@ -34,13 +59,18 @@ def inside(triangles: Array) -> tuple[Array, Array]:
         if cells == 1 or count.prod(axis=1).sum() <= _PAIRS:
             break
         cells //= 2
-    enclosed = np.argwhere(_enclosed(scaled, first, count, cells))
-    lower, upper = edges(*merged(enclosed), size)
-    return lower + size / 2 + low, upper + size / 2 + low
+
+    def place(chosen: Index) -> tuple[Array, Array]:
+        lower, upper = edges(*merged(chosen), size)
+        return lower + size / 2 + low, upper + size / 2 + low
+
+    return *_touched_and_enclosed(scaled, first, count, cells), place
 
 
-def _enclosed(corners: Array, first: Index, count: Index, cells: int) -> NDArray[np.bool_]:
-    """Which unit cells (x, y, z) of a grid are wholly inside; `first` and `count` (n, 2) are each triangle's columns."""
+def _touched_and_enclosed(
+    corners: Array, first: Index, count: Index, cells: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of the unit cells (x, y, z) of a grid those that a triangle touches, and those that the surface winds around; `first` and `count` (n, 2) are each triangle's columns."""
     pairs = count.prod(axis=1)
     owner = np.repeat(np.arange(len(corners)), pairs)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
@@ -77,7 +107,8 @@ def _enclosed(corners: Array, first: Index, count: Index, cells: int) -> NDArray
     turns = np.sign(normal[owner, 2]) * _contains(corners[:, :, :2], owner, line)
     winding = summed(column, np.clip(height(line), bottom, top), turns)
     closed = np.abs(winding[:, :, -1:]) < 0.5  # else the line met an edge after all
-    return ((touched < 0.5) & (np.abs(winding) > 0.5) & closed)[1:-1, 1:-1, 1:-1]
+    shown = (slice(1, -1), slice(1, -1), slice(1, -2))
+    return touched[shown] > 0.5, ((np.abs(winding) > 0.5) & closed)[shown]
 
 
 def _overlap(corners: Array, owner: Index, center: Array) -> NDArray[np.bool_]:

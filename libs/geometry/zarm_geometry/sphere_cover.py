@@ -13,27 +13,27 @@ Array = NDArray[np.float64]
 Grid = tuple[int, int, int]
 
 MOST = 64
-"""At most so many balls cover one shape."""
+"""At most so many balls cover one object, unless it consists of more than half as many shapes."""
 STANDS_OUT = 0.005
 """No more balls are taken once they stand out of the shape by no more than this (m): as much as the default margin."""
 
 
-def sphere_cover(shape: Shape) -> Array:
-    """Balls (n, 4), x, y, z and radius (m), in the frame that the shape's pose is given in; n <= MOST.
+def sphere_cover(shape: Shape, most: int = MOST) -> Array:
+    """Balls (n, 4), x, y, z and radius (m), in the frame that the shape's pose is given in; n <= `most`.
 
     Every point of the shape is in one of them. They stand out of it by at most STANDS_OUT, or where that takes too many by
     as little as a grid of MOST allows: 8 mm for a box of 60 x 60 x 100 mm, 18 mm for one of 300 x 200 x 100 mm, 15 % of
     the length for a can as wide as long.
     """
-    balls = _in_a_row(shape) if shape.rounding else _in_a_grid(shape)
+    balls = _in_a_row(shape, most) if shape.rounding else _in_a_grid(shape, most)
     balls[:, :3] = balls[:, :3] @ shape.pose[:3, :3].T + shape.pose[:3, 3]
     return balls
 
 
-def _in_a_row(shape: Shape) -> Array:
+def _in_a_row(shape: Shape, most: int) -> Array:
     """A sphere or a capsule: from end to end of its segment, ends included, so that each covers its half of a gap."""
     length, rounding = 2 * shape.core[2], shape.rounding
-    for count in range(1 if length == 0.0 else 2, MOST + 1):
+    for count in range(1 if length == 0.0 else 2, most + 1):
         radius = float(np.hypot(rounding, length / max(count - 1, 1) / 2))
         if radius - rounding <= STANDS_OUT:
             break
@@ -42,13 +42,13 @@ def _in_a_row(shape: Shape) -> Array:
     return balls
 
 
-def _in_a_grid(shape: Shape) -> Array:
+def _in_a_grid(shape: Shape, most: int) -> Array:
     """A box or a cylinder: a ball around each cell of the grid over its bounding box that makes them stand out least."""
     grids = [
         (x, y, z)
-        for x in range(1, MOST + 1)
-        for y in ([x] if shape.disc else range(1, MOST // x + 1))
-        for z in range(1, MOST // (x * y) + 1)
+        for x in range(1, most + 1)
+        for y in ([x] if shape.disc else range(1, most // x + 1))
+        for z in range(1, most // (x * y) + 1)
     ]
     out = _cylinder_stands_out if shape.disc else _box_stands_out
     return _grid(shape, min(grids, key=lambda grid: (max(out(shape, grid), STANDS_OUT), math.prod(grid))))

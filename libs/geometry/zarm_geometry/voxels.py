@@ -38,9 +38,8 @@ def voxels_of(cloud: PointCloud, field: str) -> Voxels:
 
 def check_reach(points: Array, field: str) -> None:
     """Refuse points (n, 3) that are further away than anything. Raises InvalidRequest."""
-    far = np.any(np.abs(points) > FARTHEST, axis=1)
-    if far.any():
-        at = int(np.argmax(far))
+    if np.abs(points).max(initial=0.0) > FARTHEST:
+        at = int(np.argmax(np.any(np.abs(points) > FARTHEST, axis=1)))
         raise InvalidRequest(
             f"{field}.{at} is further than {FARTHEST:g} m from the origin of its frame; places are in m",
             field=f"{field}.{at}",
@@ -55,7 +54,8 @@ def occupied(points: Array, resolution: float) -> Cells:
 def distinct(cells: Cells) -> Cells:
     """Cells (n, 3), each once, sorted by x, then y, then z."""
     i, j, k = cells.T + _MIDDLE
-    codes = np.unique((i << 2 * _BITS) | (j << _BITS) | k)
+    codes = np.sort((i << 2 * _BITS) | (j << _BITS) | k)
+    codes = codes[np.diff(codes, prepend=-1) != 0]
     mask = (1 << _BITS) - 1
     return np.column_stack([codes >> 2 * _BITS, (codes >> _BITS) & mask, codes & mask]) - _MIDDLE
 
@@ -83,3 +83,15 @@ def merged(cells: Cells) -> tuple[Cells, Cells]:
 def edges(low: Cells, high: Cells, resolution: float) -> tuple[Array, Array]:
     """Corners (n, 3), in m, of boxes from their first and last cells."""
     return (low.astype(np.float64) - 0.5) * resolution, (high.astype(np.float64) + 0.5) * resolution
+
+
+def coarse(cells: Cells, resolution: float, most: int) -> tuple[Array, Array]:
+    """At most `most` boxes, by their corners (m, 3), that contain cells (n, 3): of blocks of as few cells as that allows."""
+    block = 1
+    while True:
+        low, high = merged(cells // block)
+        if len(low) <= most:
+            lower: Array = (low.astype(np.float64) * block - 0.5) * resolution
+            upper: Array = ((high.astype(np.float64) + 1.0) * block - 0.5) * resolution
+            return lower, upper
+        block += 1

@@ -218,3 +218,5 @@ def _print_edited(edited: SceneEdited, as_json: bool) -> None:
         print_json(edited)
     else:
         out.print(f"the scene holds {counted(edited.count, 'object')} (revision {edited.revision})")
+        for note in edited.notes:
+            out.print(note)

@@ -7,6 +7,7 @@ import os
 import secrets
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -95,6 +96,7 @@ class Handlers:
         self.moved = MovedObjects(lambda: store.scene)
         self._ready_for: SceneRevision | None = None
         self._objects: tuple[SceneObject, ...] = ()
+        self._world: World | None = None  # the latest, which the next one takes over from
         self._scenes: dict[float, PlanningScene] = {}  # by margin, the one used last at the end
 
     def warm_up(self, report: Callable[[str], None]) -> None:
@@ -271,10 +273,10 @@ class Handlers:
                         f"{name} is a link of the robot; add the object under another name", field="edit.name"
                     )
         if not isinstance(request.edit, AttachObject | DetachObject):
-            return self._store.edit(request)
+            return self._store.edit(request, prepare=self._prepare)
         given = request.edit.joints
         q = self._measured() if given is None else checked(self._model, given, "edit.joints")
-        return self._store.edit(request, self._model.fk_tip(q))
+        return self._store.edit(request, self._model.fk_tip(q), self._prepare)
 
     def _check_links(self, names: tuple[str, ...], field: str) -> None:
         links = self._model.links
@@ -292,6 +294,11 @@ class Handlers:
             self._settings = self._settings.model_copy(update=change.model_dump(exclude_none=True))
             return self._settings
 
+    def _prepare(self, objects: Sequence[SceneObject]) -> None:
+        """Make ready what an edit has brought, before it holds: so that no plan waits for that."""
+        with suppress(Unavailable):  # the file of a mesh is missing, which every plan will say
+            self._world = World(objects, self._settings.margin, self._store.meshes, self._world)
+
     def _look(self, margin: float | None = None) -> PlanningScene:
         """The present scene, made ready for planning once per revision, poses of moving objects and margin (m, left out: that of the settings).
 
@@ -305,7 +312,7 @@ class Handlers:
             ready = self._scenes.pop(kept, None)
             if ready is None:
                 model = self._model.with_attached(scene.attached, scene.ignored_links)
-                world = World(objects, kept, self._store.meshes)
+                world = self._world = World(objects, kept, self._store.meshes, self._world)
                 ready = PlanningScene(scene.revision, model, world, ExactScene(model, world))
             self._scenes[kept] = ready
             if len(self._scenes) > _MARGINS:

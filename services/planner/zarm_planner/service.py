@@ -114,7 +114,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         return answer
 
     try:
-        _serve_scene(service, store.scene, handlers.edit)
+        _serve_scene(service, store.scene, handlers.edit, store.notes)
         bus.subscribe(keys.object_pose("*"), ObjectPose, handlers.moved.hear)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
         bus.serve(keys.plan_cancel, CancelPlan, handlers.cancel)
@@ -139,8 +139,16 @@ def _count(metrics: Metrics, kind: str, outcome: str) -> None:
     )
 
 
-def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Scene]) -> None:
-    """Answer for the scene, which is `now`, and its objects; `change` it where asked to, and publish every change."""
+def _serve_scene(
+    service: Service,
+    now: Scene,
+    change: Callable[[SceneEdit], Scene],
+    notes: Callable[[SceneEdit], tuple[str, ...]],
+) -> None:
+    """Answer for the scene, which is `now`, and its objects; `change` it where asked to, and publish every change.
+
+    `notes` are said of what an edit has brought.
+    """
     bus, keys = service.bus, service.keys
     revision = bus.latched(keys.scene_revision, SceneEdited)
     whole = bus.latched(keys.scene, Scene)
@@ -162,7 +170,8 @@ def _serve_scene(service: Service, now: Scene, change: Callable[[SceneEdit], Sce
         return answer
 
     def edit(request: SceneEdit) -> SceneEdited:
-        return show(change(request))
+        edited = show(change(request))
+        return edited.model_copy(update={"notes": notes(request)})
 
     show(now)
     bus.serve(keys.scene_edit, SceneEdit, edit, workers=1)

@@ -153,7 +153,7 @@ class MovingObjects:
         if isinstance(item, Sphere):
             return item.model_copy(update={"position": message.position}), 0.0
         placed = item.model_copy(update={"position": message.position, "orientation": message.orientation})
-        shapes, _ = convex_shapes([placed], self._meshes)
+        shapes = convex_shapes(placed, self._meshes)
         if len(shapes) > _SHAPES:
             raise InvalidRequest(
                 f"{item.name} has {len(shapes)} triangles (at most {_SHAPES} can move); add a simpler mesh or a primitive",

@@ -176,6 +176,31 @@ def test_a_robot_link_cannot_hide_inside_a_closed_mesh_but_inside_an_open_one(tm
     assert is_free(model, World((still_open,), 0.0, meshes), q)
 
 
+def with_faults(shape: trimesh.Trimesh, hole: float) -> trimesh.Trimesh:
+    """Every fifth triangle is wound the other way, and those around a corner are gone, so that a hole about `hole` wide is left."""
+    faces = np.array(shape.faces)
+    faces[::5] = faces[::5, ::-1]
+    far = np.linalg.norm(shape.vertices - shape.vertices[7], axis=1) < hole / 2
+    return trimesh.Trimesh(shape.vertices, faces[~far[faces].any(axis=1)], process=False)
+
+
+def test_small_faults_of_a_mesh_are_mended_and_said_and_of_an_open_one_only_the_surface_counts(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(4, 0.05)
+    saved(ball, tmp_path / "whole.stl")
+    saved(with_faults(ball, 0.003), tmp_path / "broken.stl")
+    saved(with_faults(ball, 0.04), tmp_path / "bowl.stl")
+    found = Meshes((tmp_path,))
+    whole, broken, bowl = (found.checked(mesh(f"{name}.stl", name), "") for name in ("whole", "broken", "bowl"))
+    solid_parts = [rows[rows[:, 15] >= 0.0] for rows in map(found.rows, (whole, broken, bowl))]
+    assert found.notes(whole) == ()
+    assert [note.split(": ")[0] for note in found.notes(broken)] == ["broken", "broken"]
+    assert "turned" in found.notes(broken)[0]
+    assert "closed" in found.notes(broken)[1]
+    assert np.array_equal(solid_parts[0], solid_parts[1])
+    assert not len(solid_parts[2])
+    assert "only its surface" in found.notes(bowl)[-1]
+
+
 NOTHING = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 FILES = {
     "empty.stl": b"",

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from support.planner.second_opinion import Collisions, link_pose
 from support.planner.small_arm import small_arm
@@ -16,6 +17,7 @@ from support.planner.sphere_model import distance, random_joints, random_object,
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
     MAX_ATTACHED,
+    MAX_ATTACHED_PARTS,
     AddObjects,
     Attached,
     AttachObject,
@@ -34,14 +36,16 @@ from zarm_contract.messages import (
     Sphere,
     Voxels,
 )
+from zarm_geometry import rows
+from zarm_geometry.body import attached_body
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import matrix
+from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.sphere_distances import sphere_distances
 from zarm_geometry.world import World
 from zarm_planner.handlers import Handlers
-from zarm_planner.scene import attached_objects
 from zarm_planner.scene.store import SceneStore
 
 KINDS = ("cuboid", "sphere", "capsule", "cylinder")
@@ -279,19 +283,40 @@ def test_a_faulty_edit_is_refused_and_changes_nothing(
     assert store.scene == before
 
 
-@pytest.mark.parametrize(
-    "item",
-    [
-        Mesh(kind="mesh", name="part", position=(0.0, 0.0, 0.0), file="part.stl"),
-        Voxels(kind="voxels", name="part", resolution=0.1, cells=((0, 0, 5),)),
-    ],
-)
-def test_meshes_and_voxels_cannot_be_carried(item: SceneObject) -> None:
-    with pytest.raises(InvalidRequest, match="cuboid or capsule around it") as refused:
-        attached_objects.attach(
-            Scene(revision="1-5be0c1d2f3a4", objects=(item,)), AttachObject(op="attach", name="part"), np.eye(4)
-        )
-    assert refused.value.problem.field == "edit.name"
+def ring(folder: Path) -> Mesh:
+    trimesh.creation.torus(0.1, 0.03, major_sections=24, minor_sections=12).export(folder / "ring.stl")
+    return Mesh(kind="mesh", name="part", position=(0.3, 0.1, 0.9), orientation=(0.6, 0.0, 0.0, 0.8), file="ring.stl")
+
+
+def crumbs(_: Path) -> Voxels:
+    cells = np.random.default_rng(1).integers(-9, 9, (200, 3))
+    return Voxels(
+        kind="voxels", name="part", position=(0.3, 0.1, 0.9), resolution=0.01, cells=tuple(map(tuple, cells.tolist()))
+    )
+
+
+@pytest.mark.parametrize("kind", [ring, crumbs])
+def test_a_mesh_or_voxels_are_carried_as_few_cuboids_that_contain_them_and_put_down_as_they_were(
+    arm: RobotModel, tmp_path: Path, kind: Callable[[Path], Mesh | Voxels]
+) -> None:
+    store = SceneStore(tmp_path / "state", Meshes((tmp_path,)))
+    tip = np.asarray(link_pose(arm.robot, "rod", UP), np.float64)
+    item = kind(tmp_path)
+    store.edit(add(item))
+    shapes = World(store.scene.objects, 0.0, store.meshes).rows
+    flat = shapes[:, 15] < 0.0
+    points = np.concatenate([rows.corners(shapes[flat]).reshape(-1, 3), np.mean(rows.bounds(shapes[~flat]), axis=0)])
+    carried = store.edit(attach("part"), tip).attached[0]
+    assert 0 < len(carried.parts) <= MAX_ATTACHED_PARTS
+
+    parts = rows.placed(rows.primitives(carried.parts), tip)
+    assert rows.distances(points, parts).min(axis=1).max() <= 1e-6
+    body = attached_body(carried, arm.dof, tip)
+    centers = body.balls[:, :3] @ tip[:3, :3].T + tip[:3, 3]
+    assert (np.linalg.norm(points[:, None] - centers, axis=2) - body.balls[:, 3]).min(axis=1).max() <= 1e-6
+
+    (put_down,) = store.edit(SceneEdit(edit=DetachObject(op="detach", name="part")), tip).objects
+    assert put_down.position == pytest.approx(item.position)
 
 
 @pytest.mark.parametrize("edit", [attach("box", at=None), detach("load", at=None)])

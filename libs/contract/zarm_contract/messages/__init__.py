@@ -65,6 +65,7 @@ from zarm_contract.messages.planner import (
 )
 from zarm_contract.messages.scene import (
     MAX_ATTACHED,
+    MAX_ATTACHED_PARTS,
     MAX_CELLS,
     MAX_INDEX,
     MAX_OBJECTS,
@@ -111,6 +112,7 @@ from zarm_contract.messages.servo import (
 
 __all__ = [
     "MAX_ATTACHED",
+    "MAX_ATTACHED_PARTS",
     "MAX_CELLS",
     "MAX_INDEX",
     "MAX_OBJECTS",

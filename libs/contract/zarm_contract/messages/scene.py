@@ -11,6 +11,7 @@ from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Q
 
 MAX_OBJECTS = 10_000
 MAX_ATTACHED = 16
+MAX_ATTACHED_PARTS = 32
 MAX_CELLS = 200_000
 MAX_POINTS = 200_000
 MAX_INDEX = 500_000
@@ -106,10 +107,14 @@ SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Fi
 
 
 class Attached(Message):
-    """An attached object: its pose is relative to the tip, and it may touch `touch_links`."""
+    """An attached object: its pose is relative to the tip, and it may touch `touch_links`.
 
-    object: Primitive
+    What is checked of a mesh or of voxels are `parts`, relative to the tip, which contain them.
+    """
+
+    object: SceneObject
     touch_links: tuple[str, ...] = ()
+    parts: tuple[Primitive, ...] = Field(default=(), max_length=MAX_ATTACHED_PARTS)
 
 
 class ObjectPose(ShortMessage):
@@ -181,7 +186,7 @@ class AttachObject(Message):
     """Attach an object of the scene to the tip, where it is with the robot at `joints` (rad; default: the measured ones).
 
     The object may touch `touch_links`, such as the fingers of a gripper. It is never checked against links that are fixed to
-    the tip. Meshes and voxels cannot be attached.
+    the tip. A mesh or voxels are carried as at most 32 cuboids that contain them.
     """
 
     op: Literal["attach"]
@@ -216,10 +221,14 @@ class SceneEdit(Message):
 
 
 class SceneEdited(ShortMessage):
-    """The revision of the scene, and how many objects it holds."""
+    """The revision of the scene, how many objects it holds, and `notes` on what the edit has brought.
+
+    A mesh with small faults is mended, and of an open one only the surface is an obstacle: `notes` say so.
+    """
 
     revision: SceneRevision
     count: Annotated[int, Field(ge=0)]
+    notes: tuple[str, ...] = ()
 
 
 class OccupancyRequest(Message):

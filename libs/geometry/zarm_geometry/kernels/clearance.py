@@ -227,31 +227,72 @@ def _note(found: Array, lower: float, upper: float, part: int, other: int, k: in
 
 
 @inlined
+def _box_distance(world: Obstacles, node: int, x: float, y: float, z: float) -> float:
+    """Square of the distance of a point to a box of the world's tree."""
+    b = world.boxes
+    dx = max(abs(x - b[node, 0]) - b[node, 3] + world.grown, 0.0)
+    dy = max(abs(y - b[node, 1]) - b[node, 4] + world.grown, 0.0)
+    dz = max(abs(z - b[node, 2]) - b[node, 5] + world.grown, 0.0)
+    apart: float = dx * dx + dy * dy + dz * dz
+    return apart
+
+
+@inlined
+def _closest_row(world: Obstacles, x: float, y: float, z: float, within: float) -> int:
+    """A row near a point: down the tree by way of the nearest boxes; -1 where no box is nearer than `within` (m)."""
+    child, end, enough = 0, world.boxes.shape[0], within * within
+    while True:
+        node, nearest = -1, enough
+        while child < end:
+            apart = _box_distance(world, child, x, y, z)
+            if apart < nearest:
+                node, nearest = child, apart
+            child = world.skip[child]
+        if node < 0 or world.leaf[node] >= 0:
+            return -1 if node < 0 else int(world.leaf[node])
+        child, end, enough = node + 1, world.skip[node], math.inf
+
+
+@inlined
+def _part_in_box(
+    body: RobotParts, world: Obstacles, course: Course, link: int, k: int, node: int, within: float
+) -> bool:
+    """Whether a part of a link may be nearer than `within` (m) to a box of the world's tree."""
+    b = world.boxes
+    half = (
+        max(b[node, 3] - world.grown, 0.0), max(b[node, 4] - world.grown, 0.0), max(b[node, 5] - world.grown, 0.0), 0.0
+    )  # fmt: skip
+    for i in range(body.first[link], body.first[link + 1]):
+        center = (
+            course.centers[i, 0] - b[node, 0],
+            course.centers[i, 1] - b[node, 1],
+            course.centers[i, 2] - b[node, 2],
+        )
+        if core_distance(center, half) - body.extents[i, 5] >= within:
+            continue
+        wide = within + body.extents[i, 4]
+        lower, _, _ = core_gap(center, _part_turn(body, course, k, link, i), _core(body.extents, i, 0), half, wide)
+        if lower < wide:
+            return True
+    return False
+
+
+@inlined
 def _to_world(
     body: RobotParts, world: Obstacles, course: Course, found: Array, link: int, k: int, enough: float, best: float
 ) -> tuple[float, Array, float]:
-    """The distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted."""
+    """The distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted.
+
+    What is near the middle of the link is looked at first: so what is left of the tree is little.
+    """
     lowest = enough
     a = body.around
     cx, cy, cz = _at(course.frames, k, link, a[link, 0], a[link, 1], a[link, 2])
-    placed = False
-    node = 0
-    while node < world.boxes.shape[0]:
-        wide = max(best, lowest, 0.0) + a[link, 3]
-        b = world.boxes
-        dx = max(abs(cx - b[node, 0]) - b[node, 3] + world.grown, 0.0)
-        dy = max(abs(cy - b[node, 1]) - b[node, 4] + world.grown, 0.0)
-        dz = max(abs(cz - b[node, 2]) - b[node, 5] + world.grown, 0.0)
-        if dx * dx + dy * dy + dz * dz >= wide * wide:
-            node = world.skip[node]
-            continue
-        row = world.leaf[node]
-        node += 1
-        if row < 0:
-            continue
-        if not placed:
-            _place_parts(body, course, k, link)
-            placed = True
+    closest = _closest_row(world, cx, cy, cz, max(best, lowest, 0.0) + a[link, 3])
+    if closest >= 0:
+        _place_parts(body, course, k, link)
+    row, node, nodes = closest, 0, world.boxes.shape[0]
+    while row >= 0:
         r = world.rows
         core, rounding = _core(r, row, 12), r[row, 16]
         turn = (
@@ -277,6 +318,17 @@ def _to_world(
                 lower, upper = lower - rounded, upper - rounded
             lowest = min(lowest, lower)
             found, best = _note(found, lower, upper, i, row, k, best)
+        row = -1
+        while row < 0 and node < nodes:
+            limit = max(best, lowest, 0.0)
+            wide = limit + a[link, 3]
+            if _box_distance(world, node, cx, cy, cz) >= wide * wide or (
+                not _part_in_box(body, world, course, link, k, node, limit)
+            ):
+                node = world.skip[node]
+                continue
+            row = world.leaf[node] if world.leaf[node] != closest else -1
+            node += 1
     return lowest, found, best
 
 

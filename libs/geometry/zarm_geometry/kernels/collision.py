@@ -20,6 +20,7 @@ from zarm_geometry.kernels.simd import (
     splat,
     store,
     where_positive,
+    without,
 )
 
 RESOLUTION = 0.01
@@ -85,59 +86,88 @@ def squared_distance(shape: Pointer, i: int, x: Lanes, y: Lanes, z: Lanes) -> La
 
 
 @inlined
+def _slack(half: Lanes, motion: float) -> Lanes:
+    """How far (m) a ball moves on each stretch, at most; 0 where that is too little to matter."""
+    slack = half * motion
+    return where_positive(slack - 0.5 * RESOLUTION, slack)
+
+
+@inlined
+def _in_box(space: Space, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes) -> Mask:
+    """Lanes in which a box of the world's tree is nearer than `reach` to a point."""
+    zero = splat(0.0)
+    box = 6 * node
+    dx = larger(magnitude(x - space.boxes[box]) - space.boxes[box + 3], zero)
+    dy = larger(magnitude(y - space.boxes[box + 1]) - space.boxes[box + 4], zero)
+    dz = larger(magnitude(z - space.boxes[box + 2]) - space.boxes[box + 5], zero)
+    return below(dx * dx + dy * dy + dz * dz, reach * reach)
+
+
+@inlined
+def _reached(space: Space, link: int, node: int, half: Lanes) -> bool:
+    """Whether a sphere of a link comes near a box of the world's tree."""
+    for sphere in range(space.link_first[link], space.link_first[link + 1]):
+        ball = space.links + sphere
+        at = ball * 3 * LANES
+        x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
+        reach = _slack(half, space.motion[ball]) + space.spheres[4 * sphere + 3]
+        if _in_box(space, node, x, y, z, reach) != 0:
+            return True
+    return False
+
+
+@inlined
 def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
     """Lanes in which a link touches an obstacle (the first such found), and in which one is near enough to matter."""
-    zero, fine = splat(0.0), splat(0.5 * RESOLUTION)
+    zero = splat(0.0)
     at = link * 3 * LANES
     x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
-    wide = half * space.motion[link] + space.bounds[4 * link + 3]
-    wide_squared = wide * wide
+    wide = _slack(half, space.motion[link]) + space.bounds[4 * link + 3]
     near = np.uint32(0)
     node = 0
     while node < space.nodes:
-        box = 6 * node
-        dx = larger(magnitude(x - space.boxes[box]) - space.boxes[box + 3], zero)
-        dy = larger(magnitude(y - space.boxes[box + 1]) - space.boxes[box + 4], zero)
-        dz = larger(magnitude(z - space.boxes[box + 2]) - space.boxes[box + 5], zero)
-        if below(dx * dx + dy * dy + dz * dz, wide_squared) == 0:
+        shape, this = SHAPE * space.leaf[node], node
+        if _in_box(space, node, x, y, z, wide) == 0 or (shape < 0 and not _reached(space, link, node, half)):
             node = space.skip[node]
             continue
-        shape = SHAPE * space.leaf[node]
         node += 1
         if shape < 0:
             continue
         rounding = space.shapes[shape + 16]
-        reach = wide + rounding
-        if below(squared_distance(space.shapes, shape, x, y, z), reach * reach) == 0:
-            continue
+        found = near
         for sphere in range(space.link_first[link], space.link_first[link + 1]):
             ball = space.links + sphere
             at = ball * 3 * LANES
             bx, by, bz = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
+            slack = _slack(half, space.motion[ball])
+            if _in_box(space, this, bx, by, bz, slack + space.spheres[4 * sphere + 3]) == 0:
+                continue
             apart = squared_distance(space.shapes, shape, bx, by, bz)
             radius = space.spheres[4 * sphere + 3] + rounding
-            slack = half * space.motion[ball]
             reach = slack + radius
             close = below(apart, reach * reach)
             if close != 0:
-                near |= close & below(fine, slack)
+                near |= close & below(zero, slack)
                 hit = below(apart, splat(radius * radius))
                 if hit != 0:
                     return hit, near
+        if near != found:  # those stretches are divided in any case: of them only contacts matter now
+            half = without(near, half)
+            wide = _slack(half, space.motion[link]) + space.bounds[4 * link + 3]
     return np.uint32(0), near
 
 
 @inlined
 def meet(space: Space, a: int, b: int, half: Lanes) -> tuple[Mask, Mask]:
     """Lanes in which two links touch, and in which they are near enough to each other to matter."""
-    near, fine = np.uint32(0), splat(0.5 * RESOLUTION)
+    zero, near = splat(0.0), np.uint32(0)
     motion = (space.link_joint[a] + 1) * space.balls  # the joints up to that of `a` move both links as one
     i = a * 3 * LANES
     ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
     j = b * 3 * LANES
     bx, by, bz = load(space.centers, j), load(space.centers, j + LANES), load(space.centers, j + 2 * LANES)
     x, y, z = ax - bx, ay - by, az - bz
-    wide = half * space.motion[motion + b] + space.bounds[4 * b + 3]
+    wide = _slack(half, space.motion[motion + b]) + space.bounds[4 * b + 3]
     reach = wide + space.bounds[4 * a + 3]
     if below(x * x + y * y + z * z, reach * reach) == 0:
         return near, near
@@ -156,11 +186,11 @@ def meet(space: Space, a: int, b: int, half: Lanes) -> tuple[Mask, Mask]:
             z = az - load(space.centers, j + 2 * LANES)
             apart = x * x + y * y + z * z
             radii = space.spheres[4 * first + 3] + space.spheres[4 * second + 3]
-            slack = half * space.motion[motion + ball]
+            slack = _slack(half, space.motion[motion + ball])
             reach = slack + radii
             close = below(apart, reach * reach)
             if close != 0:
-                near |= close & below(fine, slack)
+                near |= close & below(zero, slack)
                 hit = below(apart, splat(radii * radii))
                 if hit != 0:
                     return hit, near
@@ -228,10 +258,12 @@ def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
                 near |= close
                 if hit != 0:
                     return hit, near
+                half = without(near, half)
             link += 1
     for pair in range(space.pairs):
         hit, close = meet(space, space.pair[2 * pair], space.pair[2 * pair + 1], half)
         near |= close
         if hit != 0:
             return hit, near
+        half = without(near, half)
     return np.uint32(0), near

@@ -144,6 +144,18 @@ def where_positive(typing: Any, a: Any, value: Any) -> Any:
     return lanes(lanes, lanes), build
 
 
+@intrinsic
+def without(typing: Any, mask: Any, a: Any) -> Any:
+    """0 in the lanes of `mask`, and `a` in the others."""
+
+    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.trunc(args[0], ir.IntType(LANES))
+        chosen = builder.bitcast(bits, ir.VectorType(ir.IntType(1), LANES))
+        return builder.select(chosen, ir.Constant(_FLOATS, [0.0] * LANES), args[1])
+
+    return lanes(types.uint32, lanes), build
+
+
 def _pointer(builder: Any, args: Any) -> Any:
     return builder.bitcast(builder.gep(args[0], [args[1]]), _FLOATS.as_pointer())
 

@@ -10,24 +10,30 @@ from numpy.typing import NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import (
     MAX_ATTACHED,
+    MAX_ATTACHED_PARTS,
     MAX_OBJECTS,
     Attached,
     AttachObject,
+    Cuboid,
     DetachObject,
     Mesh,
-    Primitive,
     Scene,
+    SceneObject,
     SetLinkCollision,
     Sphere,
     Voxels,
 )
 from zarm_geometry.frames import matrix, pose_of
+from zarm_geometry.meshes import Meshes
 
 Array = NDArray[np.float64]
 
 
-def attach(scene: Scene, edit: AttachObject, tip: Array) -> Scene:
-    """The scene with an object attached to the tip, whose pose is `tip` (4, 4). Raises InvalidRequest."""
+def attach(scene: Scene, edit: AttachObject, tip: Array, meshes: Meshes) -> Scene:
+    """The scene with an object attached to the tip, whose pose is `tip` (4, 4). Raises InvalidRequest.
+
+    Raises Unavailable for a mesh whose file is missing.
+    """
     objects = {item.name: item for item in scene.objects}
     if any(edit.name == one.object.name for one in scene.attached):
         raise InvalidRequest(f"the robot carries {edit.name} already; detach it first", field="edit.name")
@@ -38,12 +44,9 @@ def attach(scene: Scene, edit: AttachObject, tip: Array) -> Scene:
     if len(scene.attached) == MAX_ATTACHED:
         raise InvalidRequest(f"the robot carries {MAX_ATTACHED} objects already; detach one first", field="edit.name")
     item = objects.pop(edit.name)
-    if isinstance(item, Mesh | Voxels):
-        raise InvalidRequest(
-            f"{edit.name} is a {item.kind} and cannot be attached; attach a cuboid or capsule around it instead",
-            field="edit.name",
-        )
-    attached = Attached(object=_moved(item, np.asarray(np.linalg.inv(tip), np.float64)), touch_links=edit.touch_links)
+    held = _moved(item, np.asarray(np.linalg.inv(tip), np.float64))
+    parts = _parts(held, meshes) if isinstance(held, Mesh | Voxels) else ()
+    attached = Attached(object=held, touch_links=edit.touch_links, parts=parts)
     return scene.model_copy(update={"objects": tuple(objects.values()), "attached": (*scene.attached, attached)})
 
 
@@ -77,7 +80,18 @@ def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:
             raise InvalidRequest(f"the robot carries {name}; detach it first", field=field.format(index))
 
 
-def _moved(item: Primitive, frame: Array) -> Primitive:
+def _parts(item: Mesh | Voxels, meshes: Meshes) -> tuple[Cuboid, ...]:
+    """Cuboids that contain an object, in the frame that its pose is given in."""
+    lower, upper = meshes.around(item, MAX_ATTACHED_PARTS)
+    pose = matrix(item.position, item.orientation)
+    centers = ((lower + upper) / 2) @ pose[:3, :3].T + pose[:3, 3]
+    return tuple(
+        Cuboid(kind="cuboid", name=item.name, position=center, orientation=item.orientation, size=size)
+        for center, size in zip(map(tuple, centers.tolist()), map(tuple, (upper - lower).tolist()), strict=True)
+    )
+
+
+def _moved(item: SceneObject, frame: Array) -> SceneObject:
     """An object whose pose is given in `frame` (4, 4), in the frame that this one is given in."""
     if isinstance(item, Sphere):
         return item.model_copy(update={"position": pose_of(frame @ matrix(item.position)).position})

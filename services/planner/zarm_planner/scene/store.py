@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, assert_never
 
@@ -91,9 +91,15 @@ class SceneStore:
         """The present scene, which never changes; an edit makes a new one."""
         return self._scene
 
-    def edit(self, request: SceneEdit, tip: Array = _AT_BASE) -> Scene:
+    def edit(
+        self,
+        request: SceneEdit,
+        tip: Array = _AT_BASE,
+        prepare: Callable[[Sequence[SceneObject]], None] = lambda _: None,
+    ) -> Scene:
         """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
 
+        `prepare` is given the objects before they become those of the scene.
         Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved, or concerns links while the
         scene is lost; then nothing has changed.
         """
@@ -109,13 +115,23 @@ class SceneStore:
                     "first, or use a coarser resolution",
                     field="edit.objects",
                 )
+            prepare(scene.objects)
             try:
                 self._file.write(content)
             except Unavailable as error:
                 raise Unavailable(f"the edit was not applied: {error}; then send it again") from error
             self._scene, self.lost = scene, None
-            self.meshes.keep(item for item in scene.objects if isinstance(item, Mesh))
+            carried = (one.object for one in scene.attached)
+            self.meshes.keep(item for item in (*scene.objects, *carried) if isinstance(item, Mesh))
             return scene
+
+    def notes(self, request: SceneEdit) -> tuple[str, ...]:
+        """What is said of the meshes that an edit has brought."""
+        if not isinstance(request.edit, AddObjects | LoadScene):
+            return ()
+        names = {item.name for item in request.edit.objects}
+        meshes = [item for item in self._scene.objects if isinstance(item, Mesh) and item.name in names]
+        return tuple(note for item in meshes for note in self.meshes.notes(item))
 
     def _read(self) -> Scene:
         saved = self._file.load()
@@ -139,7 +155,7 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
     objects = {item.name: item for item in scene.objects}
     match request.edit:
         case AttachObject() as edit:
-            return attach(scene, edit, tip)
+            return attach(scene, edit, tip, meshes)
         case DetachObject() as edit:
             return detach(scene, edit, tip)
         case SetLinkCollision() as edit:

@@ -1,0 +1,102 @@
+"""Trees of axis-aligned boxes over convex shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry import rows
+from zarm_geometry.kernels.arrays import WorldArrays
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+BRANCHES = 4
+"""Children per node."""
+
+
+class BoxTree(NamedTuple):
+    """Shapes and the boxes around them; there may be several roots.
+
+    `rows` (n, 17) are the shapes as in `zarm_geometry.rows`, in the order of the tree, and `order` (n,) their places before. `boxes` (m, 6),
+    `skip` (m,) and `leaf` (m,) are its nodes, as in `WorldArrays`, without margin.
+    """
+
+    rows: Array
+    order: NDArray[np.intp]
+    boxes: Array
+    skip: Index
+    leaf: Index
+
+    @classmethod
+    def over(cls, shapes: Array) -> Self:
+        """The tree over shapes (n, 17)."""
+        lower, upper = rows.bounds(shapes)
+        order = _along_a_curve((lower + upper) / 2)
+        return cls(shapes[order], order, *_nodes(lower[order], upper[order]))
+
+    @classmethod
+    def joined(cls, trees: Sequence[Self]) -> Self:
+        """One tree with the roots of all."""
+        shapes = np.cumsum([0, *(len(tree.rows) for tree in trees)])[:-1].tolist()
+        nodes = np.cumsum([0, *(len(tree.skip) for tree in trees)])[:-1].tolist()
+        return cls(
+            np.concatenate([tree.rows for tree in trees]),
+            np.concatenate([tree.order + first for tree, first in zip(trees, shapes, strict=True)]),
+            np.concatenate([tree.boxes for tree in trees]),
+            np.concatenate([tree.skip + np.int32(first) for tree, first in zip(trees, nodes, strict=True)]),
+            np.concatenate(
+                [np.where(tree.leaf < 0, -1, tree.leaf + first) for tree, first in zip(trees, shapes, strict=True)],
+                dtype=np.int32,
+            ),
+        )
+
+    def grown(self, margin: float) -> WorldArrays:
+        """The tree with `margin` (m) added all around its shapes, for kernels."""
+        shapes, boxes = self.rows.astype(np.float32), self.boxes.copy()
+        shapes[:, rows.WIDTH - 1] = self.rows[:, rows.WIDTH - 1] + margin
+        boxes[:, 3:] += margin
+        return WorldArrays(shapes, boxes.astype(np.float32), self.skip, self.leaf)
+
+
+def _along_a_curve(points: Array) -> NDArray[np.intp]:
+    """The order of points (n, 3) along Morton's curve, so that neighbours in it are neighbours in space."""
+    low = points.min(axis=0, initial=0.0)
+    high = points.max(axis=0, initial=0.0)
+    cells = ((points - low) / np.maximum(high - low, 1e-9) * 1023).astype(np.int64)
+    for shift, mask in _SPREAD:
+        cells = (cells | cells << shift) & mask
+    return np.argsort(cells @ np.array([1, 2, 4]), kind="stable")
+
+
+_SPREAD = ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249))
+"""Steps that put two zeros between the bits of a number below 1024."""
+
+
+def _nodes(lower: Array, upper: Array) -> tuple[Array, Index, Index]:
+    """`boxes`, `skip` and `leaf` over boxes (n, 3) in their order: each level joins BRANCHES neighbours; nodes lie depth first."""
+    count = len(lower)
+    widths = [1]
+    while widths[-1] * BRANCHES < count:
+        widths.append(widths[-1] * BRANCHES)
+
+    def nodes_before(shape: NDArray[np.intp]) -> NDArray[np.intp]:
+        return np.asarray(np.sum([-(-shape // width) for width in widths], axis=0), np.intp)
+
+    total = int(nodes_before(np.array(count)))
+    boxes = np.empty((total, 6))
+    skip = np.empty(total, np.int32)
+    leaf = np.full(total, -1, np.int32)
+    for level, width in enumerate(widths):
+        first = np.arange(0, count, width)
+        ancestors = sum((first % wider == 0 for wider in widths[level + 1 :]), np.zeros(len(first), np.intp))
+        at = nodes_before(first) + ancestors
+        low, high = np.minimum.reduceat(lower, first), np.maximum.reduceat(upper, first)
+        boxes[at] = np.hstack(((low + high) / 2, (high - low) / 2))
+        skip[at] = nodes_before(np.minimum(first + width, count))
+        if level == 0:
+            leaf[at] = first
+    return boxes, skip, leaf
