@@ -123,6 +123,17 @@ def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
     session.assert_sound()
 
 
+def test_a_pose_that_just_keeps_the_margin_is_reached() -> None:
+    pose = moved(0.08, 0.05, 0.0)
+    free = Session(wall(1.0))
+    there = free.follow(PoseTarget(pose), 4.0).state[0]
+    away = ExactScene(MODEL, free.world).nearest(there[None], itself=False).distance
+    session = Session(wall(1.0 - away + MARGIN + 0.0005))
+    step = session.follow(PoseTarget(pose), 6.0)
+    assert np.linalg.norm(MODEL.fk_tip(step.state[0])[:3, 3] - pose[:3, 3]) < 0.0005
+    session.assert_sound()
+
+
 def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls() -> None:
     session = Session(wall(-0.03))
     scene = ExactScene(MODEL, session.world)
