@@ -187,7 +187,7 @@ def _tight_ends(
         if not new:
             break
         known = np.vstack((known, *new))
-        ends = []
+        ends: list[End] = []
         for q in new:
             context.deadline.check()
             roomy = clear_pose(context, pose, q)
