@@ -1,4 +1,4 @@
-"""`zarm robot import`: a real arm, untouched, is planned for, and nothing that is planned touches itself or a post."""
+"""`zarm robot import`: an arm is planned for as its URDF is, and nothing that is planned touches itself or a post."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import fcl
 import numpy as np
 import pytest
+import trimesh
 
 from support.command_line import zarm
 from support.original_meshes import OriginalRobot, original_meshes, touch
@@ -32,7 +33,27 @@ POST = (-0.35, 0.3, 0.4)
 RADIUS = 0.05
 
 
-def source(arm: str) -> Path:
+def elbow(folder: Path) -> Path:
+    """The description of a small arm of three joints, whose links are meshes."""
+    links, joints, parent = ['<link name="base"/>'], [], "base"
+    for number, (length, axis, height) in enumerate(((0.2, "0 0 1", 0.1), (0.3, "0 1 0", 0.25), (0.25, "0 1 0", 0.35))):
+        tube = trimesh.creation.cylinder(0.04, length, sections=24)
+        tube.apply_translation((0.0, 0.0, length / 2))
+        tube.export(folder / f"part_{number}.stl")
+        links.append(
+            f'<link name="part_{number}"><collision><geometry><mesh filename="part_{number}.stl"/></geometry></collision></link>'
+        )
+        joints.append(
+            f'<joint name="turn_{number}" type="revolute"><parent link="{parent}"/><child link="part_{number}"/>'
+            f'<origin xyz="0 0 {height}"/><axis xyz="{axis}"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
+        )
+        parent = f"part_{number}"
+    file = folder / "elbow.urdf"
+    file.write_text(f'<robot name="elbow">{"".join(links + joints)}</robot>')
+    return file
+
+
+def vendors(arm: str) -> Path:
     """The vendor's description, as the package airo-models carries it."""
     spec = find_spec("airo_models")
     assert spec is not None
@@ -40,22 +61,19 @@ def source(arm: str) -> Path:
     return Path(spec.submodule_search_locations[0]) / "arms" / arm / f"{arm}.urdf"
 
 
-@pytest.fixture(scope="module", params=sampled("ur5e", "ur3e"))
-def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
-    folder = tmp_path_factory.mktemp(request.param)
-    made = zarm(
-        "robot",
-        "import",
-        str(source(request.param)),
-        "--geometry",
-        "collision",
-        "--output",
-        str(folder),
-        timeout=PATIENCE,
-    )
+@pytest.fixture(scope="module", params=sampled("elbow", "ur5e", "ur3e"))
+def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return elbow(tmp_path_factory.mktemp("source")) if request.param == "elbow" else vendors(request.param)
+
+
+@pytest.fixture(scope="module")
+def arm(source: Path, tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
+    folder = tmp_path_factory.mktemp("imported")
+    arguments = ("--geometry", "collision", "--output", str(folder))
+    made = zarm("robot", "import", str(source), *arguments, timeout=PATIENCE)
     assert made.returncode == 0, made.stderr
     assert {file.suffix for file in folder.iterdir()} == {".yaml", ".urdf", ".md", ".png"}
-    return load_robot(str(folder / f"{request.param}.yaml"))
+    return load_robot(str(folder / f"{source.stem}.yaml"))
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +82,9 @@ def model(arm: RobotDescription) -> RobotModel:
 
 
 @pytest.fixture(scope="module")
-def meshes(arm: RobotDescription) -> dict[str, np.ndarray]:
+def meshes(source: Path) -> dict[str, np.ndarray]:
     """The triangles of the original collision geometry."""
-    return original_meshes(source(arm.descriptor.name))
+    return original_meshes(source)
 
 
 @pytest.mark.timeout(PATIENCE)
