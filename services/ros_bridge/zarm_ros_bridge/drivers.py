@@ -49,7 +49,7 @@ class Drivers:
         self._complaints: set[str] = set()
         self._progress = ProgressReader()
         self._expiry = Expiry()
-        self._standing = Standing()
+        self._standing = Standing(engine.robot.descriptor.execution.joint_state_timeout)
         self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
         self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
         self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from zarm_contract.messages import JointState
 
-PERIOD = 0.04
-"""Time (s) between two that are passed on while the robot stands, 25 Hz: well within the usual `joint_state_timeout` of 0.1 s. Who
+_OF_TIMEOUT = 0.4
+"""Two that are passed on while the robot stands are so much of the descriptor's `joint_state_timeout` apart: 25 Hz for 0.1 s. Who
 hears where a robot stands learns nothing new from more, and each costs the executor some 0.3 ms of CPU."""
 _MOVED = 1e-4
 _MOVING = 1e-3
@@ -13,16 +13,17 @@ _MOVING = 1e-3
 
 
 class Standing:
-    """Tells which joint states are to be passed on."""
+    """Tells which joint states are to be passed on to an executor that waits for them for `timeout` (s)."""
 
-    def __init__(self) -> None:
+    def __init__(self, timeout: float) -> None:
+        self._period = _OF_TIMEOUT * timeout
         self._passed: JointState | None = None
         self._passed_at = 0.0
 
     def passes(self, state: JointState, now: float) -> bool:
         """Whether this one is, which came at the moment `now` (s) of a monotonic clock."""
         before = self._passed
-        if before is not None and now - self._passed_at < 0.9 * PERIOD and not _moves(before, state):
+        if before is not None and now - self._passed_at < 0.9 * self._period and not _moves(before, state):
             return False
         self._passed, self._passed_at = state, now
         return True
