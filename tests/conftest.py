@@ -15,7 +15,7 @@ from zarm_runtime.bus import Bus
 
 IN_PROCESS = Path(__file__).parent / "unit"
 
-settings.register_profile("quick", deadline=None, max_examples=20)  # nothing timed is asserted: machines differ
+settings.register_profile("quick", deadline=None, max_examples=10)  # nothing timed is asserted: machines differ
 settings.register_profile("full", deadline=None, max_examples=100)
 settings.load_profile("quick")
 

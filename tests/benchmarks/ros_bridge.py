@@ -102,10 +102,10 @@ def joint_states(bus: Bus, ros: RosClient, rate: float, seconds: float) -> tuple
     publisher = ros.node.create_publisher(RosJointState, "/dsr01/joint_states", 10)
     eventually(publisher.get_subscription_count, "the bridge listens")
     sent, deadline = int(rate * seconds), time.monotonic()
-    for _ in range(sent):
+    for _ in range(sent):  # of a robot that moves: of one that stands, some go no further
         deadline += 1 / rate
         time.sleep(max(0.0, deadline - time.monotonic()))
-        message = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist(), velocity=[0.0] * 6)
+        message = RosJointState(name=list(ROBOT.descriptor.joints), position=HOME.tolist(), velocity=[0.1] * 6)
         now = time.time_ns()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
         publisher.publish(message)

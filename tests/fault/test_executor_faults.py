@@ -58,6 +58,7 @@ def test_killed_in_motion_it_comes_back_at_rest_where_it_was_and_reports_the_goa
             client.goal(goal_id)
 
 
+@pytest.mark.slow
 def test_killed_at_rest_it_comes_back_exactly_where_it_stood(
     executor: ServiceProcess, client: Client, endpoint: str, tmp_path: Path
 ) -> None:

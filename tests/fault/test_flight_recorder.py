@@ -97,6 +97,7 @@ def test_a_record_that_cannot_be_written_is_a_warning_and_the_executor_goes_on(m
     moving.works_again()
 
 
+@pytest.mark.slow
 def test_a_fault_is_on_record_even_if_the_executor_is_told_to_end_at_once(moving: Driven) -> None:
     moving.suffer(DriverFault(stall=True))
     moving.fault("tolerance_violated")

@@ -177,7 +177,7 @@ def test_joint_states_that_cannot_be_read_go_no_further_and_are_complained_of_on
     eventually(lambda: publisher.publish(_state(HUMBLE, VALUES, stamp=1)) or heard, "the bridge hears")
     for stamp, message in enumerate([*bad.values()] * 3, start=2):
         publisher.publish(message)
-        publisher.publish(_state(HUMBLE, VALUES, stamp=stamp))
+        publisher.publish(_state(HUMBLE, VALUES, [0.1] * 6, stamp=stamp))
         eventually(lambda stamp=stamp: heard[-1].stamp == stamp, "what can be read comes through")
     for complaint in bad:
         assert bridge.output().count(complaint) == 1, bridge.output()

@@ -12,6 +12,7 @@ from action_msgs.msg import GoalStatus
 from support.harness import ServiceProcess, eventually, router
 from support.ros.generations import Typed, typed
 from support.ros.stack import KEYS
+from support.tiers import sampled
 from zarm_contract.robot import load_robot
 from zarm_ros_bridge.generations import installed
 from zarm_ros_bridge.generations.definitions import definitions
@@ -48,7 +49,7 @@ def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 # Generation B is what all other tests of this folder speak.
-@pytest.fixture(scope="module", params=["a", "c", pytest.param("b", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=sampled("c", "a", "b"))
 def arm(request: pytest.FixtureRequest, endpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Typed]:
     with Bus(endpoint) as bus, typed(request.param, endpoint, bus, tmp_path_factory.mktemp("typed")) as started:
         yield started

@@ -13,6 +13,7 @@ from std_srvs.srv import Trigger
 
 from support.harness import PATIENCE, eventually
 from support.ros.node import answer
+from support.tiers import sampled
 from zarm_ros_bridge.ros import Ros
 
 ALONE = ("unshare", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
@@ -73,7 +74,7 @@ def test_a_callback_that_raises_is_logged_and_the_next_request_is_answered(
     subprocess.run([*ALONE, "true"], capture_output=True).returncode != 0,
     reason="needs the right to a network namespace",
 )
-@pytest.mark.parametrize("who", [BRIDGE, DRIVER], ids=["bridge", "simulated driver"])
+@pytest.mark.parametrize("who", sampled(BRIDGE, DRIVER), ids=["bridge", "simulated driver"])
 @pytest.mark.parametrize(
     ("said", "reach"),
     [

@@ -182,6 +182,7 @@ def test_version_2(bus: Bus) -> None:
         assert name in told
 
 
+@pytest.mark.slow
 def test_version_2_in_closed_loop(bus: Bus) -> None:
     assert yaml.safe_load(ros2(SWITCH))["success"]
     chosen = yaml.safe_load(ros2(PLANNER[1]))

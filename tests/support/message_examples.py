@@ -157,6 +157,7 @@ EXAMPLES: tuple[Message, ...] = (
         acceleration_scale=0.25,
         margin=0.03,
         seed=7,
+        publish=False,
     ),
     _START_STATE,
     m.PlanRequest(goal=_JOINT_GOAL),

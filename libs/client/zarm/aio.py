@@ -26,6 +26,7 @@ import zarm.robot
 import zarm.scene
 from zarm.connection import CONNECT_SECONDS, Connection
 from zarm.interrupts import Interruption, started
+from zarm.motion import OnProgress
 from zarm.record_story import Story
 from zarm_contract.access import Role
 from zarm_contract.messages import ExecuteRequest, GoalState, Plan, Trajectory
@@ -119,7 +120,7 @@ async def _block(block: AbstractContextManager[T], interruption: Interruption) -
         await _in_thread(lambda: block.__exit__(None, None, None), interruption)
 
 
-def _told_in_loop(on_progress: zarm.robot.OnProgress | None) -> zarm.robot.OnProgress | None:
+def _told_in_loop(on_progress: OnProgress | None) -> OnProgress | None:
     if on_progress is None:
         return None
     loop, tell = asyncio.get_running_loop(), on_progress
@@ -210,13 +211,13 @@ class Robot(_Twin[zarm.robot.Robot]):
         *,
         preempt: bool = False,
         replan: bool = False,
-        on_progress: zarm.robot.OnProgress | None = None,
+        on_progress: OnProgress | None = None,
     ) -> GoalState:
         """See `zarm.Robot.execute`."""
         return await self._execute(what, preempt=preempt, replan=replan, on_progress=_told_in_loop(on_progress))
 
     async def follow(
-        self, goal_id: str, on_progress: zarm.robot.OnProgress | None = None, *, timeout: float | None = None
+        self, goal_id: str, on_progress: OnProgress | None = None, *, timeout: float | None = None
     ) -> GoalState:
         """See `zarm.Robot.follow`."""
         return await self._follow(goal_id, _told_in_loop(on_progress), timeout=timeout)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pydantic import TypeAdapter, ValidationError
 
 from zarm.connection import Connection
-from zarm.values import invalid, numbers, object_of
+from zarm.values import invalid, joints_of, numbers, object_of
 from zarm_contract.codec import decode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import (
@@ -65,11 +65,11 @@ class Scene:
         `joints` (rad) left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers. A mesh or
         voxels are carried as at most 32 cuboids that contain them.
         """
-        return self._edit(op="attach", name=name, touch_links=tuple(touch_links), joints=_joints(joints))
+        return self._edit(op="attach", name=name, touch_links=tuple(touch_links), joints=joints_of(joints, "joints"))
 
     def detach(self, name: str, *, joints: Numbers | None = None) -> SceneEdited:
         """Put a carried object down where it is with the robot at `joints` (rad; left out: the measured ones)."""
-        return self._edit(op="detach", name=name, joints=_joints(joints))
+        return self._edit(op="detach", name=name, joints=joints_of(joints, "joints"))
 
     def set_link_collision(self, *links: str, enabled: bool) -> SceneEdited:
         """Look at the collisions of these links of the robot, or no longer; one link at least stays."""
@@ -176,7 +176,3 @@ class Scene:
         except ValidationError as error:
             raise invalid("the edit", error, data) from None
         return self.apply(request)
-
-
-def _joints(values: Numbers | None) -> tuple[float, ...] | None:
-    return None if values is None else numbers(values, "joints")

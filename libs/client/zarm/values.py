@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import ConfigDict, ValidationError
 
@@ -32,6 +32,7 @@ AXES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
 """What a path constraint can hold, in the order of its flags."""
 
 Axis = Literal["theta_x", "theta_y", "theta_z", "x", "y", "z"]
+M = TypeVar("M", bound=Message)
 
 
 def numbers(values: Numbers, field: str) -> tuple[float, ...]:
@@ -40,6 +41,11 @@ def numbers(values: Numbers, field: str) -> tuple[float, ...]:
         return tuple(map(float, values))
     except (TypeError, ValueError) as error:
         raise InvalidRequest(f"numbers in a row are needed, not {values!r:.200}", field=field) from error
+
+
+def joints_of(values: Numbers | None, field: str) -> tuple[float, ...] | None:
+    """Joint positions as a message takes them; None stays None, for those that are measured."""
+    return None if values is None else numbers(values, field)
 
 
 def rows(values: Rows, field: str) -> tuple[tuple[float, ...], ...]:
@@ -56,6 +62,14 @@ def invalid(kind: str, error: ValidationError, data: object = None) -> InvalidRe
     first = error.errors(include_url=False, include_input=False)[0]
     path = field_path(first["loc"], data)
     return InvalidRequest(f"{kind}: {sentence(first['msg'])}", field=".".join(map(str, path)) or None)
+
+
+def made(model: type[M], **fields: object) -> M:
+    """A message of these fields. Raises InvalidRequest that names the field at fault."""
+    try:
+        return model(**fields)
+    except ValidationError as error:
+        raise invalid(model.__name__, error) from None
 
 
 class _Checked(Message):

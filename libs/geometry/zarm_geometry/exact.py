@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zarm_geometry.kernels.clearance import Obstacles, RobotParts, course, look
 from zarm_geometry.kernels.convex import PRECISION
+from zarm_geometry.kernels.motion import MotionBody, Solids, motion_body, solids
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import Shape, distance, nearest_points, obstacle_shape
 from zarm_geometry.world import World
@@ -88,6 +90,11 @@ class ExactScene:
         None where nothing is near or the two overlap.
         """
         return None if nearest.shapes is None else nearest_points(*self._placed(q, *nearest.shapes))
+
+    @cached_property
+    def solids(self) -> tuple[MotionBody, Obstacles, Solids]:
+        """The same robot and obstacles for `kernels.nearby`."""
+        return motion_body(self._body, self._asked), self._obstacles, solids(self._world.rows)
 
     def bounds(self, q: Array, check: Callable[[], None], itself: bool) -> Array:
         """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof)."""

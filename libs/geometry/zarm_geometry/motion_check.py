@@ -22,8 +22,6 @@ from zarm_geometry.world import World, convex_shapes
 
 Array = NDArray[np.float64]
 
-FARTHEST = 0.1
-"""Clearance (m) beyond the margin that a verdict does not tell apart."""
 MOST_PAIRS = 64
 """Rows of the world and pairs of links that are told apart near one configuration."""
 _OVERSHOOT = 1.01
@@ -36,14 +34,13 @@ class MotionVerdict:
 
     `free`: it keeps the margin from its first sample to its last. If not, it does so up to `contact_time` (s, on the motion's
     own clock; its first time where already the start is too near), and `link` comes too near to `object`, a scene object or
-    another link. `clearance` (m) is a lower bound of the distance up to there, capped at FARTHEST beyond the margin.
+    another link.
     """
 
     free: bool
     contact_time: float | None
     object: str | None
     link: str | None
-    clearance: float
 
 
 @dataclass(frozen=True)
@@ -191,7 +188,7 @@ class MotionCheck:
         limit = _OVERSHOOT * self.model.acceleration if acceleration is None else np.asarray(acceleration, np.float64)
         names, movers = self._movers(scene, moving)
         packed = body.packed if self_collision else body.outward
-        until, part, other, clearance = first_contact(
+        until, part, other = first_contact(
             packed,
             scene.obstacles,
             scene.standing,
@@ -199,12 +196,11 @@ class MotionCheck:
             movers,
             motion(packed, time, q, limit),
             margin,
-            margin + FARTHEST,
         )
         if until == len(time) - 1:
-            return MotionVerdict(True, None, None, None, clearance)
+            return MotionVerdict(True, None, None, None)
         link, near_it = _names(body, scene, names, part, other)
-        return MotionVerdict(False, float(time[until]), near_it, link, clearance)
+        return MotionVerdict(False, float(time[until]), near_it, link)
 
     def nearby(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -31,7 +32,7 @@ class Arrivals:
         self._overtaking: list[tuple[Any, Callable[[Any, int], None]]] = []
         self._overtaken: list[tuple[Any, Callable[[Any, int], None]]] = []
         self._numbers = itertools.count(1)
-        self._closed = threading.Event()
+        self._closed = False
         self._thread = threading.Thread(target=self._run, name="arrivals", daemon=True)
         self._thread.start()
 
@@ -42,11 +43,12 @@ class Arrivals:
 
     def close(self) -> None:
         """Take nothing any more."""
-        self._closed.set()
+        self._closed = True
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._closed.wait(PERIOD if self._urgent() else UNHURRIED):
+        while not self._closed:
+            time.sleep(PERIOD if self._urgent() else UNHURRIED)
             last = self._drained(self._overtaking)
             for message, take in (*self._drained(self._overtaken), *last):
                 try:

@@ -62,11 +62,11 @@ class TimedTrajectory:
         return cls(np.array([0.0, duration]), np.stack((position, position)), *np.zeros((2, 2, len(position))))
 
     def message(self, joints: tuple[str, ...]) -> Trajectory:
-        """The motion as a message; `joints` names the columns."""
+        """The motion as a message, which is not validated again; `joints` names the columns."""
         position, velocity, acceleration = (
             tuple(map(tuple, rows.tolist())) for rows in (self.position, self.velocity, self.acceleration)
         )
-        return Trajectory(
+        return Trajectory.model_construct(
             joint_names=joints,
             time=tuple(self.time.tolist()),
             position=position,

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from zarm.robot import REST_SECONDS, Robot
+from zarm.motion import REST_SECONDS
+from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
 from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json
 from zarm_cli.planning import AnyOf, JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal

@@ -81,6 +81,7 @@ def import_(
             ("robot", f"{report.name}, {len(report.chain.joints)} joints, {report.chain.base} to {report.chain.tip}"),
             ("spheres", str(report.spheres)),
             ("home", f"{numbers(report.home, 2)} rad"),
+            *([("driver", f"{report.controller}, with strategy: joint_trajectory")] if report.controller else []),
             ("assumed", "accelerations and jerks; see cspace in the descriptor"),
             ("report", str(descriptor.with_suffix(".md"))),
             ("picture", str(descriptor.with_suffix(".png"))),

@@ -34,14 +34,19 @@ class Ghost:
         self._trajectory: TimedTrajectory | None = None
         self._began = self._shown = 0.0
         self._lock = threading.Lock()
+        self._news = threading.Event()
 
     def show(self, _key: str, plan: Plan) -> None:
         """Play this plan from the next period on; called from any thread."""
         with self._lock:
             self._newest = plan
+        self._news.set()
 
     def play(self, now: float) -> None:
-        """One period; `now` is on the monotonic clock. What fails ends the preview of this plan and nothing else."""
+        """One period; `now` is on the monotonic clock. What fails ends the preview of this plan and nothing else.
+
+        Where nothing is played, it waits up to `REST_PERIOD` for a plan.
+        """
         try:
             self._play(now)
         except Exception:  # nothing that only shows may end a process that moves a robot
@@ -53,10 +58,8 @@ class Ghost:
         if plan is not None:
             self._begin(plan, now)
         trajectory = self._trajectory
-        if trajectory is None:
-            return
-        rests = self._shown - self._began > trajectory.duration
-        if not rests or now - self._shown > 0.9 * REST_PERIOD:
+        rests = trajectory is None or self._shown - self._began > trajectory.duration
+        if trajectory is not None and (not rests or now - self._shown > 0.9 * REST_PERIOD):
             self._shown = now
             position, velocity, _ = trajectory.at(now - self._began)
             self._joint_states.put(
@@ -67,6 +70,8 @@ class Ghost:
                     velocity=tuple(velocity.tolist()),
                 )
             )
+        if rests and self._news.wait(REST_PERIOD):
+            self._news.clear()
 
     def _next(self) -> Plan | None:
         with self._lock:

@@ -72,6 +72,7 @@ class Machine:
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
         self._told = threading.Condition(self._lock)
+        self._begun = threading.Condition(self._lock)
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
         # Arrivals of the newest stop, of the newest command that ends whatever moves (a stop too), and of the newest pause.
         self._stopped_by = self._cleared_by = self._held_by = 0.0
@@ -111,6 +112,7 @@ class Machine:
             motion = GoalExecution(goal, self._strategy, self._guard, self.changes)
             motion.start(self._speed_scale)
             self._motion = motion
+            self._begun.notify_all()
             if self._problem is not None:
                 log.warning("the fault is left goal_id=%s reason=%s", goal.goal_id, self._problem.message)
                 self._leave_fault()
@@ -397,6 +399,11 @@ class Machine:
         """Wait until no goal is left; whether that was so within `patience` s."""
         with self._rested:
             return self._rested.wait_for(lambda: self._motion is None, patience)
+
+    def wait_for_news(self, patience: float) -> None:
+        """Wait until there is a goal, or `changes` are left, no longer than `patience` s."""
+        with self._begun:
+            self._begun.wait_for(lambda: self._motion is not None or self.changes, patience)
 
     def _mode(self) -> RobotMode:
         if self._motion is not None:

@@ -66,7 +66,6 @@ class Reporter:
         self._state: ExecutorState | None = None
         self._published_state = 0.0
         self._published_progress = 0.0
-        self._looked_at = 0.0
         self._lock = threading.Lock()
 
     def report_interrupted(self) -> None:
@@ -104,10 +103,9 @@ class Reporter:
         self._running.clear()
 
     def look(self, now: float) -> None:
-        """Publish what has changed, at once where a goal runs or has ended; `now` is on the monotonic clock."""
-        if self._machine.moves() or self._machine.changes or now - self._looked_at > 0.9 * REST_PERIOD:
-            self._looked_at = now
-            self.publish(now)
+        """Publish what has changed; `now` is on the monotonic clock. Where there is no goal, wait up to `REST_PERIOD` for one."""
+        self.publish(now)
+        self._machine.wait_for_news(REST_PERIOD)
 
     def publish(self, now: float | None = None) -> ExecutorState:
         """Publish what has changed, and return the state that now stands on the bus; `now` is on the monotonic clock.

@@ -149,7 +149,7 @@ class Handlers:
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
         trajectory = verified.trajectory
-        return Plan(
+        return Plan.model_construct(  # of what was just verified
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
             robot_hash=model.robot.hash,
@@ -225,7 +225,7 @@ class Handlers:
             scene, results = self._look(), []
             for q in joints:
                 deadline.check()
-                nearest = scene.exact.nearest(q)
+                nearest = scene.exact.nearest(q, deadline.check)
                 spheres = tuple(sphere_distances(model, scene.world, q).tolist()) if request.spheres else None
                 points = scene.exact.nearest_points(q, nearest) if request.points else None
                 results.append(

@@ -87,7 +87,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             _count(service.metrics, kind, error.code)
             log.info("no plan request=%s code=%s reason=%s", request.request_id or "-", error.code, error)
             raise
-        encoded = plans.set(answer)
+        encoded = plans.set(answer) if request.publish else Encoded.of(answer)
         _count(service.metrics, kind, "ok")
         service.metrics.time(
             "zarm_planning_seconds",

@@ -20,8 +20,11 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
 from zarm_planner.constraints.path_constraint import ConstraintManifold
+from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
+from zarm_planner.goals.contact import clear_pose, way_out
 from zarm_planner.kinematics.ik import solve_ik
+from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
@@ -29,7 +32,7 @@ from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 
-STAGES = 8
+STAGES = 9
 
 
 def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
@@ -67,6 +70,10 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     exact = ExactScene(model, world)
     with suppress(VerificationFailed):  # where the robot touches itself beside its home
         verify(trajectory, home, away, limits, exact, lambda: None)
+    begin("ways out of tight places")
+    context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)
+    clear_pose(context, pose, home)
+    way_out(context, home, np.eye(model.dof)[0])
     begin("the search under path constraints")
     constraint = ConstraintManifold.of(model, PathConstraint(axes=(False, False, False, True, True, True)), pose)
     constraint.use(home)

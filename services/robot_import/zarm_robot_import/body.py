@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _CELLS = 12_000
 _BESIDE = 0.005
 """The grid reaches so far (m) beyond the surface."""
-_AROUND = 2000
+_AROUND = 1000
 """Points outside that are enough to compare shapes by."""
 _WOUND = 700
 """Triangles by which it is told what is inside."""
@@ -28,7 +28,7 @@ class Body:
     """The triangles (n, 3, 3) of a link, and points (m, 3) of a grid over the box around them.
 
     `distance` (m,) of those to the surface, and whether they are `out` (m,) of it; each stands for `cell` (m^3). `surface` holds
-    points on the surface.
+    points on the surface; the link's true one may be `off` (m) from it.
     """
 
     triangles: Array
@@ -37,25 +37,28 @@ class Body:
     out: NDArray[np.bool_]
     cell: float
     surface: cKDTree
+    off: float
 
     @classmethod
-    def of(cls, triangles: Array) -> Self:
+    def of(cls, triangles: Array, off: float = 0.0) -> Self:
         """Where the surface is open, what it mostly winds around counts as inside."""
         surface = cKDTree(points_on(triangles, 20_000)[0])
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
         points = grid_in(lower, upper, _CELLS)
         cell = float((upper - lower).prod() / len(points))
         out = np.abs(winding(points, thinned(triangles, _WOUND))) < 0.5
-        return cls(triangles, points, surface.query(points)[0], out, cell, surface)
+        return cls(triangles, points, surface.query(points)[0], out, cell, surface, off)
 
     def around(self, points: Array) -> tuple[Array, Array]:
-        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each the square of its distance (n,) times its volume."""
+        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each the square of its distance
+        (n,) times its volume, the largest first."""
         low, high = points.min(axis=0), points.max(axis=0)
         more = 0.2 * (high - low).max()
         near = np.flatnonzero(
             self.out & (self.points > low - more).all(axis=1) & (self.points < high + more).all(axis=1)
         )
         some = near[:: 1 + len(near) // _AROUND]
+        some = some[np.argsort(-self.distance[some])]
         return self.points[some], self.distance[some] ** 2 * (self.cell * len(near) / max(len(some), 1))
 
 

@@ -16,6 +16,7 @@ from zarm_geometry.shapes import distance
 from zarm_geometry.world import World
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import depths
 
 Array = NDArray[np.float64]
@@ -24,6 +25,8 @@ SAMPLES = 1000
 """Random configurations; of what is true in more than 0.5 % of all, one shows it with 99 % confidence."""
 LARGEST, SMALLEST = 6.0, 0.05
 """No arm reaches further, and none less far (m): beyond it lengths are most likely in another unit."""
+WIDEST = 100.0
+"""No joint turns so far (rad), or slides so far (m)."""
 OUTSIDE = 0.004
 """Exact geometry that stands out of its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
 _FINEST = 0.0005
@@ -39,17 +42,27 @@ def findings(robot: RobotDescription) -> list[str]:
     """What is most likely wrong, a sentence each with the key to look at and the remedy; nothing where all seems well."""
     model = RobotModel.of(robot)
     q = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, model.dof))
-    return [*_size(model, q), *_joints(model), *_covers(robot), *_neighbours(model, q), *_contacts(model, q)]
+    return [
+        *_size(model, q),
+        *_joints(model),
+        *_meshes(robot),
+        *_covers(robot),
+        *_neighbours(model, q),
+        *_contacts(model, q),
+    ]
 
 
 def _size(model: RobotModel, q: Array) -> Iterator[str]:
     origins = [joint.xyz for joint in model.robot.urdf.joint_of_child.values()]
-    reach = float(np.linalg.norm(model.fk_tip(q)[:, :3, 3], axis=1).max())
+    tips = model.fk_tip(q)[:, :3, 3]
+    reach = float(np.linalg.norm(tips, axis=1).max())
     longest = float(np.linalg.norm(np.array(origins).reshape(-1, 3), axis=1).max(initial=0.0))
     if longest > LARGEST:
         yield f"urdf: an origin is {longest:g} m from its parent; it is most likely in mm: divide every xyz by 1000"
     elif not SMALLEST < reach < LARGEST:
         yield f"urdf: the tip reaches {reach:.3g} m; lengths are in m: look at every xyz, and at tip_link"
+    elif (room := float(np.ptp(tips, axis=0).max())) < SMALLEST:
+        yield f"urdf: over all joint ranges the tip moves by {1e3 * room:.0f} mm; look at the limits, and at tip_link"
     largest = max(float(body.placed_balls[:, 3].max()) for body in model.bodies)
     if largest > max(reach, SMALLEST):
         yield f"spheres: a radius of {largest:g} m is more than the robot reaches ({reach:.3g} m); lengths are in m"
@@ -63,12 +76,21 @@ def _joints(model: RobotModel) -> Iterator[str]:
         width = model.upper[index] - model.lower[index]
         if width < 1e-3:
             yield f"{joint}: its range is {width:g} wide in the URDF; make the joint fixed, or correct lower and upper"
+        elif width > WIDEST:
+            yield f"{joint}: its range is {width:g} rad wide in the URDF, most likely degrees; write lower and upper in rad"
         elif min(home[index] - model.lower[index], model.upper[index] - home[index]) < 0.02 * width:
             yield f"home: {joint} stands at its limit; choose a pose from which it can turn both ways"
         moved = home.copy()
         moved[index] += 0.1 if home[index] < model.upper[index] - 0.1 else -0.1
         if np.allclose(model.fk_tip(moved), still, atol=1e-9):
             yield f"tip_link: {joint} does not move {descriptor.tip_link}; look at its axis in the URDF"
+
+
+def _meshes(robot: RobotDescription) -> Iterator[str]:
+    source = read_source(robot.urdf_path)
+    for element in source.root.iter("mesh"):
+        if source.file(name := element.get("filename", "")) is None:
+            yield f"{source.place(element)}: there is no mesh {name}, so nobody sees it on the page; correct the path, or import again"
 
 
 def _covers(robot: RobotDescription) -> Iterator[str]:

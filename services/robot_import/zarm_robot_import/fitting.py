@@ -34,7 +34,7 @@ class Fitted:
 
 def fit(surfaces: Sequence[Surface], budget: int, done: Callable[[str], None]) -> list[Fitted]:
     """Fit all links, with `budget` balls in all covers; `done` is told each link whose exact geometry is found."""
-    bodies = {surface.link: Body.of(surface.triangles) for surface in surfaces}
+    bodies = {surface.link: Body.of(surface.triangles, surface.off) for surface in surfaces}
     primitives: dict[str, list[CollisionPrimitive]] = {}
     for link, body in bodies.items():
         primitives[link] = fit_primitives(body)

@@ -22,6 +22,7 @@ from zarm_robot_import.limits import limits_of
 from zarm_robot_import.meshes import link_surface
 from zarm_robot_import.picture import draw
 from zarm_robot_import.report import Report
+from zarm_robot_import.ros_control import trajectory_controller
 from zarm_robot_import.self_collision import Pair, Pairs
 from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import BUDGET
@@ -54,6 +55,7 @@ def import_robot(
     robot = describe(read_source(file, options.packages))
     chain = choose_chain(robot, options.base, options.tip, options.fixed)
     limits = limits_of(robot, chain.joints)
+    controller = trajectory_controller(robot, [joint.name for joint in chain.joints])
     name = _checked(options.name) if options.name else _name(robot.name)
     if (folder / f"{name}.urdf").resolve() == file.resolve():
         raise InvalidRequest(f"{file} would be overwritten; choose another --output or --name")
@@ -80,7 +82,7 @@ def import_robot(
         descriptor = work / f"{name}.yaml"
 
         def write(home: Sequence[float], pairs: Sequence[Pair]) -> RobotModel:
-            text = descriptor_text(name, file, chain, limits, fitted, home, pairs)
+            text = descriptor_text(name, file, chain, limits, fitted, home, pairs, controller)
             descriptor.write_text(text, encoding="utf-8")
             return RobotModel.of(load_robot(str(descriptor)))
 
@@ -95,7 +97,9 @@ def import_robot(
         progress("picture", 0.95)
         draw(work / f"{name}.png", model, home, meshes, fitted)
         source = file.name
-        report = Report(name, source, chain, surfaces, fitted, limits, pairs, home, time.process_time() - begun)
+        report = Report(
+            name, source, chain, surfaces, fitted, limits, pairs, home, time.process_time() - begun, controller
+        )
         (work / f"{name}.md").write_text(report.markdown(), encoding="utf-8")
         for made in sorted(work.iterdir()):
             shutil.move(made, folder / made.name)

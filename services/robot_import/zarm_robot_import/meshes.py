@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +21,8 @@ from zarm_robot_import.source import Source
 Array = NDArray[np.float64]
 
 MOST_TRIANGLES = 3_000_000
+MOST_KEPT = 200_000
+"""Triangles of a link that are computed with."""
 SMALLEST = 1e-3
 """A link smaller than this (m) in all directions is taken for none."""
 LARGEST = 20.0
@@ -28,6 +31,7 @@ CONTAINED = 0.001
 """Collision geometry that the visual one sticks out of by no more than this (m) contains it."""
 CABLE = 0.1
 """A visual mesh that sticks further (m) out of the collision geometry shows more than the link, such as a cable that hangs from it."""
+_POINTER = b"version https://git-lfs"
 SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
 
@@ -41,6 +45,8 @@ class Surface:
     reason: str
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
+    off: float = 0.0
+    """How far (m) the link's true surface may be from these triangles, because it has too many to compute with."""
 
 
 def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | None:
@@ -84,22 +90,46 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
                 f"{source.place(link.element)}: link {link.name} is {size:.0f} m large, so its {kind} meshes are in mm; "
                 'write scale="0.001 0.001 0.001" into its <mesh> elements'
             )
+    surface = _chosen(link, found, prefer)
+    surface.warnings[:0], surface.files[:0] = warnings, files
+    count = len(surface.triangles)
+    surface.triangles, surface.off = gathered(surface.triangles, MOST_KEPT)
+    if surface.off:
+        surface.warnings.append(
+            f"its {count} triangles are taken as {len(surface.triangles)}, which makes its geometry up to {1e3 * surface.off:.1f} mm "
+            "larger; simplify the mesh for a tighter one"
+        )
+    return surface
+
+
+def _chosen(link: Link, found: dict[str, Array], prefer: str) -> Surface:
+    """Which of the kinds of geometry that were found is taken, and why."""
     if len(found) == 1:
         ((kind, triangles),) = found.items()
         other = "visual" if kind == "collision" else "collision"
         asked = prefer == kind and getattr(link, other)
-        return Surface(link.name, triangles, kind, "as asked" if asked else f"no {other} geometry", warnings, files)
+        return Surface(link.name, triangles, kind, "as asked" if asked else f"no {other} geometry")
     out = sticks_out(found["visual"], found["collision"])
     if out <= CONTAINED:
-        reason = "contains the visual mesh"
-        return Surface(link.name, found["collision"], "collision", reason, warnings, files)
+        return Surface(link.name, found["collision"], "collision", "contains the visual mesh")
     if out > CABLE:
         reason = f"the visual mesh sticks {1e3 * out:.0f} mm out of it, as a cable does"
-        warnings.append(f"{reason}, and is left out; `--geometry visual` takes the visual meshes alone")
-        return Surface(link.name, found["collision"], "collision", reason, warnings, files)
+        warning = f"{reason}, and is left out; `--geometry visual` takes the visual meshes alone"
+        return Surface(link.name, found["collision"], "collision", reason, [warning])
     both = np.concatenate([found["collision"], found["visual"]])
-    reason = f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry"
-    return Surface(link.name, both, "both", reason, warnings, files)
+    return Surface(link.name, both, "both", f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry")
+
+
+def gathered(triangles: Array, most: int) -> tuple[Array, float]:
+    """At most `most` triangles instead of these (n, 3, 3), with corners on a grid, and how far (m) a point of these may be from them."""
+    size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 400, 1e-5)
+    given, off = triangles, 0.0
+    while len(triangles) > most:
+        cells = np.unique(np.round(given / size).astype(np.int32).reshape(-1, 9), axis=0)
+        triangles = np.asarray(cells.reshape(-1, 3, 3) * size, np.float64)
+        off = size * math.sqrt(3) / 2
+        size *= 1.4
+    return triangles, off
 
 
 def points_on(triangles: Array, count: int, seed: int = 0) -> tuple[Array, NDArray[np.intp]]:
@@ -183,6 +213,11 @@ class _Unreadable(Exception):
 def _load(file: Path) -> Array:
     """The triangles of a file, in m where the file says its unit."""
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    with file.open("rb") as opened:
+        if opened.read(len(_POINTER)) == _POINTER:
+            raise _Unreadable(
+                f"{file} is not the mesh but a pointer of Git LFS; run `git lfs pull` where it was cloned"
+            )
     try:
         loaded = trimesh.load_scene(file, process=False, skip_materials=True)
         meshes = loaded.dump()

@@ -28,11 +28,11 @@ from zarm_contract.robot import (
     CollisionSphere,
 )
 from zarm_geometry.frames import rotation_to
-from zarm_geometry.rows import distances
 from zarm_geometry.shapes import link_shape
 from zarm_robot_import.body import Body, thinned
+from zarm_robot_import.kernels.enclosing import around, oriented
 from zarm_robot_import.kernels.middles import middles
-from zarm_robot_import.kernels.outside import outside
+from zarm_robot_import.kernels.outside import least_outside, within
 from zarm_robot_import.kernels.winding import winding
 from zarm_robot_import.meshes import areas, points_on
 
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
 """A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
-COUNT = 20
+COUNT = 30
 """... nor one of so many primitives."""
 _POINTS = 400
 """Points that stand for the surface while planes are looked for."""
@@ -54,14 +54,6 @@ _SAME = math.cos(math.radians(1.0))
 """Axes whose angle has a larger cosine are one."""
 _FLAT = 0.002
 """All volume counts as if it were so far (m) outside: between the points of the body's grid there is room for thin shapes."""
-_ANGLES = np.linspace(0.0, np.pi, 12, endpoint=False)
-_FAN = np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(12)))
-_QUARTER = len(_FAN) // 2
-_TURNS = Rotation.from_rotvec(np.column_stack((np.zeros((12, 2)), _ANGLES))).as_matrix()
-_THINNEST = 5e-4
-"""No primitive is thinner (m) to each side, ..."""
-_SLACK = 5e-6
-"""... and each is larger by this (m) to all sides, for what rounding takes."""
 
 
 def written(row: Array) -> CollisionPrimitive:
@@ -197,6 +189,7 @@ class Measure:
         corners = body.triangles.reshape(-1, 3)
         self._cloud = cKDTree(np.concatenate([points_on(body.triangles, 20_000)[0], corners[:100_000]]))
         self._coarse = thinned(body.triangles, 700)
+        self._known: dict[bytes, _Skin] = {}
 
     def all(self, rows: Sequence[Array]) -> list[Out]:
         """Of each primitive (17,), without what is within the body or another one."""
@@ -204,14 +197,32 @@ class Measure:
 
     def one(self, row: Array, others: Array) -> Out:
         """Of one primitive (17,), without what is within the body or one of `others` (n, 17); sampled, so from above."""
-        triangles = triangles_of(row)
-        points = points_on(triangles, _SAMPLES)[0]
-        outer = points[distances(points, others).min(axis=1, initial=np.inf) > 1e-5]
-        out = self._cloud.query(outer)[0]
-        far = np.flatnonzero(out > MEAN)
-        out[far[np.abs(winding(outer[far], self._coarse)) > 0.5]] = 0.0
-        each = float(areas(triangles).sum()) / len(points)
-        return Out(float(out.max(initial=0.0)), each * float(out.sum()), each * len(out))
+        skin = self._skin(row)
+        outer = np.flatnonzero(~within(skin.points, others, 1e-5))
+        unsure = outer[skin.unsure[outer]]
+        skin.out[unsure[np.abs(winding(skin.points[unsure], self._coarse)) > 0.5]] = 0.0
+        skin.unsure[unsure] = False
+        out = skin.out[outer]
+        return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
+
+    def _skin(self, row: Array) -> _Skin:
+        if (key := row.tobytes()) not in self._known:
+            triangles = triangles_of(row)
+            points = points_on(triangles, _SAMPLES)[0]
+            out = self._cloud.query(points)[0]
+            self._known[key] = _Skin(points, out, out > MEAN, float(areas(triangles).sum()) / len(points))
+        return self._known[key]
+
+
+@dataclass(frozen=True)
+class _Skin:
+    """Points (n, 3) on a primitive, how far (n,) they are from the body, and of which it is `unsure` (n,) whether they are within;
+    each stands for an area of `each` (m^2)."""
+
+    points: Array
+    out: Array
+    unsure: NDArray[np.bool_]
+    each: float
 
 
 def _axes(body: Body) -> Array:
@@ -257,9 +268,23 @@ def _cell(triangles: Array, axes: Array, body: Body) -> _Cell:
     along = corners @ axes[:, :, 2].T
     furthest = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))
     points = np.concatenate([points_on(triangles, _POINTS)[0], corners[furthest]])
-    which, form, out = _tightest(points, axes, body.around(points))
-    form = _Form(*(frames[[which % len(frames)]] for frames in form))
-    return _Cell(triangles, points, _around(corners, form)[which // len(axes)], out)
+    form = _form(points, axes)
+    which, out = _tightest(points, form, body.around(points))
+    one = [which % len(axes)]
+    shapes = around(corners, form.turn[one], form.box[one], form.axis[one], form.middle)
+    return _Cell(triangles, points, _grown(shapes[which // len(axes)], body.off), out)
+
+
+def _grown(row: Array, by: float) -> Array:
+    """A primitive (17,) that contains all points within `by` (m) of one without triangles."""
+    row = row.copy()
+    if row[16]:
+        row[16] += by
+    elif row[15]:
+        row[14:16] += by
+    else:
+        row[12:15] += by
+    return row
 
 
 def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
@@ -271,8 +296,12 @@ def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
         below = cell.points @ axis < offset
         if not _FEWEST <= np.count_nonzero(below) <= len(below) - _FEWEST:
             return np.inf
-        out = _tightest(cell.points[below], axes, near)[2]
-        return out if out >= best else out + _tightest(cell.points[~below], axes, near)[2]
+        out = 0.0
+        for points in (cell.points[below], cell.points[~below]):
+            out += _tightest(points, _form(points, axes), near, best - out)[1]
+            if out >= best:
+                break
+        return out
 
     for axis in axes[:, :, 2]:
         along = cell.points @ axis
@@ -293,7 +322,7 @@ def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
 
 class _Form(NamedTuple):
     """What is known of primitives before their sizes: frames (n, 3, 3) of round ones with z along them, and of boxes; a point (n, 3) on
-    the axis; the centre (n, 3) of balls."""
+    the axis; the centre (3,) of a ball."""
 
     turn: Array
     box: Array
@@ -301,52 +330,17 @@ class _Form(NamedTuple):
     middle: Array
 
 
-def _tightest(points: Array, axes: Array, outer: tuple[Array, Array]) -> tuple[int, _Form, float]:
-    """The primitive around points, of those with an axis among `axes`, that has the least outside of the body: which, and how much.
+def _form(points: Array, axes: Array) -> _Form:
+    return _Form(axes, *oriented(points, axes), middles(points[None])[0])
+
+
+def _tightest(points: Array, form: _Form, outer: tuple[Array, Array], most: float = np.inf) -> tuple[int, float]:
+    """The primitive around points that has the least outside of the body: which, and how much; -1 and `most` where all have more.
 
     `outer` are points outside, and what each counts. It is the integral over the primitive of the squared distance to the body, in m^5.
     """
-    local = points @ axes
-    # The rectangle of least area among some angles.
-    widths = np.ptp(local @ _FAN.T, axis=1)
-    narrow = np.argmin(widths[:, :_QUARTER] * widths[:, _QUARTER:], axis=1)
-    flat = np.concatenate([middles(local[:, :, :2].copy()), np.zeros((len(axes), 1))], axis=1)
-    middle = np.repeat(middles(points[None]), len(axes), axis=0)
-    form = _Form(axes, axes @ _TURNS[narrow], np.einsum("nij,nj->ni", axes, flat), middle)
-    rows = _around(points, form)[: 3 * len(axes) + 1]  # what follows is the same ball
-    outs = outside(rows, *outer) + _FLAT**2 * _volumes(rows)
-    best = int(np.argmin(outs))
-    return best, form, float(outs[best])
-
-
-def _around(points: Array, form: _Form) -> Array:
-    """Boxes, cylinders, capsules and balls (4 n, 17), see `zarm_geometry.rows`, that contain all of the points (m, 3)."""
-    count = len(form.turn)
-    rows = np.zeros((4, count, 17))
-    local = points @ form.box
-    low, high = local.min(axis=1), local.max(axis=1)
-    rows[0, :, :12] = _frames(form.box, np.einsum("nij,nj->ni", form.box, (low + high) / 2))
-    rows[0, :, 12:15] = np.maximum((high - low) / 2, _THINNEST) + _SLACK
-    local = (points - form.axis[:, None]) @ form.turn
-    across = local[:, :, 0] ** 2 + local[:, :, 1] ** 2
-    radius = np.maximum(np.sqrt(across.max(axis=1)), _THINNEST)
-    dome = np.sqrt(radius[:, None] ** 2 - np.minimum(across, radius[:, None] ** 2))
-    flat = (local[:, :, 2].min(axis=1), local[:, :, 2].max(axis=1), _THINNEST)
-    # Where the domes at both ends overlap, less than a capsule would do.
-    domed = ((local[:, :, 2] + dome).min(axis=1), (local[:, :, 2] - dome).max(axis=1), 1e-4)
-    for kind, (low, high, least) in ((1, flat), (2, domed)):
-        rows[kind, :, :12] = _frames(form.turn, form.axis + form.turn[:, :, 2] * ((low + high) / 2)[:, None])
-        rows[kind, :, 14] = np.maximum((high - low) / 2, least) + _SLACK
-        rows[kind, :, 14 + kind] = radius + _SLACK
-    rows[3, :, :12] = _frames(form.turn, form.middle)
-    rows[3, :, 16] = np.sqrt(((points - form.middle[:, None]) ** 2).sum(axis=2).max(axis=1)) + _SLACK
-    return rows.reshape(-1, 17)
-
-
-def _frames(turn: Array, middle: Array) -> Array:
-    """The first 12 numbers (n, 12) of rows with axes `turn` (n, 3, 3) and centres (n, 3)."""
-    back = turn.transpose(0, 2, 1)
-    return np.concatenate([back, -back @ middle[:, :, None]], axis=2).reshape(-1, 12)
+    rows = around(points, *form)
+    return least_outside(rows, _FLAT**2 * _volumes(rows), *outer, most)
 
 
 def _volumes(rows: Array) -> Array:

@@ -15,7 +15,7 @@ from zarm_robot_import.self_collision import Pair
 
 @dataclass(frozen=True)
 class Report:
-    """All that was decided, and why."""
+    """All that was decided, and why; `controller` is the trajectory controller of ros2_control that the URDF names."""
 
     name: str
     source: str
@@ -26,6 +26,7 @@ class Report:
     pairs: Sequence[Pair]
     home: Sequence[float]
     seconds: float
+    controller: str | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -66,6 +67,11 @@ class Report:
                 "Joints beside the chain, fixed: "
                 + ", ".join(f"`{name}` at {value:g}" for name, value in chain.fixed)
                 + ".",
+            ]
+        if self.controller:
+            lines += [
+                "",
+                f"On ROS the arm's driver is the trajectory controller `{self.controller}`, which the URDF names.",
             ]
         if self.warnings:
             lines += ["", "## Look at this", "", *(f"- {warning}" for warning in self.warnings)]

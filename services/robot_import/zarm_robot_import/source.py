@@ -17,6 +17,8 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 
 _ABOVE = 6
 """Folders above the source in which packages are looked for."""
+_ALIKE = 4
+"""Letters of a folder's name that may begin the name of a package."""
 _PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 
 
@@ -74,6 +76,7 @@ def read_source(path: Path, packages: Sequence[Path] = ()) -> Source:
 
     parser.StartElementHandler = start
     parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
@@ -105,10 +108,14 @@ def find_package(name: str, path: Path, packages: Sequence[Path]) -> Path | None
             return folder
         if (folder / name).is_dir():
             return folder / name
-    # A package whose folder goes by another name: kuka_kr6_support in kuka_kr6.
+    # A package whose folder goes by another name.
     for folder in [*path.parents][1:3]:
         if found := _within(folder).get(name):
             return found
+    # One without a package.xml, in a folder that is named alike: kuka_kr6_support in kuka_kr6.
+    for folder in [*path.parents][:_ABOVE]:
+        if len(folder.name) >= _ALIKE and (folder.name.startswith(name) or name.startswith(folder.name)):
+            return folder
     return None
 
 
@@ -128,6 +135,7 @@ def _named(folder: Path) -> str | None:
 
 def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
     try:
+        from xacro import init_stacks
         from xacrodoc import XacroDoc
         from xacrodoc import packages as finder
     except ImportError as error:
@@ -140,18 +148,21 @@ def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
     finder.reset()
     finder.look_in([str(folder) for folder in packages])
     while True:
+        init_stacks(None)  # after a failure xacro would still look beside the file in which it was
         try:
             # xacro takes an include without a folder to lie in the working directory.
             with redirect_stdout(StringIO()), redirect_stderr(StringIO()), chdir(path.parent):
                 text: str = XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string()
             return text.encode()
-        except finder.PackageNotFoundError as error:
-            name = error.args[0]
-            if (folder := find_package(name, path, packages)) is None:
-                raise InvalidRequest(
-                    f"{path}: there is no package {name} around this file; name the folder that holds it with --packages"
-                ) from error
-            finder.update_package_cache({name: folder})
         except Exception as error:  # xacro raises whatever its expressions do
+            missing = getattr(error, "exc", error)  # what xacro met in an expression
+            if isinstance(missing, finder.PackageNotFoundError):
+                name = missing.args[0]
+                if (folder := find_package(name, path, packages)) is None:
+                    raise InvalidRequest(
+                        f"{path}: there is no package {name} around this file; name the folder that holds it with --packages"
+                    ) from error
+                finder.update_package_cache({name: folder})
+                continue
             reason = " ".join(str(error).split())
             raise InvalidRequest(f"{path}: xacro cannot expand it: {reason}; try `xacro {path.name}`") from error

@@ -36,7 +36,7 @@ _FINEST = 5e-4
 
 @dataclass(frozen=True)
 class _Problem:
-    """Points (n, 3) to contain, places (m, 4) for balls with the depth of each, and what each lacks of each point (m, n).
+    """Points (n, 3) to contain, places (m, 4) for balls with the depth of each, and what each lacks of each point: `lack` (n, m).
 
     `rows` (k, 17) are the exact geometry below whose surface the depth is.
     """
@@ -54,7 +54,7 @@ class _Problem:
         deep = depths(grid, rows)
         places = np.column_stack((grid, deep))[deep > 0.0]
         points = np.concatenate([points, places[:: 1 + len(places) // _POINTS, :3]])
-        lack = (cdist(places[:, :3], points) - places[:, 3:]).astype(np.float32)
+        lack = (cdist(points, places[:, :3]) - places[:, 3]).astype(np.float32)
         return cls(points, places, lack, rows)
 
 
@@ -110,13 +110,13 @@ def outer_points(rows: Array, count: int) -> Array:
 def _fewest(problem: _Problem, out: float) -> list[int]:
     """Places of few balls that stand out by no more than `out` and contain all points that any such ball contains."""
     covers = problem.lack <= out
-    left = covers.any(axis=0)
-    gains = covers.sum(axis=1)
+    left = covers.any(axis=1)
+    gains = covers[left].sum(axis=0)
     chosen: list[int] = []
     while left.any():
         chosen.append(int(np.argmax(gains)))
-        new = left & covers[chosen[-1]]
-        gains -= covers[:, new].sum(axis=1)
+        new = left & covers[:, chosen[-1]]
+        gains -= covers[new].sum(axis=0)
         left &= ~new
     return chosen
 
@@ -128,8 +128,8 @@ def _placed(problem: _Problem, chosen: list[int]) -> Array:
     """
     places = np.array(chosen)
     for _ in range(_ROUNDS):
-        owner = np.argmin(problem.lack[places], axis=0)
-        moved = np.array([int(np.argmin(problem.lack[:, owner == i].max(axis=1))) for i in np.unique(owner)])
+        owner = np.argmin(problem.lack[:, places], axis=1)
+        moved = np.array([int(np.argmin(problem.lack[owner == i].max(axis=0))) for i in np.unique(owner)])
         if len(moved) == len(places) and (moved == places).all():
             break
         places = moved
@@ -167,7 +167,7 @@ def _at_most(problems: Mapping[str, _Problem], count: int) -> dict[str, list[int
     low, high = 0.0, 0.1
     while _count(chosen := tried(high)) > count and high < 10.0:
         low, high = high, 2 * high
-    while high - low > 5e-4:
+    while high - low > 1e-3:
         middle = (low + high) / 2
         if _count(more := tried(middle)) <= count:
             chosen, high = more, middle

@@ -81,8 +81,9 @@ def descriptor_text(
     fitted: Sequence[Fitted],
     home: Sequence[float],
     pairs: Sequence[Pair],
+    controller: str | None = None,
 ) -> str:
-    """The descriptor."""
+    """The descriptor. `controller` is the trajectory controller of ros2_control that moves the arm."""
     assumed = sorted({what for limit in limits for what in limit.assumed})
     lines = [
         f"# {name}, made by `zarm robot import` from {source.name}; {name}.md says how each number was found.",
@@ -105,6 +106,7 @@ def descriptor_text(
         ),
         "",
         "strategy: emulator",
+        *(_driver(controller) if controller else ()),
         "",
         "# Exact geometry: it contains the whole surface of the meshes.",
         "collision:",
@@ -121,6 +123,17 @@ def descriptor_text(
         lines += ["", "self_collision_exact:"]
         lines += [f"  - [{plain(pair.first)}, {plain(pair.second)}]  # {pair.reason}" for pair in close]
     return "\n".join(lines) + "\n"
+
+
+def _driver(controller: str) -> list[str]:
+    return [
+        "",
+        "# The trajectory controller that the URDF's <ros2_control> names. `strategy: joint_trajectory` moves the real arm.",
+        "strategy_params:",
+        f"  command_topic: /{controller.strip('/')}/joint_trajectory",
+        "  joint_states_topic: /joint_states",
+        "  strategies: [joint_trajectory]",
+    ]
 
 
 def plain(text: str) -> str:

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from zarm_contract.messages import ExecutorState, GoalState
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
-from zarm_ros_bridge.holds import waits_for
+from zarm_ros_bridge.holds import waiting
 from zarm_ros_bridge.ros import Ros
 
 DEPTH = 10
@@ -70,7 +70,7 @@ class Diagnostics:
 
     def _status(self, state: ExecutorState) -> DiagnosticStatus:
         engine = self._engine
-        goal = None if state.goal_id is None else engine.client.connection.goals.known(state.goal_id)
+        goal = engine.goal(state)
         level, message = _said(state, goal)
         found = None if goal is None or goal.hold is None else goal.hold.obstruction
         values = {
@@ -94,8 +94,8 @@ def _said(state: ExecutorState, goal: GoalState | None) -> tuple[bytes, str]:
     """The level and the message."""
     if state.problem is not None:
         return DiagnosticStatus.ERROR, state.problem.message
-    if goal is not None and goal.hold is not None:
-        return DiagnosticStatus.WARN, f"the goal waits: {waits_for(goal.hold)}"
+    if held := waiting(goal):
+        return DiagnosticStatus.WARN, held
     if state.goal_id is not None and not state.guarded:
         return (
             DiagnosticStatus.WARN,

@@ -23,6 +23,7 @@ from zarm_ros_bridge.convert.trajectories import ros_joint_trajectory
 from zarm_ros_bridge.driver_progress import ProgressReader
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.ros import Ros
+from zarm_ros_bridge.standing import Standing
 from zarm_runtime.expiry import Expiry
 
 log = logging.getLogger(__name__)
@@ -33,6 +34,8 @@ COMMAND_DEPTH = 10
 
 class Drivers:
     """Carries commands out (reliable) unless they are late, joint states and progress in; topics are those of `params`.
+
+    Of a robot that stands, joint states go on at the rate of `Standing`.
 
     What a driver says that cannot be read goes no further; each kind of fault is logged once. Then the executor hears
     nothing, and stops the robot. A driver may come late, go, and come again. DDS finds each direction by itself: joint states
@@ -46,6 +49,7 @@ class Drivers:
         self._complaints: set[str] = set()
         self._progress = ProgressReader()
         self._expiry = Expiry()
+        self._standing = Standing(engine.robot.descriptor.execution.joint_state_timeout)
         self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
         self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
         self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)
@@ -79,8 +83,10 @@ class Drivers:
         except InvalidRequest as error:
             self._complain(f"{error.problem.field}: {error.problem.message}")
             return
-        self._expiry.told(state.stamp, time.monotonic())
-        self._states.put(state)
+        now = time.monotonic()
+        self._expiry.told(state.stamp, now)
+        if self._standing.passes(state, now):
+            self._states.put(state)
 
     def _state(self, message: Float32) -> None:
         if not math.isfinite(message.data):

@@ -7,6 +7,7 @@ import threading
 from zarm.connection import Connection
 from zarm.robot import Robot
 from zarm_contract.keys import Keys
+from zarm_contract.messages import ExecutorState, GoalState
 from zarm_contract.robot import RobotDescription
 from zarm_ros_bridge.terms import Terms, Translated
 from zarm_runtime.bus import Bus
@@ -27,3 +28,7 @@ class Engine:
         self.client = Robot(Connection.of(bus, keys, Translated(terms)))
         self.ending = threading.Event()
         """Set when the bridge ends: whoever waits for what the executor tells gives up."""
+
+    def goal(self, state: ExecutorState) -> GoalState | None:
+        """The goal that has not ended in this state, as its executor told of it last."""
+        return None if state.goal_id is None else self.client.connection.goals.known(state.goal_id)

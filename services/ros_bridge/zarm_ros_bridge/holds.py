@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from zarm_contract.messages import Hold
+from zarm_contract.messages import GoalState, Hold
 
 
-def waits_for(hold: Hold) -> str:
-    """Why the goal is held, without a full stop."""
+def waiting(goal: GoalState | None) -> str | None:
+    """What this goal waits for, without a full stop; None where there is none, or it is not held."""
+    return None if goal is None or goal.hold is None else f"the goal waits: {_reason(goal.hold)}"
+
+
+def _reason(hold: Hold) -> str:
     found = hold.obstruction
     if hold.reason == "no_guard":
         return "no servo is heard, and this robot moves under one alone (execution.guard); start the servo"

@@ -15,7 +15,7 @@ from zarm_contract.messages import Strategies, StrategyRequest
 from zarm_ros_bridge.answers import with_message
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.generations.generation import Generation
-from zarm_ros_bridge.holds import waits_for
+from zarm_ros_bridge.holds import waiting
 from zarm_ros_bridge.parameters import Parameters, robot_type
 from zarm_ros_bridge.ros import Ros
 
@@ -86,12 +86,11 @@ class StrategyServices:
 
     def _condition(self) -> str:
         """What is to be said beside the strategy: of a fault, or of a goal that is held."""
-        client = self._engine.client
-        state = client.state()
+        state = self._engine.client.state()
         if state.problem is not None:
             return f"; the robot is in fault: {self._engine.terms.of(state.problem.message)}"
-        goal = None if state.goal_id is None else client.connection.goals.known(state.goal_id)
-        return "" if goal is None or goal.hold is None else f"; the goal waits: {waits_for(goal.hold)}"
+        held = waiting(self._engine.goal(state))
+        return f"; {held}" if held else ""
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
         """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""

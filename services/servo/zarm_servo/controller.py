@@ -26,7 +26,7 @@ _NEARING = 4.0
 """Speed towards something per distance that is left, 1/s."""
 _BRAKING = 0.3
 """Share of the joints' acceleration that the speed towards something is bounded by."""
-_KEPT = 0.0015
+_KEPT = 0.0003
 """So much more (m) than the margin is kept where a step ends, for what the check is too careful."""
 _SAMPLE = 0.01
 """A braking is checked at times so far apart (s)."""
@@ -154,7 +154,7 @@ class Controller:
         )
         if verdict.free or verdict.link is None or verdict.object is None:
             return None
-        return Limitation("blocked", (verdict.link, verdict.object), verdict.clearance)
+        return Limitation("blocked", (verdict.link, verdict.object), self._margin)
 
     def _approached(self, positions: Array, around: Surroundings) -> Limitation | None:
         """The first pair that is nearer than the margin and comes nearer still on a way through `positions` (N, J), if any."""

@@ -6,8 +6,7 @@ import logging
 import math
 import threading
 import time
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_runtime.bus import Latched, Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker, PathValidity
+from zarm_servo.goal_monitor import FollowedGoal, GoalMonitor
 from zarm_servo.moving_objects import Mover, MovingObjects
 from zarm_servo.replanning import Replanner
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
@@ -41,24 +41,6 @@ _PACE = 0.008
 """A goal is checked against what moves no sooner than so long (s) after the last time."""
 _RECHECKED = 0.012
 """Where no pose comes, it is checked again so long (s) after that."""
-_STARTED = 2.0
-"""A goal whose trajectory was told so long (s) ago runs, or was refused after all."""
-_BEHIND = 0.3
-"""How far (s of the path) the robot may be behind what was commanded last."""
-_AHEAD = 0.05
-"""How much (s) older than its arrival what a goal tells of itself may be."""
-
-
-@dataclass(frozen=True)
-class Followed:
-    """The trajectory of a goal, which was there first at the moment `since` (s, monotonic); at the moment `told` the executor
-    commanded the path time `commanded` (s)."""
-
-    message: GoalTrajectory
-    trajectory: TimedTrajectory
-    since: float
-    commanded: float
-    told: float
 
 
 class Guard:
@@ -83,28 +65,23 @@ class Guard:
         self.moving = MovingObjects(self.monitor, meshes, self._something_moved)
         self.session: Session | None = None
         self.replanner: Replanner | None = None
-        self._joints = descriptor.joints
+        self._goals = GoalMonitor(descriptor.joints, measured)
         self._acceleration, self._reaction = np.array(descriptor.cspace.acceleration), reaction(descriptor)
         self._checker = checker
-        self._measured = measured
         self._authorities = authorities
         self._states = states
         self._instance = instance
         self._metrics = metrics
-        self._followed: Followed | None = None
-        self._ended: deque[str] = deque(maxlen=32)
-        self._running: str | None = None
         self._sequence = 0
         self._planner_gone = False
         self._state: ServoState | None = None
         self._told: tuple[Authority, float] | None = None
-        self._done: tuple[Followed, SceneSnapshot, frozenset[str]] | None = None
+        self._done: tuple[FollowedGoal, SceneSnapshot, frozenset[str]] | None = None
         self._stopping: tuple[TimedTrajectory, StoppingTime] | None = None
         self._validity: PathValidity | ZarmError = PathValidity()
         self._took = 0.0
         self._news = threading.Event()
         self._closing = False
-        self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="guard", daemon=True)
 
     def __enter__(self) -> Guard:
@@ -119,7 +96,7 @@ class Guard:
     # -- what is heard, from any thread --
 
     def _something_moved(self) -> None:
-        if self._followed is not None:
+        if self._goals.newest is not None:
             self.wake()
 
     def wake(self) -> None:
@@ -134,39 +111,17 @@ class Guard:
             if message.number == 1:
                 self.wake()
             return
-        try:
-            trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
-        except ZarmError as error:
-            log.warning("a goal cannot be guarded goal_id=%s reason=%s", message.goal_id, error)
-            return
-        with self._lock:
-            before = self._followed
-            if message.goal_id in self._ended:
-                return
-            if before is not None and before.message.goal_id == message.goal_id:
-                self._followed = replace(before, message=message, trajectory=trajectory)
-            else:
-                now = time.monotonic()
-                self._followed = Followed(message, trajectory, since=now, commanded=message.start, told=now)
+        self._goals.hear_trajectory(message, time.monotonic())
         self.wake()
 
     def hear_goal(self, _key: str, goal: GoalState) -> None:
         """How far a goal is, or how it ended."""
-        with self._lock:
-            if goal.done:
-                self._ended.append(goal.goal_id)
-            followed = self._followed
-            if followed is None or followed.message.goal_id != goal.goal_id:
-                return
-            if goal.done:
-                self._followed = None
-                self.wake()
-            else:
-                self._followed = replace(followed, commanded=goal.progress * goal.duration, told=time.monotonic())
+        if self._goals.hear_goal(goal, time.monotonic()):
+            self.wake()
 
     def hear_state(self, _key: str, state: ExecutorState) -> None:
         """Which goal runs."""
-        self._running = state.goal_id
+        self._goals.hear_state(state)
 
     def hear_planner(self, *, gone: bool) -> None:
         """Whether there is a planner."""
@@ -180,7 +135,7 @@ class Guard:
                 self._look()
             except Exception:  # a guard that ends would leave every goal without one, and say nothing
                 log.exception("the guard failed; it goes on")
-            if self._followed is not None and self.moving:
+            if self._goals.newest is not None and self.moving:
                 time.sleep(_PACE)
                 self._news.wait(_RECHECKED)
             else:
@@ -189,10 +144,7 @@ class Guard:
 
     def _look(self) -> None:
         scene = self.monitor.snapshot(time.monotonic())
-        with self._lock:
-            followed = self._followed
-            if followed is not None and self._running != followed.message.goal_id and _old(followed):
-                followed = self._followed = None
+        followed = self._goals.current(time.monotonic())
         validity: PathValidity | ZarmError = PathValidity()
         movers = self.moving.of(scene)
         session = self.session if followed is None and self.session is not None and not self.session.ended else None
@@ -236,7 +188,7 @@ class Guard:
         self._authorities.put(authority)
 
     def _validity_of(
-        self, followed: Followed, scene: SceneSnapshot, movers: tuple[Mover, ...]
+        self, followed: FollowedGoal, scene: SceneSnapshot, movers: tuple[Mover, ...]
     ) -> PathValidity | ZarmError:
         """How far it may go: what stands is looked at again where the trajectory or the scene is another than the last time."""
         moving = frozenset(mover.item.name for mover in movers)
@@ -246,7 +198,7 @@ class Guard:
             self._done = followed, scene, moving
         if not movers or isinstance(self._validity, ZarmError):
             return self._validity
-        before, reached = time.perf_counter(), self._reached(followed)
+        before, reached = time.perf_counter(), self._goals.reached(followed, time.monotonic())
         if self._stopping is None or self._stopping[0] is not followed.trajectory:
             stopping = StoppingTime(followed.trajectory, self._acceleration, self._reaction)
             self._stopping = followed.trajectory, stopping
@@ -260,13 +212,15 @@ class Guard:
         return min((self._validity, found), key=lambda each: math.inf if each.until is None else each.until)
 
     def _standing_validity_of(
-        self, followed: Followed, scene: SceneSnapshot, moving: frozenset[str]
+        self, followed: FollowedGoal, scene: SceneSnapshot, moving: frozenset[str]
     ) -> PathValidity | ZarmError:
         """How far it may go for all but what is `moving`."""
         before = time.perf_counter()
         try:
             verified = self.monitor.at(followed.message.scene_revision)
-            return self._checker.validity(followed.trajectory, self._reached(followed), scene, verified, moving)
+            return self._checker.validity(
+                followed.trajectory, self._goals.reached(followed, time.monotonic()), scene, verified, moving
+            )
         except ZarmError as error:
             log.error("a goal is not guarded goal_id=%s reason=%s", followed.message.goal_id, error)
             return error
@@ -276,16 +230,6 @@ class Guard:
     def _note_check(self, took: float) -> None:
         self._took = took
         self._metrics.time("zarm_check_seconds", "How long checks of goals took.", took)
-
-    def _reached(self, followed: Followed) -> float:
-        """The path time (s) at which the robot is, or somewhat earlier."""
-        trajectory, measured = followed.trajectory, self._measured.get(max_age=_BEHIND)
-        first = max(followed.commanded - _BEHIND, float(trajectory.time[0]))
-        last = min(followed.commanded + time.monotonic() - followed.told + _AHEAD, trajectory.duration)
-        if measured is None or set(measured.joint_names) != set(self._joints):
-            return first
-        order = [measured.joint_names.index(name) for name in self._joints]
-        return trajectory.nearest(np.array(measured.position)[order], first, max(first, last))
 
     def _tell(
         self,
@@ -328,7 +272,3 @@ class Guard:
             log.warning("no pose of a moving object comes any more object=%s", name)
         self._state = state
         self._states.set(state)
-
-
-def _old(followed: Followed) -> bool:
-    return time.monotonic() - followed.since > _STARTED

@@ -26,7 +26,9 @@ from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Latest
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker
+from zarm_servo.moving_objects import MovingObjects
 from zarm_servo.scene_monitor import SceneMonitor
+from zarm_servo.stopping import StoppingTime, reaction
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -69,6 +71,7 @@ class Replanner:
         robot: RobotDescription,
         checker: Checker,
         monitor: SceneMonitor,
+        moving: MovingObjects,
         measured: Latest[JointState],
         ask: Callable[[PlanRequest, float], Plan],
         replace: Callable[[ReplaceTrajectory], object],
@@ -78,10 +81,11 @@ class Replanner:
         self._velocity, self._acceleration = (
             np.array(limit) for limit in (robot.descriptor.cspace.velocity, robot.descriptor.cspace.acceleration)
         )
+        self._reaction = reaction(robot.descriptor)
         params = robot.descriptor.strategy_params
         self._delay = 0.0 if params is None else params.delay + params.point_dt
         self._checker = checker
-        self._monitor = monitor
+        self._monitor, self._moving = monitor, moving
         self._measured = measured
         self._stopped = robot.descriptor.execution.stopped_velocity
         self._ask, self._replace = ask, replace
@@ -205,13 +209,23 @@ class Replanner:
             optimize_s=0.0,
             velocity_scale=velocity,
             acceleration_scale=acceleration,
+            publish=False,
         )
 
     def _free(self, plan: Plan) -> bool:
-        """Whether a plan is free in the scene as it is known here by now."""
-        scene, verified = self._monitor.snapshot(time.monotonic()), self._monitor.at(plan.scene_revision)
-        trajectory = TimedTrajectory.of(plan.trajectory, self._joints)
-        return self._checker.validity(trajectory, 0.0, scene, verified).until is None
+        """Whether a plan is free in the scene as it is known here by now, and of what moves: the executor follows it to its end until the
+        guard has looked at it.
+        """
+        now = time.monotonic()
+        scene, verified = self._monitor.snapshot(now), self._monitor.at(plan.scene_revision)
+        trajectory, movers = TimedTrajectory.of(plan.trajectory, self._joints), self._moving.of(scene)
+        moving = [mover.item.name for mover in movers]
+        if self._checker.validity(trajectory, 0.0, scene, verified, moving).until is not None:
+            return False
+        if not movers:
+            return True
+        stopping = StoppingTime(trajectory, self._acceleration, self._reaction).after(0.0)
+        return self._checker.validity_among(trajectory, 0.0, scene, movers, now, stopping).until is None
 
     def _put(self, blocked: Blocked, plan: Plan, at: float | None) -> None:
         message = blocked.message

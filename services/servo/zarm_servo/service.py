@@ -81,6 +81,7 @@ def start(service: Service) -> Iterator[None]:
             service.robot,
             Checker(model, meshes),
             guard.monitor,
+            guard.moving,
             measured,
             lambda request, deadline: bus.call(keys.plan, request, Plan, timeout=deadline + ANSWER),
             lambda request: command_bus.call(keys.replace, request, Accepted, timeout=ANSWER),

@@ -6,14 +6,14 @@ import logging
 import threading
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from zarm_contract.errors import Busy, Unavailable, ZarmError, from_problem
+from zarm_contract.errors import Busy, Unavailable, from_problem
 from zarm_contract.messages import (
     ExecutorState,
     GoalState,
@@ -25,20 +25,20 @@ from zarm_contract.messages import (
     StreamChunk,
 )
 from zarm_contract.robot import RobotDescription
-from zarm_geometry.motion_check import MovingObject
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Latest, Publisher
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import ask_for_realtime
 from zarm_servo.check import SceneCheck
 from zarm_servo.clock import StreamClock
-from zarm_servo.controller import PERIOD, RANGE, STALE, Controller, Limitation, Surroundings
-from zarm_servo.course import Course
+from zarm_servo.controller import PERIOD, STALE, Controller, Limitation
 from zarm_servo.global_plan import PlanFor, find_global_plan
-from zarm_servo.guide import Guide
 from zarm_servo.inbox import Inbox, ahead
-from zarm_servo.moving_objects import Mover, MovingObjects
-from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
+from zarm_servo.local_goal import LocalGoal
+from zarm_servo.moving_objects import MovingObjects
+from zarm_servo.scene_monitor import SceneMonitor
+from zarm_servo.session_scene import SessionScene
+from zarm_servo.streamed_trajectory import StreamedTrajectory
 from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -80,8 +80,6 @@ _TELLS = 0.05
 """What limits a session is told so often (s) at most."""
 _MOVES = 1e-3
 """Joint speed (rad/s) from which a robot is said to move."""
-_LINE = 0.05
-"""A straight line is looked at so often (rad)."""
 _PRIORITY = 15
 """Real-time priority of the cycles, below that of the executor's."""
 
@@ -123,21 +121,17 @@ class Session:
         self.inbox = Inbox(len(position))
         self._joints = robot.descriptor.joints
         self._model: RobotModel = check.model
-        self._check, self._monitor, self._moving, self._measured = check, monitor, moving, measured
+        self._measured = measured
         self._chunks, self._changed, self._delay = chunks, changed, delay
-        self._around = Surroundings()
-        scene = monitor.snapshot(time.monotonic())
-        self._present = scene, moving.of(scene)
-        self._load(scene, self._present[1])
-        self._news = threading.Event()
+        self._scene = SessionScene(check, monitor, moving, time.monotonic(), self._give_up)
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
-        self._margin, self._metrics = request.margin, metrics
+        self._metrics = metrics
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="global-plan")
         self._pool.submit(int).result()  # its thread begins here, and not with the priority of the cycles
         find = partial(find_global_plan, plan, self._joints, request.margin)
-        self._guide = Guide(self._model, find, self._is_free, self._pool)
-        self._course = Course(0.0, self._controller.state, self._controller.braking)
+        self._local_goal = LocalGoal(self._model, find, partial(self._scene.is_free, margin=request.margin), self._pool)
+        self._streamed = StreamedTrajectory(0.0, self._controller.state, self._controller.braking)
         self._joins: OrderedDict[int, tuple[float, Array]] = OrderedDict()
         self._followed: tuple[int, TimedTrajectory] | None = None
         self._astray = False
@@ -149,11 +143,10 @@ class Session:
         self._heard_at = self._told_at = self._used
         self._told = threading.Event()
         self._done = threading.Event()
-        self._closing = self._held = self._over = False
+        self._closing = self._held = False
         self._cycles = self._late = 0
         self._took: deque[float] = deque(maxlen=100)
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
-        self._loading = threading.Thread(target=self._keep_loaded, name="scene", daemon=True)
 
     # -- from any thread --
 
@@ -182,14 +175,17 @@ class Session:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._done.set()
             raise
-        self._loading.start()
+        self._scene.open()
         self._thread.start()
 
     def close(self) -> None:
         """Bring the robot to rest and end; returns once that is done. Raises Busy where it takes too long."""
-        self._closing = True
+        self._give_up()
         if not self._done.wait(_RESTS):
             raise Busy(f"the session {self.goal_id} is not at its end yet; see where the robot is, then try again")
+
+    def _give_up(self) -> None:
+        self._closing = True
 
     def hear_goal(self, goal: GoalState) -> None:
         """What the executor tells of its stream."""
@@ -214,16 +210,10 @@ class Session:
 
     def state(self) -> ServoSession:
         """What it does now."""
-        snapshot, around = self._snapshot, self._around
+        snapshot = self._snapshot
         limitation = snapshot.limitation
         position = self._measured_position()
-        nearest = self._check.motions.nearby(
-            position,
-            within=RANGE,
-            attached=around.attached,
-            ignored_links=around.ignored_links,
-            moving=self._moved(0.0),
-        )
+        nearest = self._scene.nearby(position, time.monotonic(), self._clock.scale)
         link, other = limitation.pair or (None, None)
         took = list(self._took)
         return ServoSession(
@@ -237,8 +227,8 @@ class Session:
             sequence=self.inbox.sequence,
             target_age=snapshot.age,
             refused=self.inbox.refused,
-            planned=self._guide.planned,
-            unreachable=self._guide.problem,
+            planned=self._local_goal.planned,
+            unreachable=self._local_goal.problem,
             cycles=self._cycles,
             late_cycles=self._late,
             computing=float(np.percentile(took, 99)) if took else 0.0,
@@ -296,10 +286,7 @@ class Session:
         return not self._closing or self._snapshot.moving
 
     def _cycle(self, now: float) -> None:
-        before, scene = self._present, self._monitor.snapshot(now)
-        self._present = scene, self._moving.of(scene)
-        if scene is not self._scene or len(before[1]) != len(self._present[1]):
-            self._news.set()
+        self._scene.look(now)
         target, age = self.inbox.newest(now)
         if target is not None and age is not None and age <= STALE:
             self._used = now
@@ -310,12 +297,12 @@ class Session:
         if self._astray and not self._found(commanded, now):
             return
         for _ in range(_CAUGHT_UP):
-            coming = self._course.time + PERIOD - commanded
+            coming = self._streamed.time + PERIOD - commanded
             if coming > LEAD:
                 break
             self._step(None if self._closing else target, age, max(coming, 0.0))
-        if self._course.pending >= CHUNK or now - self._sent_at > _REPEATED:
-            self._put(*self._course.chunk())
+        if self._streamed.pending >= CHUNK or now - self._sent_at > _REPEATED:
+            self._put(*self._streamed.chunk())
 
     def _found(self, commanded: float, now: float) -> bool:
         """Go on from what the executor follows, once it has taken all chunks; whether that is done."""
@@ -327,17 +314,17 @@ class Session:
         if time_there >= followed[1].duration:
             state[1:] = 0.0
         self._controller.restart(state)
-        self._course = Course(time_there, self._controller.state, self._controller.braking)
+        self._streamed = StreamedTrajectory(time_there, self._controller.state, self._controller.braking)
         self._astray = False
         return True
 
     def _step(self, target: Target | None, age: float | None, coming: float) -> None:
         fresh = target is not None and age is not None and age <= STALE
         wanted = ahead(target, coming) if target is not None and fresh else None
-        wanted = self._guide.target(wanted, self._controller.state[0], self._scene.revision)
-        around = replace(self._around, moving=self._moved(coming + self._delay))
+        wanted = self._local_goal.target(wanted, self._controller.state[0], self._scene.revision)
+        around = self._scene.around(time.monotonic(), coming + self._delay, self._clock.scale)
         step = self._controller.step(wanted, age or 0.0, around)
-        self._course.add(step)
+        self._streamed.add(step)
         before = self._snapshot.limitation
         moving = bool(np.abs(step.state[1]).max() > _MOVES)
         self._snapshot = Snapshot(step.limitation, target, age, moving)
@@ -345,46 +332,6 @@ class Session:
         if (before.kind, before.pair) != (step.limitation.kind, step.limitation.pair) and now - self._told_at > _TELLS:
             self._told_at = now
             self._changed()
-
-    def _moved(self, ahead: float) -> list[MovingObject]:
-        """What moves, for a motion that the robot begins `ahead` s from now."""
-        now, scale = time.monotonic(), self._clock.scale
-        return [mover.moving(now, ahead, scale) for mover in self._present[1]]
-
-    def _keep_loaded(self) -> None:
-        """Have the world as the scene is: beside the cycles, as to load a large scene takes long."""
-        while True:
-            self._news.wait()
-            self._news.clear()
-            if self._over:
-                break
-            try:
-                self._load(*self._present)
-            except ZarmError:
-                log.exception("the scene cannot be kept; the session ends goal_id=%s", self.goal_id)
-                self._closing = True
-
-    def _load(self, scene: SceneSnapshot, movers: Sequence[Mover]) -> None:
-        around = Surroundings(scene.attached, scene.ignored_links)
-        if len(around.attached) > len(self._around.attached):
-            self._around = (
-                around  # what is attached, or put down, may be there twice for a moment, but is never missing
-            )
-        self._check.load(scene.objects, [mover.item.name for mover in movers])
-        self._scene, self._around = scene, around
-
-    def _is_free(self, start: Array, end: Array) -> bool:
-        """Whether the straight line from one position (J,) to another keeps the margin."""
-        count = 2 + int(np.abs(end - start).max() / _LINE)
-        return self._check.motions.check(
-            np.arange(float(count)),
-            np.linspace(start, end, count),
-            margin=self._margin,
-            attached=self._around.attached,
-            ignored_links=self._around.ignored_links,
-            moving=self._around.moving,
-            acceleration=np.zeros(len(start)),
-        ).free
 
     def _put(
         self, start: float, trajectory: TimedTrajectory, *, deadline: float = DEADLINE, last: bool = False
@@ -410,7 +357,7 @@ class Session:
         self._pool.shutdown(wait=False, cancel_futures=True)
         goal = self._goal
         if not self._held and not (goal is not None and goal.done):
-            self._put(*self._course.chunk(), last=True)
+            self._put(*self._streamed.chunk(), last=True)
             deadline = time.monotonic() + _RESTS
             while not (self._goal is not None and self._goal.done) and time.monotonic() < deadline:
                 self._told.clear()
@@ -418,9 +365,7 @@ class Session:
         goal = self._goal
         problem = None if goal is None else goal.problem
         log.info("session ended goal_id=%s reason=%s", self.goal_id, "" if problem is None else problem.message)
-        self._over = True
-        self._news.set()
-        self._loading.join()  # the next session has the world for itself
+        self._scene.close()
         self._done.set()
         self._changed()
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from support.command_line import Command
 from support.harness import eventually
+from support.tiers import sampled
 
 
-def test_two_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path) -> None:
-    with Command("demo", folder=tmp_path) as one, Command("demo", folder=tmp_path) as other:
-        for demo in (one, other):
+@pytest.mark.parametrize("count", sampled(1, 2))
+def test_demos_at_once_plan_around_the_post_and_reach_their_goals(tmp_path: Path, count: int) -> None:
+    with ExitStack() as stack:
+        for demo in [stack.enter_context(Command("demo", folder=tmp_path)) for _ in range(count)]:
             assert demo.end() == 0, demo.errors()
             assert "post" in demo.output()
             assert "clearance" in demo.output()

@@ -1,4 +1,4 @@
-"""`zarm robot import`: a real arm, untouched, is planned for, and nothing that is planned touches itself or a post."""
+"""`zarm robot import`: an arm is planned for as its URDF is, and nothing that is planned touches itself or a post."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import pytest
 import trimesh
 
 from support.command_line import zarm
+from support.original_meshes import OriginalRobot, original_meshes, touch
 from support.tiers import sampled
-from zarm_contract.errors import PlanningFailed
+from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.messages import JointGoal, Sphere
 from zarm_contract.robot import RobotDescription, load_robot
 from zarm_geometry.exact import ExactScene
@@ -24,9 +25,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
-from zarm_robot_import.description import describe
 from zarm_robot_import.primitives import rows_of
-from zarm_robot_import.source import read_source
 from zarm_trajectory.limits import Limits
 
 PATIENCE = 600.0
@@ -34,7 +33,27 @@ POST = (-0.35, 0.3, 0.4)
 RADIUS = 0.05
 
 
-def source(arm: str) -> Path:
+def elbow(folder: Path) -> Path:
+    """The description of a small arm of three joints, whose links are meshes."""
+    links, joints, parent = ['<link name="base"/>'], [], "base"
+    for number, (length, axis, height) in enumerate(((0.2, "0 0 1", 0.1), (0.3, "0 1 0", 0.25), (0.25, "0 1 0", 0.35))):
+        tube = trimesh.creation.cylinder(0.04, length, sections=24)
+        tube.apply_translation((0.0, 0.0, length / 2))
+        tube.export(folder / f"part_{number}.stl")
+        links.append(
+            f'<link name="part_{number}"><collision><geometry><mesh filename="part_{number}.stl"/></geometry></collision></link>'
+        )
+        joints.append(
+            f'<joint name="turn_{number}" type="revolute"><parent link="{parent}"/><child link="part_{number}"/>'
+            f'<origin xyz="0 0 {height}"/><axis xyz="{axis}"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
+        )
+        parent = f"part_{number}"
+    file = folder / "elbow.urdf"
+    file.write_text(f'<robot name="elbow">{"".join(links + joints)}</robot>')
+    return file
+
+
+def vendors(arm: str) -> Path:
     """The vendor's description, as the package airo-models carries it."""
     spec = find_spec("airo_models")
     assert spec is not None
@@ -42,22 +61,19 @@ def source(arm: str) -> Path:
     return Path(spec.submodule_search_locations[0]) / "arms" / arm / f"{arm}.urdf"
 
 
-@pytest.fixture(scope="module", params=sampled("ur5e", "ur3e"))
-def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
-    folder = tmp_path_factory.mktemp(request.param)
-    made = zarm(
-        "robot",
-        "import",
-        str(source(request.param)),
-        "--geometry",
-        "collision",
-        "--output",
-        str(folder),
-        timeout=PATIENCE,
-    )
+@pytest.fixture(scope="module", params=sampled("elbow", "ur5e", "ur3e"))
+def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return elbow(tmp_path_factory.mktemp("source")) if request.param == "elbow" else vendors(request.param)
+
+
+@pytest.fixture(scope="module")
+def arm(source: Path, tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
+    folder = tmp_path_factory.mktemp("imported")
+    arguments = ("--geometry", "collision", "--output", str(folder))
+    made = zarm("robot", "import", str(source), *arguments, timeout=PATIENCE)
     assert made.returncode == 0, made.stderr
     assert {file.suffix for file in folder.iterdir()} == {".yaml", ".urdf", ".md", ".png"}
-    return load_robot(str(folder / f"{request.param}.yaml"))
+    return load_robot(str(folder / f"{source.stem}.yaml"))
 
 
 @pytest.fixture(scope="module")
@@ -66,24 +82,9 @@ def model(arm: RobotDescription) -> RobotModel:
 
 
 @pytest.fixture(scope="module")
-def meshes(arm: RobotDescription) -> dict[str, np.ndarray]:
-    """The triangles of the original collision geometry, read by this test itself."""
-    file = source(arm.descriptor.name)
-    found = {}
-    for link in describe(read_source(file)).links.values():
-        parts = []
-        for item in link.collision:
-            if item.kind == "mesh":
-                mesh = trimesh.load_mesh(file.parent / item.file, process=False)
-            elif item.kind == "cylinder":
-                mesh = trimesh.creation.cylinder(*item.size)
-            else:
-                mesh = trimesh.creation.icosphere(radius=item.size[0])
-            mesh.apply_transform(item.pose)
-            parts.append(mesh.triangles)
-        if parts:
-            found[link.name] = np.concatenate(parts)
-    return found
+def meshes(source: Path) -> dict[str, np.ndarray]:
+    """The triangles of the original collision geometry."""
+    return original_meshes(source)
 
 
 @pytest.mark.timeout(PATIENCE)
@@ -111,39 +112,20 @@ def test_its_motions_around_a_post_touch_nothing_by_another_library_on_the_origi
     scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
     rng = np.random.default_rng(3)
     home = np.array(model.robot.descriptor.home)
-    bodies = {link: bvh(triangles) for link, triangles in meshes.items()}
+    original = OriginalRobot(model, meshes)
     post = fcl.CollisionObject(fcl.Sphere(RADIUS), fcl.Transform(np.array(POST)))
     planned = 0
     for goal in rng.uniform(np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi), (15, model.dof)):
         try:
-            context = PlanningContext(scene, Limits.of(model.robot), Deadline(60.0), seed=0)
+            context = PlanningContext(scene, Limits.of(model.robot), Deadline(10.0), seed=0)
             found = plan(FreePlanner(), context, home, JointGoal(kind="joints", position=tuple(goal)))
-        except PlanningFailed:
+        except (PlanningFailed, DeadlineExceeded):
             continue
         planned += 1
         for q in found.trajectory.position[::5]:
-            objects = placed(model, bodies, q)
+            objects = original.placed(q)
             for i, j in model.pairs.tolist():
                 assert not touch(objects[model.links[i]], objects[model.links[j]])
             for link, joint in zip(model.links, model.link_joint.tolist(), strict=True):
                 assert joint < 0 or not touch(objects[link], post)
     assert planned >= 3
-
-
-def placed(model: RobotModel, bodies: dict[str, fcl.BVHModel], q: np.ndarray) -> dict[str, fcl.CollisionObject]:
-    return {
-        link: fcl.CollisionObject(bodies[link], fcl.Transform(pose[:3, :3], pose[:3, 3]))
-        for link, pose in zip(model.links, model.link_transforms(q), strict=True)
-    }
-
-
-def touch(one: fcl.CollisionObject, other: fcl.CollisionObject) -> bool:
-    return bool(fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()))
-
-
-def bvh(triangles: np.ndarray) -> fcl.BVHModel:
-    mesh = fcl.BVHModel()
-    mesh.beginModel(len(triangles), 3 * len(triangles))
-    mesh.addSubModel(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-    mesh.endModel()
-    return mesh

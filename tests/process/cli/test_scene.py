@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from support.command_line import HOME, Up, data, done, refused, vector
+from support.tiers import sampled
 
 DOWN = "0,1,0,0"
 """The orientation (x, y, z, w) of a tool that points down."""
@@ -59,11 +60,11 @@ def test_a_saved_scene_loads_as_it_was(up: Up, empty_scene: None, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [
+    sampled(
         ("objects: [a, b\n", "scene.yaml:2"),
         ("- a\n", "objects"),
         (yaml.safe_dump({"objects": [{"kind": "sphere", "name": "s", "position": [0, 0, 1]}]}), "objects.0.radius"),
-    ],
+    ),
 )
 def test_a_scene_file_that_is_wrong_changes_nothing(
     up: Up, empty_scene: None, tmp_path: Path, content: str, said: str

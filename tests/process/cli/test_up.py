@@ -46,6 +46,7 @@ def test_a_second_robot_joins_the_bus_under_another_name(up: Up, tmp_path: Path)
         assert json.loads(chosen.stdout)["robot"] == "left"
 
 
+@pytest.mark.slow  # as the guide to commissioning does, which is run
 def test_a_simulated_driver_is_started_where_it_is_asked_for(tmp_path: Path) -> None:
     with Up(free_endpoint(), tmp_path, "--driver", "sim", "--strategy", "joint_speed") as up:
         assert "joint_speed" in up.output()
@@ -66,12 +67,11 @@ def test_ctrl_c_stops_the_executor_first_and_leaves_no_process(tmp_path: Path) -
         assert [line.split()[0] for line in lines] == ["executor", "servo", "planner"]
 
 
-def test_where_logs_are_json_every_line_of_a_service_is_and_the_reason_of_a_failure_is_still_told(
-    tmp_path: Path,
-) -> None:
+def test_an_unknown_strategy_ends_the_whole_launch_with_its_reason_where_logs_are_json_too(tmp_path: Path) -> None:
     arguments = ("up", "--strategy", "telepathy", "--listen", free_endpoint(), "--state", str(tmp_path))
     with Command(*arguments, folder=tmp_path, ZARM_LOG_FORMAT="json") as up:
         assert up.end() == 3
+        assert up.family() == []
         *lines, last = up.errors().splitlines()
     assert re.fullmatch(r"zarm: unavailable: the executor cannot start: there is no strategy .telepathy.*", last)
     assert {json.loads(line)["robot"] for line in lines} == {ROBOT}
@@ -115,6 +115,7 @@ def test_malformed_yaml_is_said_with_file_and_line(tmp_path: Path) -> None:
     assert f"{file}:3" in the_one_line(refused.stderr)
 
 
+@pytest.mark.slow
 def test_an_unknown_strategy_ends_the_whole_launch_with_its_reason(tmp_path: Path) -> None:
     arguments = ("up", "--strategy", "telepathy", "--listen", free_endpoint(), "--state", str(tmp_path))
     with Command(*arguments, folder=tmp_path) as up:

@@ -26,19 +26,19 @@ SHORT = rest_to_rest(moved(0.01))
 # --- motion ---
 
 
-def test_a_trajectory_is_followed_to_its_end(client: Client) -> None:
-    goal_id = client.execute(FAR)
-    end = client.ended(goal_id)
+def test_a_trajectory_is_followed_to_its_end(shared: Client) -> None:
+    goal_id = shared.execute(FAR)
+    end = shared.ended(goal_id)
     assert end.status == "succeeded"
     assert end.progress == 1.0
     assert end.problem is None
-    np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
-    assert client.stands()
-    assert client.statuses(goal_id) == ["accepted", "running", "succeeded"]
-    progress = [goal.progress for goal in client.goals]
+    np.testing.assert_allclose(shared.position(), moved(1.5, -0.5), atol=1e-9)
+    assert shared.stands()
+    assert shared.statuses(goal_id) == ["accepted", "running", "succeeded"]
+    progress = [goal.progress for goal in shared.goals]
     assert progress == sorted(progress)
     assert len(set(progress)) > 5
-    assert client.greatest_acceleration() <= 1.02
+    assert shared.greatest_acceleration() <= 1.02
 
 
 def test_the_next_motion_starts_where_the_last_one_ended(shared: Client) -> None:
@@ -73,48 +73,48 @@ def test_it_works_at_the_control_rate_of_the_descriptor(endpoint: str, bus: Bus,
 
 
 @pytest.mark.parametrize("key", sampled(KEYS.cancel, KEYS.stop))
-def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(client: Client, key: str) -> None:
-    goal_id = client.execute(FAR)
-    client.under_way(goal_id)
-    assert client.command(key).mode == "stopping"
-    end = client.ended(goal_id)
+def test_cancel_and_stop_end_the_goal_at_rest_on_its_path(shared: Client, key: str) -> None:
+    goal_id = shared.execute(FAR)
+    shared.under_way(goal_id)
+    assert shared.command(key).mode == "stopping"
+    end = shared.ended(goal_id)
     assert end.status == "cancelled"
     assert end.problem is not None
     assert end.problem.code == "cancelled"
-    assert client.stands()
-    np.testing.assert_allclose(client.position(), end.joint_command, atol=1e-9)
-    assert distance_from(TimedTrajectory.of(FAR, ROBOT.descriptor.joints), client.position()) < 1e-3
+    assert shared.stands()
+    np.testing.assert_allclose(shared.position(), end.joint_command, atol=1e-9)
+    assert distance_from(TimedTrajectory.of(FAR, ROBOT.descriptor.joints), shared.position()) < 1e-3
     assert 0.3 < end.progress < 1.0
-    assert client.greatest_acceleration() <= 1.02
-    assert client.state().mode == "idle"
+    assert shared.greatest_acceleration() <= 1.02
+    assert shared.state().mode == "idle"
 
 
-def test_cancelling_what_does_not_run_is_no_error_and_changes_nothing(client: Client) -> None:
-    assert client.cancel().mode == "idle"
-    finished = client.execute(SHORT)
-    client.ended(finished)
-    running = client.execute(rest_to_rest(moved(1.0), moved(0.01)))
+def test_cancelling_what_does_not_run_is_no_error_and_changes_nothing(shared: Client) -> None:
+    assert shared.cancel().mode == "idle"
+    finished = shared.execute(SHORT)
+    shared.ended(finished)
+    running = shared.execute(rest_to_rest(moved(1.0), moved(0.01)))
     for goal_id in (finished, "goal-nobody"):
-        assert client.cancel(goal_id).mode == "running"
-    assert client.ended(running).status == "succeeded"
-    assert client.goal(finished).status == "succeeded"
+        assert shared.cancel(goal_id).mode == "running"
+    assert shared.ended(running).status == "succeeded"
+    assert shared.goal(finished).status == "succeeded"
 
 
 @pytest.mark.slow
-def test_a_paused_goal_is_held_until_it_is_resumed(client: Client) -> None:
-    goal_id = client.execute(FAR)
-    client.under_way(goal_id)
+def test_a_paused_goal_is_held_until_it_is_resumed(shared: Client) -> None:
+    goal_id = shared.execute(FAR)
+    shared.under_way(goal_id)
     for _ in range(2):
-        client.command(KEYS.pause)
-    client.mode("paused")
-    assert client.goal(goal_id).status == "paused"
-    assert client.stands()
+        shared.command(KEYS.pause)
+    shared.mode("paused")
+    assert shared.goal(goal_id).status == "paused"
+    assert shared.stands()
     for _ in range(2):
-        assert client.command(KEYS.resume).mode == "running"
-    assert client.ended(goal_id).status == "succeeded"
-    assert client.statuses(goal_id) == ["accepted", "running", "paused", "running", "succeeded"]
-    np.testing.assert_allclose(client.position(), moved(1.5, -0.5), atol=1e-9)
-    assert client.greatest_acceleration() <= 1.02
+        assert shared.command(KEYS.resume).mode == "running"
+    assert shared.ended(goal_id).status == "succeeded"
+    assert shared.statuses(goal_id) == ["accepted", "running", "paused", "running", "succeeded"]
+    np.testing.assert_allclose(shared.position(), moved(1.5, -0.5), atol=1e-9)
+    assert shared.greatest_acceleration() <= 1.02
 
 
 @pytest.mark.slow
@@ -138,24 +138,24 @@ def test_the_speed_is_read_changed_in_motion_published_and_stays(client: Client)
         assert refusal.value.problem.field == "speed_scale"
 
 
-def test_a_robot_beside_the_start_is_led_to_it_without_a_jump(client: Client) -> None:
-    client.ended(client.execute(rest_to_rest(moved(1.0, start=moved(0.04)), moved(0.04))))
-    assert client.greatest_acceleration() <= 1.02
-    np.testing.assert_allclose(client.position(), moved(1.04), atol=1e-9)
+def test_a_robot_beside_the_start_is_led_to_it_without_a_jump(shared: Client) -> None:
+    shared.ended(shared.execute(rest_to_rest(moved(1.0, start=moved(0.04)), moved(0.04))))
+    assert shared.greatest_acceleration() <= 1.02
+    np.testing.assert_allclose(shared.position(), moved(1.04), atol=1e-9)
 
 
 # --- refusals ---
 
 
-def test_while_a_goal_runs_another_one_is_refused(client: Client) -> None:
-    goal_id = client.execute(FAR)
+def test_while_a_goal_runs_another_one_is_refused(shared: Client) -> None:
+    goal_id = shared.execute(FAR)
     with pytest.raises(Busy, match=goal_id):
-        client.execute(SHORT)
-    client.command(KEYS.pause)
+        shared.execute(SHORT)
+    shared.command(KEYS.pause)
     with pytest.raises(Busy, match=goal_id):
-        client.execute(SHORT)
-    client.cancel()
-    client.ended(goal_id)
+        shared.execute(SHORT)
+    shared.cancel()
+    shared.ended(goal_id)
 
 
 def renamed(trajectory: Trajectory) -> Trajectory:
@@ -211,14 +211,14 @@ def test_a_switch_in_motion_brings_the_robot_to_rest_first(client: Client) -> No
     eventually(lambda: published == ["ghost", "emulator"], "each switch was published")
 
 
-def test_what_is_no_switch_leaves_the_goal_alone(client: Client) -> None:
-    goal_id = client.execute(FAR)
-    client.under_way(goal_id, 0.1)
-    assert client.strategy("emulator").active == "emulator"
+def test_what_is_no_switch_leaves_the_goal_alone(shared: Client) -> None:
+    goal_id = shared.execute(FAR)
+    shared.under_way(goal_id, 0.1)
+    assert shared.strategy("emulator").active == "emulator"
     with pytest.raises(InvalidRequest):
-        client.strategy("telepathy")
-    assert client.ended(goal_id).status == "succeeded"
-    assert client.statuses(goal_id) == ["accepted", "running", "succeeded"]
+        shared.strategy("telepathy")
+    assert shared.ended(goal_id).status == "succeeded"
+    assert shared.statuses(goal_id) == ["accepted", "running", "succeeded"]
 
 
 def test_an_unknown_strategy_is_refused_with_the_known_ones(shared: Client) -> None:
@@ -244,11 +244,11 @@ def test_a_switch_that_fails_leaves_the_old_strategy_active(client: Client, tmp_
 # --- what late joiners see, and who else is there ---
 
 
-def test_a_late_joiner_sees_the_present_state_and_the_goals(client: Client, endpoint: str) -> None:
-    first = client.execute(SHORT)
-    client.ended(first)
-    running = client.execute(rest_to_rest(moved(1.5), moved(0.01)))
-    with Bus(endpoint) as late:
+def test_a_late_joiner_sees_the_present_state_and_the_goals(shared: Client, place: str) -> None:
+    first = shared.execute(SHORT)
+    shared.ended(first)
+    running = shared.execute(rest_to_rest(moved(1.5), moved(0.01)))
+    with Bus(place) as late:
         seen: dict[str, GoalState] = {}
         late.watch(KEYS.goal("*"), GoalState, lambda _, goal: seen.__setitem__(goal.goal_id, goal))
         assert seen[first].status == "succeeded"

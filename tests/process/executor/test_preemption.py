@@ -16,56 +16,56 @@ from zarm_contract.errors import Busy, Cancelled, ExecutionRefused, InvalidReque
 FAR = rest_to_rest(moved(1.5, -0.5))
 
 
-def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(client: Client) -> None:
-    first = client.execute(FAR)
-    client.under_way(first)
-    client.command(KEYS.pause)
-    client.mode("paused")
-    second = client.execute(rest_to_rest(HOME, client.position()), preempt=True)
-    assert client.ended(second).status == "succeeded"
-    end = client.goal(first)
+def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(shared: Client) -> None:
+    first = shared.execute(FAR)
+    shared.under_way(first)
+    shared.command(KEYS.pause)
+    shared.mode("paused")
+    second = shared.execute(rest_to_rest(HOME, shared.position()), preempt=True)
+    assert shared.ended(second).status == "succeeded"
+    end = shared.goal(first)
     assert end.status == "cancelled"
     assert second in end.problem.message
-    np.testing.assert_allclose(client.position(), HOME, atol=1e-9)
+    np.testing.assert_allclose(shared.position(), HOME, atol=1e-9)
 
 
-def test_a_goal_cannot_preempt_under_the_name_of_the_one_that_runs(client: Client) -> None:
-    running = client.execute(FAR, goal_id="mine")
-    client.under_way(running)
+def test_a_goal_cannot_preempt_under_the_name_of_the_one_that_runs(shared: Client) -> None:
+    running = shared.execute(FAR, goal_id="mine")
+    shared.under_way(running)
     with pytest.raises(InvalidRequest) as refusal:
-        client.execute(FAR, preempt=True, goal_id="mine")
+        shared.execute(FAR, preempt=True, goal_id="mine")
     assert refusal.value.problem.field == "goal_id"
-    assert client.goal(running).status == "running"
-    assert client.ended(running).status == "succeeded"
-    assert client.statuses(running) == ["accepted", "running", "succeeded"]
+    assert shared.goal(running).status == "running"
+    assert shared.ended(running).status == "succeeded"
+    assert shared.statuses(running) == ["accepted", "running", "succeeded"]
 
 
 def test_a_motion_that_does_not_start_where_the_robot_comes_to_rest_is_refused_after_it_has_been_cleared(
-    client: Client,
+    shared: Client,
 ) -> None:
-    first = client.execute(FAR)
-    client.under_way(first)
+    first = shared.execute(FAR)
+    shared.under_way(first)
     with pytest.raises(ExecutionRefused) as refusal:
-        client.execute(FAR, preempt=True)
+        shared.execute(FAR, preempt=True)
     assert refusal.value.code == "start_state_mismatch"
-    assert client.goal(first).status == "cancelled"
-    assert client.stands()
-    assert client.greatest_acceleration() <= 1.02
-    assert client.state().mode == "idle"
+    assert shared.goal(first).status == "cancelled"
+    assert shared.stands()
+    assert shared.greatest_acceleration() <= 1.02
+    assert shared.state().mode == "idle"
 
 
-def test_a_motion_outside_the_limits_leaves_the_running_goal_alone(client: Client) -> None:
-    first = client.execute(FAR)
-    client.under_way(first)
+def test_a_motion_outside_the_limits_leaves_the_running_goal_alone(shared: Client) -> None:
+    first = shared.execute(FAR)
+    shared.under_way(first)
     with pytest.raises(ExecutionRefused) as refusal:
-        client.execute(rest_to_rest(moved(1.0), slower=0.5), preempt=True)
+        shared.execute(rest_to_rest(moved(1.0), slower=0.5), preempt=True)
     assert refusal.value.code == "limit_violated"
-    assert client.ended(first).status == "succeeded"
-    assert client.statuses(first) == ["accepted", "running", "succeeded"]
+    assert shared.ended(first).status == "succeeded"
+    assert shared.statuses(first) == ["accepted", "running", "succeeded"]
 
 
-def test_where_nothing_runs_it_is_an_ordinary_execution(client: Client) -> None:
-    assert client.ended(client.execute(FAR, preempt=True)).status == "succeeded"
+def test_where_nothing_runs_it_is_an_ordinary_execution(shared: Client) -> None:
+    assert shared.ended(shared.execute(FAR, preempt=True)).status == "succeeded"
 
 
 @pytest.mark.parametrize("then", sampled("a stop", "a second one", "a switch"))

@@ -117,10 +117,12 @@ def test_optimisation_for_a_killed_client_ends(
     before = process.output()
     with greedy(place, tmp_path, KEYS.plan, OPTIMIZED, SHARE) as client:
         eventually(
-            lambda: len(client.answers) == SHARE - CORES, "its last requests, which none of its own waits for, run"
+            lambda: len(client.answers) >= SHARE - CORES, "its last requests, which none of its own waits for, run"
         )
         client.kill()
-    eventually(lambda: ended(process, before) == CORES, "they have ended")
+    left = SHARE - len(client.answers)
+    assert left > 0
+    eventually(lambda: ended(process, before) == left, "they have ended")
     plan(modest, MODEST)
 
 

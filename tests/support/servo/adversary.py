@@ -64,8 +64,8 @@ _JOINTS = ROBOT.descriptor.joints
 _LINKS = tuple(f"link_{k}" for k in range(2, 7))
 _TOWARDS = 2e-5
 """A step of 10 ms that brings robot and object nearer by less (m), where the object stood, is none towards it: 2 mm/s."""
-_FAR, _FAR_TICKS = 0.3, 4
-"""What is further away (m) is looked at again after so many ticks: nothing here is faster than 6 m/s."""
+_FASTEST = 6.0
+"""Nothing here is faster (m/s): what is far away is looked at again when it may have come near."""
 _UNIX = 1.75e9
 MODEL, MESHES = RobotModel.of(ROBOT), Meshes()
 
@@ -162,7 +162,7 @@ class _Run:
         goal = Goal("goal-1", None, trajectory, Monitor(trajectory, self._bench.robot), SCENE)
         told = GoalTrajectory(goal_id="goal-1", number=1, start=0.0, trajectory=message, scene_revision=SCENE)
         self._guard.hear_trajectory("", told)
-        self._guard._running = "goal-1"
+        self._guard._goals._running = "goal-1"
         self._guard._look()
         while self._mail:
             heapq.heappop(self._mail)[2]()
@@ -229,7 +229,8 @@ class _Run:
         if rng.random() < 0.02:
             self._aim, self._share = str(rng.choice(_LINKS)), float(rng.choice((1.0, 1.0, 1.0, 0.0, -1.0)))
         exact = self._bench.arm.exact
-        away = link_pose(ROBOT, self._aim, exact.position + rng.uniform(0.0, 0.5) * exact.velocity)[:3, 3] - self._at
+        links = MODEL.link_transforms(exact.position + rng.uniform(0.0, 0.5) * exact.velocity)
+        away = links[MODEL.links.index(self._aim), :3, 3] - self._at
         way = away / max(float(np.linalg.norm(away)), 1e-9)
         self._velocity = self._told + self._share * self._speed * way
 
@@ -291,7 +292,7 @@ class _Run:
                 skipped -= 1
                 continue
             apart = self._clearance.at(now, self._at)
-            skipped = _FAR_TICKS if apart > _FAR else 0
+            skipped = int(apart / (_FASTEST * _TICK * STEP))
             nearest = min(nearest, apart)
             if apart <= 0.0:
                 closer = self._clearance.at(before, place) - self._clearance.at(now, place)
@@ -322,6 +323,4 @@ class _Run:
                 )
                 session.inbox.hear(message, self._time.now)
             session._cycle(self._time.now)
-            if session._news.is_set():
-                session._news.clear()
-                session._load(*session._present)
+            session._scene.catch_up()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path as Folder
+
 import numpy as np
 import pytest
 
 from support.arrivals import arrival
 from support.executor.bench import LIMIT, Bench
+from support.executor.driver_bench import EVERY, Case, DriverBench
 from support.trajectories import ROBOT, SCENE, moved
 from zarm_contract.errors import Busy, ExecutionRefused
 from zarm_contract.messages import Authority, Obstruction
@@ -62,6 +65,23 @@ def test_the_robot_goes_over_to_another_trajectory_without_a_jump_and_its_goal_g
     np.testing.assert_allclose(bench.positions[-1], ELSEWHERE, atol=1e-9)
     acceleration = np.diff(bench.positions, n=2, axis=0) / TICK**2
     assert (np.abs(acceleration) / LIMIT).max() < 1.02
+
+
+@pytest.mark.parametrize("case", [Case("joint_speed"), Case("joint_pose", "position", EVERY)], ids=str)
+def test_a_driver_that_is_streamed_to_goes_over_without_a_jump(case: Case, tmp_path: Folder) -> None:
+    bench = DriverBench(case, tmp_path)
+    bench.machine.scene = SCENE
+    trajectory = bench.execute(np.array(moved(0.8)))
+    bench.run(0.5)
+    goal = bench.machine.goal_state()
+    assert goal is not None
+    at = goal.progress * trajectory.duration + 0.3
+    bench.machine.replace("goal", 1, from_state(trajectory.at(at)), SCENE, at)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert not any(change.hold for change in bench.machine.changes)
+    np.testing.assert_allclose(bench.positions[-1], ELSEWHERE, atol=0.01)
+    assert bench.commanded_acceleration() < 1.1 * LIMIT.max()
 
 
 def test_a_goal_that_brakes_before_something_goes_on_along_its_new_trajectory(bench: Bench) -> None:

@@ -18,7 +18,11 @@ BY_ITSELF = 0.06
 """How far (rad) an arm may leave its path that brakes by itself, each joint for itself."""
 
 
-@pytest.fixture(params=[case for case in MOVING if case.strategy != "emulator"], ids=str)
+CASES = sampled(MOVING[1], MOVING[2]) + sampled(*MOVING[3:])
+"""Of the strategies that send a driver chunks, and of those that hand it a whole motion, which it plays on by itself."""
+
+
+@pytest.fixture(params=CASES, ids=str)
 def bench(request: pytest.FixtureRequest, tmp_path: Folder) -> DriverBench:
     return DriverBench(request.param, tmp_path, ceiling=1000.0)
 

@@ -42,7 +42,13 @@ def phase() -> float:
     return 0.003
 
 
-@pytest.fixture(params=MOVING, ids=str)
+REPEATED = {MOVING[2], MOVING[4], MOVING[5]}
+"""Cases that differ little from others, and that `tests/process/executor` moves too."""
+
+
+@pytest.fixture(
+    params=[pytest.param(case, marks=pytest.mark.slow if case in REPEATED else ()) for case in MOVING], ids=str
+)
 def bench(request: pytest.FixtureRequest, rate: float, phase: float, tmp_path: Folder) -> DriverBench:
     return DriverBench(request.param, tmp_path, rate, phase)
 

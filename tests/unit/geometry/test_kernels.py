@@ -33,7 +33,7 @@ from zarm_planner.kernels.trees import Trees, add, make_trees, nearest_node
 Array = NDArray[np.float64]
 
 
-@pytest.fixture(scope="module", params=("panda", "doosan_m1013", "small_arm"))
+@pytest.fixture(scope="module", params=sampled("panda", "doosan_m1013", "small_arm"))
 def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     if request.param == "small_arm":
         return RobotModel.of(small_arm(tmp_path_factory.mktemp("robot")))
@@ -187,7 +187,7 @@ def find(trees: Trees, nodes: Single, target: Single, weight: Single) -> tuple[i
     return nearest_node(trees, 1, target, weight)
 
 
-@pytest.mark.parametrize("count", [1, 16, 17, 333])
+@pytest.mark.parametrize("count", sampled(333, 1, 16, 17))
 def test_the_nearest_node_is_found(count: int) -> None:
     rng = np.random.default_rng(count)
     nodes = rng.uniform(-3, 3, (count, 5)).astype(np.float32)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import random_joints
+from support.tiers import sampled
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Device, Sphere
 from zarm_contract.robot import load_robot
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 ROBOTS = ("doosan_m1013", "panda", "ur5e", "ur10e", "small_arm")
 
 
-@pytest.fixture(scope="module", params=ROBOTS)
+@pytest.fixture(scope="module", params=sampled(*ROBOTS))
 def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     if request.param == "small_arm":
         return RobotModel.of(small_arm(tmp_path_factory.mktemp("robot")))

@@ -16,6 +16,7 @@ from support.examples import examples
 from support.jerk import greatest_jerk
 from support.planner.limits import joint_limits
 from support.planner.sphere_model import clearances, random_objects
+from support.tiers import sampled
 from zarm_contract.messages import Cuboid
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
@@ -84,8 +85,8 @@ def passings(motion: TimedTrajectory, rows: Array) -> tuple[Array, Array]:
     return t[at], off[at, range(len(rows))]
 
 
-@pytest.mark.parametrize("jerk", [None, 20.0, 2.0])
-@pytest.mark.parametrize("dt", [0.004, 0.02])
+@pytest.mark.parametrize("jerk", sampled(20.0, None, 2.0))
+@pytest.mark.parametrize("dt", sampled(0.02, 0.004))
 def test_the_limits_hold_between_the_samples_too(model: RobotModel, path: Array, dt: float, jerk: float | None) -> None:
     limits = Limits.of(model.robot)
     if jerk is not None:
@@ -171,8 +172,8 @@ def test_vias_along_the_way_cost_little(model: RobotModel) -> None:
     assert through.duration < 0.7 * stopping.duration
 
 
-@pytest.mark.parametrize("jerk", [500.0, 20.0])
-@pytest.mark.parametrize("deviation", [1e-3, 1e-4])
+@pytest.mark.parametrize("jerk", sampled(20.0, 500.0))
+@pytest.mark.parametrize("deviation", sampled(1e-3, 1e-4))
 def test_low_jerk_takes_a_motion_no_further_off_its_vias(model: RobotModel, jerk: float, deviation: float) -> None:
     limits = replace(Limits.of(model.robot), jerk=np.full(model.dof, jerk))
     motion = smooth_path(
@@ -239,7 +240,7 @@ def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
 numbers = st.floats(-1.0, 1.0)
 
 
-@examples(1)
+@examples(0.5)
 @given(st.lists(st.tuples(numbers, numbers, numbers, numbers), min_size=1, max_size=4))
 @example([(0.0, 0.5, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0)])
 def test_a_ramp_joins_two_states_inside_the_limits(joints: list[tuple[float, float, float, float]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -55,3 +56,42 @@ def test_spheres_that_are_too_small_or_elsewhere(tmp_path: Path) -> None:
     )
     large = changed(tmp_path, descriptor=lambda text: text.replace(own, sphere.format(0.2)))
     assert any(fault.startswith("spheres.wrist_3_link[0]: it stands out of the link") for fault in large)
+
+
+def test_a_home_in_contact(tmp_path: Path) -> None:
+    home = "home: [0.0, -2.2, 1.9, -1.383, -1.57, 0.0]"
+    found = changed(tmp_path, descriptor=lambda text: text.replace(home, "home: [0.0, -1.5, 3.1, -1.383, -1.57, 0.0]"))
+    assert any(fault.startswith("home: ") and "in contact there" in fault for fault in found)
+
+
+def test_self_collision_everywhere(tmp_path: Path) -> None:
+    own = "  wrist_3_link: *wrist_3_link"
+    huge = "  wrist_3_link: [{kind: sphere, center: [0.0, 0.0, -0.0274], radius: 1.0}]"
+    found = changed(tmp_path, descriptor=lambda text: text.replace(own, huge))
+    assert any("of all configurations are free of self-collision" in fault for fault in found)
+
+
+def test_limits_in_degrees(tmp_path: Path) -> None:
+    found = changed(tmp_path, urdf=lambda text: re.sub('lower="[^"]*" upper="[^"]*"', 'lower="-360" upper="360"', text))
+    assert any(fault.startswith("elbow_joint: its range is 720 rad wide") for fault in found)
+
+
+def test_a_workspace_that_is_a_point(tmp_path: Path) -> None:
+    near = 'lower="{0}" upper="{1}"'
+
+    def narrow(text: str) -> str:
+        homes = iter((0.0, -2.2, 1.9, -1.383, -1.57, 0.0))
+        return re.sub(
+            'lower="[^"]*" upper="[^"]*"', lambda _: near.format((home := next(homes)) - 0.005, home + 0.005), text
+        )
+
+    found = changed(tmp_path, urdf=narrow)
+    assert any(fault.startswith("urdf: over all joint ranges the tip moves by ") for fault in found)
+
+
+def test_a_mesh_that_is_not_there(tmp_path: Path) -> None:
+    mesh = (
+        '<link name="forearm_link"><visual><geometry><mesh filename="package://ur/a.stl"/></geometry></visual></link>'
+    )
+    found = changed(tmp_path, urdf=lambda text: text.replace('<link name="forearm_link"/>', mesh))
+    assert any("ur5e.urdf:" in fault and "there is no mesh package://ur/a.stl" in fault for fault in found)

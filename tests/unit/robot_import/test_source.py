@@ -129,3 +129,19 @@ def test_a_xacro_is_expanded_with_the_packages_around_it(tmp_path: Path) -> None
         '<xacro:include filename="$(find my_arm)/urdf/part.xacro"/></robot>'
     )
     assert [one.name for one in choose_chain(describe(read_source(file))).joints] == ["one"]
+
+
+def test_a_xacro_that_cannot_be_expanded_leaves_the_next_one_as_it_is(tmp_path: Path) -> None:
+    """Also one whose package has no package.xml, and is found by the name of its folder."""
+    folder = tmp_path / "kr_arm" / "urdf"
+    folder.mkdir(parents=True)
+    start, end = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">', "</robot>"
+    (folder / "part.xacro").write_text(f'{start}<xacro:include filename="$(find none)/b.xacro"/>{end}')
+    include = '<xacro:include filename="$(find kr_arm_support)/urdf/{}.xacro"/>'
+    (folder / "bad.xacro").write_text(f"{start}{include.format('part')}{end}")
+    (folder / "good.xacro").write_text(f'{start}<link name="a"/>{include.format("beside")}{end}')
+    (folder / "beside.xacro").write_text(f'{start}<xacro:include filename="joint.xacro"/>{end}')
+    (folder / "joint.xacro").write_text(f'{start}<link name="b"/>{end}')
+    with pytest.raises(InvalidRequest, match="there is no package none"):
+        read_source(folder / "bad.xacro")
+    assert [link.get("name") for link in read_source(folder / "good.xacro").root.findall("link")] == ["a", "b"]

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from support.examples import examples
+from support.tiers import sampled
 from zarm_contract.messages import Cuboid, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.exact import ExactScene
@@ -72,7 +73,7 @@ def wall(distance: float) -> Cuboid:
     return Cuboid(kind="cuboid", name="wall", position=(x, 0.0, 0.5), size=(0.1, 4.0, 3.0))
 
 
-@pytest.mark.parametrize("shift", [(0.05, 0.08, -0.05, 0.3), (0.0, 0.0, 0.0, 0.5)])
+@pytest.mark.parametrize("shift", sampled((0.05, 0.08, -0.05, 0.3), ((0.0, 0.0, 0.0, 0.5),)))
 def test_a_reachable_pose_is_reached_to_a_millimetre_and_a_hundredth_of_a_radian(shift: tuple[float, ...]) -> None:
     session, pose = Session(), moved(*shift)
     step = session.follow(PoseTarget(pose), 4.0)
@@ -122,6 +123,17 @@ def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
     session.assert_sound()
 
 
+def test_a_pose_that_just_keeps_the_margin_is_reached() -> None:
+    pose = moved(0.08, 0.05, 0.0)
+    free = Session(wall(1.0))
+    there = free.follow(PoseTarget(pose), 4.0).state[0]
+    away = ExactScene(MODEL, free.world).nearest(there[None], itself=False).distance
+    session = Session(wall(1.0 - away + MARGIN + 0.0005))
+    step = session.follow(PoseTarget(pose), 6.0)
+    assert np.linalg.norm(MODEL.fk_tip(step.state[0])[:3, 3] - pose[:3, 3]) < 0.0005
+    session.assert_sound()
+
+
 def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls() -> None:
     session = Session(wall(-0.03))
     scene = ExactScene(MODEL, session.world)
@@ -138,8 +150,8 @@ def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls()
 def test_the_elbow_is_stretched_slowly() -> None:
     session = Session()
     session.follow(PoseTarget(moved(1.5, 0.0, 0.3)), 6.0)
-    singular = [np.linalg.svd(MODEL.tip_jacobian(state[0]), compute_uv=False)[-1] for state in session.states]
-    speeds = np.abs([state[1] for state in session.states]).max(axis=1)
+    singular = [np.linalg.svd(MODEL.tip_jacobian(state[0]), compute_uv=False)[-1] for state in session.states[::5]]
+    speeds = np.abs([state[1] for state in session.states[::5]]).max(axis=1)
     assert min(singular) < 0.02
     assert speeds[np.array(singular) < 0.02].max() < 0.3 * LIMITS.velocity.max()
     session.assert_sound()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 
 from support.harness import eventually
 from support.trajectories import HOME, ROBOT, SCENE, moved, rest_to_rest
+from zarm_contract.codec import encode
 from zarm_contract.errors import DeadlineExceeded, ExecutionRefused, PlanningFailed
 from zarm_contract.messages import (
     GoalState,
     GoalTrajectory,
     Hold,
     JointState,
+    ObjectPose,
     Plan,
     PlanRequest,
     PlanTimings,
@@ -28,6 +31,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker
+from zarm_servo.moving_objects import MovingObjects
 from zarm_servo.replanning import LONGEST_LEAD, SHORTEST_LEAD, Replanner
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -72,6 +76,7 @@ class Desk:
         self.measured = Standing()
         self.monitor = SceneMonitor(lambda: None)
         self.monitor.hear_scene("", Scene(revision=SCENE))
+        self.moving = MovingObjects(self.monitor, Meshes(), lambda: None)
         self.lock = threading.Lock()
 
     def ask(self, request: PlanRequest, _deadline: float) -> Plan:
@@ -111,7 +116,9 @@ def checker() -> Checker:
 
 @pytest.fixture
 def replanner(desk: Desk, checker: Checker) -> Iterator[Replanner]:
-    with Replanner(ROBOT, checker, desk.monitor, desk.measured, desk.ask, desk.replace, Metrics()) as running:
+    with Replanner(
+        ROBOT, checker, desk.monitor, desk.moving, desk.measured, desk.ask, desk.replace, Metrics()
+    ) as running:
         running.hear_goal("", goal(0.2))
         yield running
 
@@ -180,6 +187,17 @@ def test_a_plan_that_is_not_free_in_a_newer_scene_is_not_followed(desk: Desk, re
         return PLAN
 
     desk.planner = overtaken
+    replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
+    eventually(lambda: len(desk.asked) > 1, "it was tried again")
+    assert not desk.replaced
+
+
+def test_a_plan_that_is_not_free_of_what_moves_is_not_followed(desk: Desk, replanner: Replanner) -> None:
+    ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 9.0), radius=0.1)
+    desk.monitor.hear_scene("", Scene(revision=SCENE, objects=(ball,)))
+    middle = RobotModel.of(ROBOT).fk_tip(PATH.positions(np.array([PATH.duration / 2]))[0])[:3, 3]
+    pose = ObjectPose(stamp=time.time(), position=tuple(middle.tolist()), speed=0.1)
+    desk.moving.tell("ball", encode(pose), time.monotonic(), time.time())
     replanner.see(FOLLOWED, PATH, PATH.duration - 0.1)
     eventually(lambda: len(desk.asked) > 1, "it was tried again")
     assert not desk.replaced

@@ -108,7 +108,8 @@ class PlanRequest(Message):
     `request_id` names the request for `planner/cancel`. `timeout` (s) is the deadline of the whole request; `max_attempts`
     bounds the number of searches. After the first plan the planner looks for faster ones for `optimize_s` (s), as long as no
     other request waits. `margin` (m) is the distance to keep from objects. Scales are shares of the velocity and acceleration
-    limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory.
+    limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory. A plan that is not to `publish` goes to who
+    asked alone: it is not shown on `planner/plans`, and cannot be executed by its id.
     """
 
     goal: Goal
@@ -124,6 +125,7 @@ class PlanRequest(Message):
     acceleration_scale: Scale | None = None
     margin: Margin | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    publish: bool = True
 
     @field_validator("start_state")
     @classmethod

@@ -126,10 +126,10 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
     near = np.uint32(0)
     node = 0
     while node < space.nodes:
-        if _in_box(space, node, x, y, z, wide) == 0 or not _reached(space, link, node, half):
+        shape, this = SHAPE * space.leaf[node], node
+        if _in_box(space, node, x, y, z, wide) == 0 or (shape < 0 and not _reached(space, link, node, half)):
             node = space.skip[node]
             continue
-        shape = SHAPE * space.leaf[node]
         node += 1
         if shape < 0:
             continue
@@ -139,9 +139,11 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
             ball = space.links + sphere
             at = ball * 3 * LANES
             bx, by, bz = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
+            slack = _slack(half, space.motion[ball])
+            if _in_box(space, this, bx, by, bz, slack + space.spheres[4 * sphere + 3]) == 0:
+                continue
             apart = squared_distance(space.shapes, shape, bx, by, bz)
             radius = space.spheres[4 * sphere + 3] + rounding
-            slack = _slack(half, space.motion[ball])
             reach = slack + radius
             close = below(apart, reach * reach)
             if close != 0:

@@ -22,12 +22,16 @@ from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.simd import pointer
 
 Array = NDArray[np.float64]
+Box = tuple[float, float, float, float, float, float]
+"""The lower corner and the upper one."""
 Flags = NDArray[np.uint8]
 
 COARSE = 0.02
 """A stretch with a larger sag (m) is cut in two at once when something is near it."""
 CROWD = 48
 """So many obstacles are looked at on a stretch that had better be cut in two."""
+KEPT, NEARER, CUT = 0, 1, 2
+"""What is found on a stretch."""
 POSE = 12
 """Numbers per frame (3, 4)."""
 EXTENTS = 6
@@ -359,100 +363,143 @@ def _apart(
 
 
 @inlined
-def _scaled(v: Vector, factor: float) -> Vector:
-    return v[0] * factor, v[1] * factor, v[2] * factor
+def _box(view: View, solid: int, a: int, m: int, b: int, wide: float) -> Box:
+    """What is around a solid of the robot and its places at three samples, `wide` (m) larger on all sides."""
+    core, size = extents_of(view.extents, solid), POSE * view.solids
+    wide += view.extents[EXTENTS * solid + 4]
+    x0, y0, z0 = math.inf, math.inf, math.inf
+    x1, y1, z1 = -math.inf, -math.inf, -math.inf
+    for k in (a, m, b):
+        at = size * k + POSE * solid
+        turn = turn_of(view.frames, at)
+        x, y, z = view.frames[at + 3], view.frames[at + 7], view.frames[at + 11]
+        rx = core_reach((turn[0], turn[1], turn[2]), core)
+        ry = core_reach((turn[3], turn[4], turn[5]), core)
+        rz = core_reach((turn[6], turn[7], turn[8]), core)
+        x0, y0, z0 = min(x0, x - rx), min(y0, y - ry), min(z0, z - rz)
+        x1, y1, z1 = max(x1, x + rx), max(y1, y + ry), max(z1, z + rz)
+    return x0 - wide, y0 - wide, z0 - wide, x1 + wide, y1 + wide, z1 + wide
 
 
 @inlined
-def _against_world(
-    view: View, link: int, a: int, m: int, b: int, sag: float, margin: float, clearance: float
-) -> tuple[float, int, int]:
-    """What a link keeps clear of on a stretch, at most `clearance`, and the part and obstacle where it is less than `margin`.
+def _obstacle_in(view: View, node: int, box: Box) -> int:
+    """The first node of the tree from `node` on that has an obstacle in the box, the number of nodes where there is none."""
+    boxes = view.boxes
+    while node < view.nodes:
+        at = 6 * node
+        x, y, z = boxes[at], boxes[at + 1], boxes[at + 2]
+        hx, hy, hz = boxes[at + 3] - view.grown, boxes[at + 4] - view.grown, boxes[at + 5] - view.grown
+        if (
+            x - hx > box[3] or x + hx < box[0] or y - hy > box[4] or y + hy < box[1] or z - hz > box[5] or z + hz < box[2]
+        ):  # fmt: skip
+            node = view.skip[node]
+            continue
+        row = view.leaf[node]
+        if row >= 0 and view.alive[row] != 0:
+            return node
+        node += 1
+    return node
+
+
+@inlined
+def _displacement(view: View, mover: int, k: int) -> Vector:
+    """Where a mover's velocity has taken it at sample `k`."""
+    passed = view.time[k] - view.since[mover]
+    at = 3 * mover
+    return passed * view.velocity[at], passed * view.velocity[at + 1], passed * view.velocity[at + 2]
+
+
+@inlined
+def _growth(view: View, mover: int, a: int, b: int) -> float:
+    """How far a point of a mover may be from there between two samples."""
+    since = view.since[mover]
+    growth: float = view.speed[mover] * max(abs(view.time[a] - since), abs(view.time[b] - since))
+    return growth
+
+
+@inlined
+def _mover_in(view: View, mover: int, a: int, b: int, box: Box) -> int:
+    """The first mover from `mover` on that comes into the box between two samples, the number of movers where none does."""
+    while mover < view.movers:
+        early, late, growth = _displacement(view, mover, a), _displacement(view, mover, b), _growth(view, mover, a, b)
+        at = 3 * mover
+        if not (
+            view.lower[at] + min(early[0], late[0]) - growth > box[3]
+            or view.upper[at] + max(early[0], late[0]) + growth < box[0]
+            or view.lower[at + 1] + min(early[1], late[1]) - growth > box[4]
+            or view.upper[at + 1] + max(early[1], late[1]) + growth < box[1]
+            or view.lower[at + 2] + min(early[2], late[2]) - growth > box[5]
+            or view.upper[at + 2] + max(early[2], late[2]) + growth < box[2]
+        ):
+            return mover
+        mover += 1
+    return mover
+
+
+@inlined
+def _against_world(view: View, link: int, a: int, m: int, b: int, sag: float, margin: float) -> tuple[int, int, int]:
+    """Whether a link keeps the margin on a stretch, KEPT or NEARER; and then the part and obstacle that do not. CUT where that is better
+    asked of both halves.
 
     Obstacles are numbered as rows of the world, and then the movers.
     """
-    size = POSE * view.solids
     ball = view.parts + link
-    fa, fm, fb = size * a + POSE * ball, size * m + POSE * ball, size * b + POSE * ball
-    f = view.frames
     radius = view.extents[EXTENTS * ball + 4]
-    wide = radius + sag + clearance
-    x0, x1 = min(f[fa + 3], f[fm + 3], f[fb + 3]) - wide, max(f[fa + 3], f[fm + 3], f[fb + 3]) + wide
-    y0, y1 = min(f[fa + 7], f[fm + 7], f[fb + 7]) - wide, max(f[fa + 7], f[fm + 7], f[fb + 7]) + wide
-    z0, z1 = min(f[fa + 11], f[fm + 11], f[fb + 11]) - wide, max(f[fa + 11], f[fm + 11], f[fb + 11]) + wide
+    box = _box(view, ball, a, m, b, sag + margin)
+    first, first_mover = _obstacle_in(view, 0, box), _mover_in(view, 0, a, b, box)
+    if first == view.nodes and first_mover == view.movers:
+        return KEPT, 0, 0
+    whole = b == a + 1
+    if sag > COARSE and not whole:
+        return CUT, 0, 0
     # A stretch on which a link moves far, for its size, is beside more obstacles than its halves together.
-    long = b > a + 1 and max(x1 - x0, y1 - y0, z1 - z0) - 2.0 * wide + 2.0 * sag > 0.25 * radius
+    span = max(box[3] - box[0], box[4] - box[1], box[5] - box[2]) - 2.0 * (radius + margin)
+    long = not whole and span > 0.25 * radius
     crowd = 0
-    lowest = clearance
-    point = (0.0, 0.0, 0.0, 0.0)
-    node, mover, boxes = 0, 0, view.boxes
-    while node < view.nodes or mover < view.movers:
-        early = middle = late = (0.0, 0.0, 0.0)
-        growth = 0.0
-        if node < view.nodes:
-            at = 6 * node
-            x, y, z = boxes[at], boxes[at + 1], boxes[at + 2]
-            hx, hy, hz = boxes[at + 3] - view.grown, boxes[at + 4] - view.grown, boxes[at + 5] - view.grown
-            if x - hx > x1 or x + hx < x0 or y - hy > y1 or y + hy < y0 or z - hz > z1 or z + hz < z0:
-                node = view.skip[node]
-                continue
-            row = view.leaf[node]
-            node += 1
-            if row < 0 or view.alive[row] == 0:
-                continue
-            others, extents, which, name = view.row_pose, view.row_extents, row, row
-        else:
-            which, name = mover, view.rows + mover
-            others, extents = view.mover_pose, view.mover_extents
-            mover += 1
-            since = view.since[which]
-            velocity = (view.velocity[3 * which], view.velocity[3 * which + 1], view.velocity[3 * which + 2])
-            early = _scaled(velocity, view.time[a] - since)
-            middle = _scaled(velocity, view.time[m] - since)
-            late = _scaled(velocity, view.time[b] - since)
-            growth = view.speed[which] * max(abs(view.time[a] - since), abs(view.time[b] - since))
-            low, high = 3 * which, 3 * which
-            if (
-                view.lower[low] + min(early[0], late[0]) - growth > x1
-                or view.upper[high] + max(early[0], late[0]) + growth < x0
-                or view.lower[low + 1] + min(early[1], late[1]) - growth > y1
-                or view.upper[high + 1] + max(early[1], late[1]) + growth < y0
-                or view.lower[low + 2] + min(early[2], late[2]) - growth > z1
-                or view.upper[high + 2] + max(early[2], late[2]) + growth < z0
-            ):
-                continue
-        crowd += 1
-        if (sag > COARSE and b > a + 1) or (long and crowd > CROWD):
-            return -math.inf, 0, 0
-        other = extents_of(extents, which)
-        less = extents[EXTENTS * which + 4] + sag + growth
-        at = POSE * which
-        far = lowest + less + radius
-        if _apart(f, fa, fm, fb, point, others, at, at, at, other, early, middle, late, far) >= far:
-            continue
-        for i in range(view.first[link], view.first[link + 1]):
-            part = POSE * i
-            away = less + view.extents[EXTENTS * i + 4]
-            lower = _apart(
-                f, size * a + part, size * m + part, size * b + part, extents_of(view.extents, i),
-                others, at, at, at, other, early, middle, late, margin + away,
-            ) - away  # fmt: skip
-            if lower < margin:
-                return lower, i, name
-            lowest = min(lowest, lower)
-    return lowest, 0, 0
+    size = POSE * view.solids
+    for i in range(view.first[link], view.first[link + 1]):
+        core = extents_of(view.extents, i)
+        away = sag + view.extents[EXTENTS * i + 4]
+        box = _box(view, i, a, m, b, sag + margin)
+        fa, fm, fb = size * a + POSE * i, size * m + POSE * i, size * b + POSE * i
+        node, mover = _obstacle_in(view, first, box), _mover_in(view, first_mover, a, b, box)
+        while node < view.nodes or mover < view.movers:
+            early = middle = late = (0.0, 0.0, 0.0)
+            growth = 0.0
+            if node < view.nodes:
+                which = name = view.leaf[node]
+                others, extents = view.row_pose, view.row_extents
+                node = _obstacle_in(view, node + 1, box)
+            else:
+                which, name = mover, view.rows + mover
+                others, extents = view.mover_pose, view.mover_extents
+                early, middle, late = (
+                    _displacement(view, mover, a),
+                    _displacement(view, mover, m),
+                    _displacement(view, mover, b),
+                )
+                growth = _growth(view, mover, a, b)
+                mover = _mover_in(view, mover + 1, a, b, box)
+            crowd += 1
+            if long and crowd > CROWD:
+                return CUT, 0, 0
+            need = margin + away + extents[EXTENTS * which + 4] + growth
+            at = POSE * which
+            other = extents_of(extents, which)
+            if _apart(view.frames, fa, fm, fb, core, others, at, at, at, other, early, middle, late, need) < need:
+                return NEARER, i, name
+    return KEPT, 0, 0
 
 
 @inlined
 def _against_link(
-    view: View, one: int, other: int, a: int, m: int, b: int, sag: float, margin: float, clearance: float
-) -> tuple[float, int, int]:
-    """The same of two links; a part of `other` is -1 minus its index. Here -1 minus `view.parts` is its ball."""
+    view: View, one: int, other: int, a: int, m: int, b: int, sag: float, margin: float
+) -> tuple[int, int, int]:
+    """The same of two links; a part of `other` is -1 minus its index."""
     size = POSE * view.solids
     fa, fm, fb = size * a, size * m, size * b
     f, e = view.frames, view.extents
     still = (0.0, 0.0, 0.0)
-    lowest = clearance
     ball, around = view.parts + one, view.parts + other
     for i in range(view.first[one] - 1, view.first[one + 1]):
         whole = i < view.first[one]
@@ -463,24 +510,21 @@ def _against_link(
             hull = j < view.first[other]
             his = around if hull else j
             o = POSE * his
-            away = sag + e[EXTENTS * mine + 4] + e[EXTENTS * his + 4]
-            need = away + (lowest if whole or hull else margin)
-            lower = _apart(
+            need = margin + sag + e[EXTENTS * mine + 4] + e[EXTENTS * his + 4]
+            kept = _apart(
                 f, fa + p, fm + p, fb + p, core, f, fa + o, fm + o, fb + o, extents_of(e, his), still, still, still, need
-            ) - away  # fmt: skip
-            if hull and lower >= lowest:
+            ) >= need  # fmt: skip
+            if hull and kept:
                 if whole:
-                    return lowest, 0, 0
+                    return KEPT, 0, 0
                 break
             if whole:
                 if sag > COARSE and b > a + 1:
-                    return -math.inf, 0, 0
+                    return CUT, 0, 0
                 break
-            if not hull:
-                if lower < margin:
-                    return lower, i, -1 - j
-                lowest = min(lowest, lower)
-    return lowest, 0, 0
+            if not hull and not kept:
+                return NEARER, i, -1 - j
+    return KEPT, 0, 0
 
 
 @kernel
@@ -492,13 +536,11 @@ def first_contact(
     movers: Movers,
     motion: Motion,
     margin: float,
-    clearance: float,
-) -> tuple[int, int, int, float]:
+) -> tuple[int, int, int]:
     """The first sample after which it is not proven that all keep `margin` (m), the number of samples - 1 where all is.
 
-    Then the part and what it comes too near to: a row of the world, after those the movers, or -1 minus another part. Last
-    what is proven to be clear up to there, at most `clearance`, which is not below `margin`. `standing` are the world's
-    shapes, of which only those that are `alive` (n,) count.
+    Then the part and what it comes too near to: a row of the world, after those the movers, or -1 minus another part. `standing` are
+    the world's shapes, of which only those that are `alive` (n,) count.
     """
     view = view_of(body, world, standing, alive, movers, motion)
     until, part, near = motion.q.shape[0] - 1, 0, 0
@@ -522,17 +564,16 @@ def first_contact(
             place(view, body, motion, m)
             place(view, body, motion, b)
             if subject < view.links:
-                lower, i, other = _against_world(view, subject, a, m, b, sag, margin, clearance)
+                found, i, other = _against_world(view, subject, a, m, b, sag, margin)
             else:
                 one, two = body.pairs[subject - view.links, 1], body.pairs[subject - view.links, 0]
-                lower, i, other = _against_link(view, one, two, a, m, b, sag, margin, clearance)
-            if lower >= margin:
-                clearance = min(clearance, lower)
-            elif m == a:
+                found, i, other = _against_link(view, one, two, a, m, b, sag, margin)
+            if found == KEPT:
+                continue
+            if m == a:
                 until, part, near = a, i, other
                 break
-            else:
-                stack[top, 0], stack[top, 1], stack[top, 2] = 2 * node + 1, m, b
-                stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = 2 * node, a, m
-                top += 2
-    return until, part, near, clearance
+            stack[top, 0], stack[top, 1], stack[top, 2] = 2 * node + 1, m, b
+            stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = 2 * node, a, m
+            top += 2
+    return until, part, near

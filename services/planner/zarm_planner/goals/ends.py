@@ -1,14 +1,14 @@
 """The two ends of a path: where the robot is and where it may go, and the nearest places from which the search can work.
 
 Spheres are larger than the links that they cover. So a robot that holds its tool close to a table, and touches nothing,
-seems to touch it; from there it first moves a little away, on a straight edge that exact geometry finds free.
+seems to touch it; from there it first moves a little away, on a way that exact geometry finds free.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from zarm_contract.errors import InvalidRequest, PlanningFailed, ZarmError
 from zarm_contract.messages import JointGoal, Pose, PoseGoal
 from zarm_geometry.collision import is_free
-from zarm_geometry.exact import RESOLUTION, Nearest
+from zarm_geometry.exact import Nearest
 from zarm_geometry.frames import matrix
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
+from zarm_planner.goals.contact import clear_pose, edge_is_free, points, way_out
 from zarm_planner.goals.joints import within_range
-from zarm_planner.kinematics.ik import solve_ik
+from zarm_planner.kernels.inverse import DISTINCT
+from zarm_planner.kinematics.ik import IkResult, solve_ik
 
 Array = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ _GOALS = 16
 _SET_GOALS = 256
 """And so many to reach any pose of a goal set, the same number of each."""
 _TRIES = 40
-"""Directions tried at each distance to get away from an obstacle."""
+"""Directions tried at each distance to get away from an obstacle on a straight edge."""
 _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Rad, Euclidean."""
 
@@ -39,22 +41,24 @@ _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 class End:
     """A configuration that was asked for, and one for the search, free in spheres: itself where it is; (dof,) each.
 
+    `way` (n, dof) leads from the free one, which is not in it, to the one that was asked for: no row where they are the same.
     `pose` says which of a goal's poses it reaches, where it has any.
     """
 
     asked: Array
     free: Array
+    way: Array
     pose: int | None = None
 
-    @property
-    def edge(self) -> Array:
-        """The way from the free one to the other: no row, or the one that was asked for."""
-        return self.asked[None][: 0 if self.free is self.asked else 1]
+    @classmethod
+    def at(cls, q: Array) -> Self:
+        """The end at `q`, which is free in spheres."""
+        return cls(q, q, np.empty((0, len(q))))
 
 
 def check_start(context: PlanningContext, q: Array, field: str = "start") -> Nearest:
     """What is nearest at the start of a path, the request's `field`. Raises PlanningFailed (`start_in_collision`)."""
-    nearest = context.exact.nearest(q)
+    nearest = context.exact.nearest(q, context.deadline.check)
     if nearest.distance <= 0.0:
         raise PlanningFailed(
             f"the start is in collision: {_overlap(nearest)}; move the robot away by hand, or correct the scene",
@@ -95,12 +99,13 @@ def goal_ends(
     """
     if isinstance(goal, JointGoal):
         q = within_range(context.model, goal.position, f"{field}.position")
-        found = _free_ends(context, q[None], constraint)
-        if not isinstance(found, _Fault) and constraint is not None:
-            found = _broken(constraint, context.model.fk_tip(q)) or found
-        if isinstance(found, _Fault):
-            raise found.of_goal(field)
-        return tuple(found)
+        nearest = context.exact.nearest(q, context.deadline.check)
+        end = _end(context, q, constraint) if nearest.distance > 0.0 else None
+        if end is None:
+            raise _blocked([nearest]).of_goal(field)
+        if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
+            raise fault.of_goal(field)
+        return (end,)
     ends: list[End] = []
     faults: list[_Fault] = []
     most = min(_GOALS, _SET_GOALS // len(goal.poses))
@@ -152,20 +157,11 @@ def _pose_ends(
     pose = matrix(wanted.position, wanted.orientation)
     if constraint is not None and (fault := _broken(constraint, pose)):
         return fault
-    found = solve_ik(
-        context.model,
-        pose,
-        start,
-        world=context.world,
-        max_solutions=_GOALS,
-        seed=context.seed,
-        deadline=context.deadline,
-    )
-    context.deadline.check()
+    found = _solved(context, pose, start)
     if len(found.solutions):
-        return [End(q, q) for q in found.solutions[:most]]
+        return [End.at(q) for q in found.solutions[:most]]
     if len(found.colliding):
-        return _free_ends(context, found.colliding[:most], constraint)
+        return _tight_ends(context, start, pose, found.colliding, most, constraint)
     return _Fault(
         "unreachable",
         f"cannot be reached: the tip comes within {1e3 * found.distance:.1f} mm and "
@@ -174,23 +170,55 @@ def _pose_ends(
     )
 
 
-def _free_ends(
-    context: PlanningContext, candidates: Array, constraint: ConstraintManifold | None
+def _tight_ends(
+    context: PlanningContext, start: Array, pose: Array, found: Array, most: int, constraint: ConstraintManifold | None
 ) -> list[End] | _Fault:
-    """Those of the configurations (n, dof) that are free in exact geometry and can be reached."""
-    ends: list[End] = []
-    obstacles = []
-    for q in candidates:
-        nearest = context.exact.nearest(q)
-        if nearest.distance > 0.0 and (end := _end(context, q, constraint)):
-            ends.append(end)
-        else:
-            obstacles.append(nearest)
-    if ends:
-        return ends
-    nearest = max(obstacles, key=lambda nearest: nearest.distance)
-    reason = f"in collision: {_overlap(nearest)}" if nearest.distance <= 0.0 else f"out of reach: {_gap(nearest)}"
-    ways = f" in all {len(candidates)} ways to reach it" if len(candidates) > 1 else ""
+    """Of a pose (4, 4) that is reached free in spheres by none, the `most` nearest configurations free in exact geometry.
+
+    They are those of the colliding ones that were `found` (n, dof), with as much room as the pose leaves them; then of
+    others, for `max_attempts` seeds or until all that a seed leads to is known.
+    """
+    known = np.empty((0, context.model.dof))
+    nearest: list[Nearest] = []
+    for attempt in range(context.max_attempts):
+        if attempt > 0:
+            found = _solved(context.with_seed(context.seed + attempt), pose, start).colliding
+        new = [q for q in found if not np.any(np.abs(known - q).max(axis=1) < DISTINCT)]
+        if not new:
+            break
+        known = np.vstack((known, *new))
+        ends: list[End] = []
+        for q in new:
+            context.deadline.check()
+            roomy = clear_pose(context, pose, q)
+            nearest.append(context.exact.nearest(roomy, context.deadline.check))
+            if nearest[-1].distance > 0.0 and (end := _end(context, roomy, constraint)) and len(ends) < most:
+                ends.append(end)
+        if ends:
+            return ends
+    return _blocked(nearest)
+
+
+def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
+    """Joints for a pose (4, 4). Raises what the deadline raises."""
+    found = solve_ik(
+        context.model,
+        pose,
+        near,
+        world=context.world,
+        max_solutions=_GOALS,
+        seed=context.seed,
+        deadline=context.deadline,
+    )
+    context.deadline.check()
+    return found
+
+
+def _blocked(nearest: Sequence[Nearest]) -> _Fault:
+    """The fault of a goal that can be reached in so many ways, none of which is of use."""
+    best = max(nearest, key=lambda nearest: nearest.distance)
+    reason = f"in collision: {_overlap(best)}" if best.distance <= 0.0 else f"out of reach: {_gap(best)}"
+    ways = f" in all {len(nearest)} ways to reach it" if len(nearest) > 1 else ""
     return _Fault("goal_in_collision", f"is{ways} {reason}", "choose another one, lower margin, or correct the scene")
 
 
@@ -208,7 +236,7 @@ def _broken(constraint: ConstraintManifold, pose: Array) -> _Fault | None:
 def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End | None:
     """The end at `q`, which is free of collision; None where no way that keeps the constraint leads to what is free in spheres."""
     if is_free(context.model, context.world, q):
-        return End(q, q)
+        return End.at(q)
     model, random = context.model, np.random.default_rng(context.seed)
     for distance in _DISTANCES:
         for direction in random.normal(size=(_TRIES, model.dof)):
@@ -218,13 +246,17 @@ def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | No
                 if (kept := constraint.projected(near)) is None:
                     continue
                 near = kept[0]
-            if is_free(model, context.world, near):
-                steps = int(np.abs(near - q) @ context.exact.reach / RESOLUTION) + 2
-                way = np.linspace(q, near, steps)
-                if (constraint is None or constraint.use(way).max() <= 1.0) and context.exact.nearest(
-                    way
-                ).distance > 0.0:
-                    return End(q, near)
+                if constraint.use(points(context.exact, q, near)).max() > 1.0:
+                    continue
+            if is_free(model, context.world, near) and edge_is_free(context, q, near):
+                return End(q, near, q[None])
+    if constraint is not None:
+        return None
+    for direction in random.normal(size=(context.max_attempts, model.dof)):
+        way = way_out(context, q, direction / np.linalg.norm(direction))
+        context.deadline.check()
+        if way is not None:
+            return End(q, way[-1], way[-2::-1])
     return None
 
 

@@ -16,14 +16,14 @@ from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, state
+from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, least_time, state
 from zarm_planner.kernels.random import uniform
 
-STEP = 0.05
-"""A ramp is checked as straight edges that take so long (s), or, where it is slow, turn no joint further than TURN; what it
-bends between them, 6 mrad at 20 rad/s^2 and 5 mrad at any, is left to exact verification."""
+BOW = 0.006
+"""A ramp is checked as straight edges from which no joint is further away than this (rad), or, where it is slow, that turn none
+further than TURN; what it bends between them is left to exact verification."""
 TURN = 0.02
-"""Rad; see STEP."""
+"""Rad; see BOW."""
 GAIN = 0.001
 """A shortcut that saves less than this part of the piece it replaces is not worth a check."""
 BENDS = 3
@@ -42,23 +42,27 @@ REST = 0.05
 takes longest, another velocity of the others saves nothing; but without a rest it is the better motion."""
 EQUAL = 1e-6
 """Part of its time by which a piece without a rest may last longer."""
+ENOUGH = 0.005
+"""Part of its time that a motion may last longer than any can between its ends, for further shortcuts to be of no use."""
 
 
 @inlined
 def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
-    """Whether ramp `i` keeps inside the joints' ranges, and free, looked at every STEP or TURN."""
+    """Whether ramp `i` keeps inside the joints' ranges, and free, looked at on straight edges, see BOW."""
     if not in_range(ramps, i, lower, upper):
         return False
     dof = lower.shape[0]
     position, velocity = np.empty(dof), np.empty(dof)
     before, after = np.empty(dof, np.float32), np.empty(dof, np.float32)
-    fastest = 0.0
+    fastest, strongest = 0.0, 0.0
     for j in range(dof):
+        strongest = max(strongest, abs(ramps.acceleration[i, j]))
         peak = ramps.velocity[i, j] + ramps.acceleration[i, j] * ramps.first[i, j]
         fastest = max(
             fastest, abs(ramps.velocity[i, j]), abs(peak), abs(peak - ramps.acceleration[i, j] * ramps.last[i, j])
         )
-    steps = max(2, math.ceil(ramps.duration[i] * min(1.0 / STEP, fastest / TURN)))
+    # At acceleration a, an arc of t s leaves its chord by a t^2 / 8 at most.
+    steps = max(2, math.ceil(ramps.duration[i] * min(math.sqrt(strongest / (8.0 * BOW)), fastest / TURN)))
     for step in range(steps + 1):
         state(ramps, i, ramps.duration[i] * step / steps, position, velocity)
         for j in range(dof):
@@ -211,6 +215,8 @@ def smooth(
 ) -> int:
     """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns how many it has.
 
+    It ends when the motion is about as fast as any between its ends can be.
+
     Before `begin` (s) it stays as it is. `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration
     (rad/s^2). Vias are passed as before, perhaps at another velocity.
     """
@@ -222,12 +228,21 @@ def smooth(
     middle, middle_velocity = np.empty(dof), np.empty(dof)
     end, end_velocity = np.empty(dof), np.empty(dof)
     first, second = capacity - 2, capacity - 1  # the ramps in hand
+    i, early = find(ramps, count, begin)
+    state(ramps, i, early, start, start_velocity)
+    state(ramps, count - 1, ramps.duration[count - 1], end, end_velocity)
+    least = 0.0
+    for j in range(dof):
+        time = least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j])
+        least = max(least, time if time < np.inf else 0.0)  # infinite from a start that is faster than allowed
     for attempt in range(attempts):
         if count + 5 > capacity or passed(deadline, now):
             break
         total = 0.0
         for i in range(count):
             total += ramps.duration[i]
+        if total - begin <= (1.0 + ENOUGH) * least:
+            break
         early = begin + uniform(random) * (total - begin)
         late = begin + uniform(random) * (total - begin)
         if early > late:

@@ -52,7 +52,7 @@ def solve_ik(
     free = np.empty((max_solutions, model.dof))
     colliding = np.empty((_COLLIDING, model.dof))
     found = solve(
-        Chain(model.origin, model.revolute, model.offset[-1], model.lower, model.upper),
+        chain_of(model),
         model.arrays,
         (world or _NOTHING).arrays,
         memory(model.arrays),
@@ -73,6 +73,11 @@ def solve_ik(
 
 
 _NOTHING = World((), 0.0)
+
+
+def chain_of(model: RobotModel) -> Chain:
+    """The kinematics of a robot, for kernels."""
+    return Chain(model.origin, model.revolute, model.offset[-1], model.lower, model.upper)
 
 
 def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:

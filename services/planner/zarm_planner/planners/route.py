@@ -63,12 +63,12 @@ def find_route(paths: Paths, problem: PlanningProblem, limits: Limits) -> Route 
     chain = _quickest_chain(paths, [[start], *targets], limits) or _any_chain(paths, start, targets)
     if chain is None:
         return None
-    path, rows = [*start.edge], []
+    path, rows = [*start.way[::-1]], []
     for end, leg in chain:
-        path += [*leg[1 if path and np.array_equal(path[-1], leg[0]) else 0 :], *end.edge]
+        path += [*leg[1 if path and np.array_equal(path[-1], leg[0]) else 0 :], *end.way]
         rows.append(len(path) - 1)
-        if end.edge.size:
-            path.append(end.free)
+        if len(end.way):
+            path += [*end.way[-2::-1], end.free]
     path = path[: rows[-1] + 1]
     return Route(np.array(path), tuple(rows))
 

@@ -74,6 +74,8 @@ class Smoothing:
 
     def shortcut(self, attempts: int, seed: int, deadline: Deadline) -> None:
         """Try so many shortcuts, as often again for each via, or fewer where `deadline` comes first."""
+        if self._count == 0:  # it stays where it is
+            return
         self._count = smooth(
             self._model.arrays,
             self._world.arrays,
@@ -131,8 +133,8 @@ def smooth_path(
 
     It passes the rows `vias` of the path, in their order, each joint within `deviation` (rad), and stops there only where
     no faster way is found to be free. Where it leaves the path it is free of `world` in spheres, as straight edges
-    between its configurations every `kernels.smoothing.STEP` s. The limits hold as `sampling.load` measures them. The same
-    seed gives the same motion; `deadline` only makes the search for a faster one end sooner.
+    from which `kernels.smoothing.BOW` keeps it. The limits hold as `sampling.load` measures them. The same seed gives the same
+    motion; `deadline` only makes the search for a faster one end sooner.
 
     Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """

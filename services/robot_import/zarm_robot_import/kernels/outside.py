@@ -1,4 +1,4 @@
-"""How much of the space outside of a body convex shapes take."""
+"""How much of the space outside of a body convex shapes take, and which points are within shapes."""
 
 from __future__ import annotations
 
@@ -12,15 +12,36 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def outside(rows: Array, points: Array, weights: Array) -> Array:
-    """For each shape (n, 17), see `zarm_geometry.rows`, the sum of the `weights` (m,) of the points (m, 3) in it."""
-    found = np.zeros(len(rows))
+def least_outside(rows: Array, start: Array, points: Array, weights: Array, most: float) -> tuple[int, float]:
+    """Of shapes (n, 17), see `zarm_geometry.rows`, the one with the smallest sum of its `start` (n,) and the `weights` (m,) of the
+    points (m, 3) in it: its index and that sum; -1 and `most` where none is smaller than that."""
+    best, least = -1, most
+    for i in range(len(rows)):
+        r = rows[i]
+        turn = (r[0], r[1], r[2], r[4], r[5], r[6], r[8], r[9], r[10])
+        core = (r[12], r[13], r[14], r[15])
+        total = start[i]
+        for j in range(len(points)):
+            if total >= least:
+                break
+            x, y, z = turned(turn, (points[j, 0], points[j, 1], points[j, 2]))
+            if core_distance((x + r[3], y + r[7], z + r[11]), core) <= r[16]:
+                total += weights[j]
+        if total < least:
+            best, least = i, total
+    return best, least
+
+
+@kernel
+def within(points: Array, rows: Array, depth: float) -> NDArray[np.bool_]:
+    """Which points (m, 3) are in one of the shapes (n, 17), or no further than `depth` (m) from it."""
+    found = np.zeros(len(points), np.bool_)
     for i in range(len(rows)):
         r = rows[i]
         turn = (r[0], r[1], r[2], r[4], r[5], r[6], r[8], r[9], r[10])
         core = (r[12], r[13], r[14], r[15])
         for j in range(len(points)):
-            x, y, z = turned(turn, (points[j, 0], points[j, 1], points[j, 2]))
-            if core_distance((x + r[3], y + r[7], z + r[11]), core) <= r[16]:
-                found[i] += weights[j]
+            if not found[j]:
+                x, y, z = turned(turn, (points[j, 0], points[j, 1], points[j, 2]))
+                found[j] = core_distance((x + r[3], y + r[7], z + r[11]), core) <= r[16] + depth
     return found

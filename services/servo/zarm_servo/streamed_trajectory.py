@@ -15,7 +15,7 @@ _APART = 1e-5
 """Samples are at least this far apart (s)."""
 
 
-class Course:
+class StreamedTrajectory:
     """Begins in `state` (3, J), from which `braking` leads to rest, at `start` (s) of a stream."""
 
     def __init__(self, start: float, state: Array, braking: SpeedChange) -> None:

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from support.harness import PATIENCE, eventually
 from support.planner.client import BEHIND_POST, POST
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
-from support.ros.stack import KEYS, Stack, stack
+from support.ros.stack import KEYS, Stack
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import (
     Accepted,
@@ -38,12 +38,6 @@ from zarm_contract.messages import (
     Sphere,
 )
 from zarm_ros_bridge.convert.poses import ros_pose
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    with stack(tmp_path_factory.mktemp("execution")) as started:
-        yield started
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from support.resources import burden
 from support.ros.damage import NUMBERS, damaged
 from support.ros.goals import ABORTED, HOME, TARGET, Actions
 from support.ros.node import answer
-from support.ros.stack import Stack, stack
+from support.ros.stack import Stack
 from zarm_contract.robot import load_robot
 
 COUNT = 60
@@ -100,12 +100,6 @@ LARGE: dict[str, tuple[str, dict[str, Any], str]] = {
     "a strategy of a million": ("set_robot_strategy", {"robot_strategy": "x" * 10**6}, "this robot has"),
     "10,000 links": ("set_link_collision", {"link_names": [f"link {i}" for i in range(10_000)]}, "those are"),
 }
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    with stack(tmp_path_factory.mktemp("requests")) as started:
-        yield started
 
 
 @pytest.fixture(autouse=True)

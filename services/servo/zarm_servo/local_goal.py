@@ -44,7 +44,7 @@ _RETRIES = 1.0
 """A planner that had no time, or gave no answer, is asked again after so long (s)."""
 
 
-class Guide:
+class LocalGoal:
     """Decides step by step for one robot; `find` runs in `pool`, one call at a time."""
 
     def __init__(self, model: RobotModel, find: Find, free: Free, pool: Executor) -> None:

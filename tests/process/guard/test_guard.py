@@ -3,34 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from support.cell import GIVEN_UP_AFTER, Cell
+from support.cell import Cell
 from support.harness import eventually
 from support.planner.client import BEHIND_POST, POST, load
 from support.planner.second_opinion import link_pose
 from support.trajectories import KEYS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import ObjectPose, ServoState, Sphere
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    with ExitStack() as stack:
-        execution = f"obstruction_timeout: {GIVEN_UP_AFTER}, guard_timeout: 2.0"
-        yield Cell(stack, tmp_path_factory.mktemp("cell"), execution, "planner", "executor", "servo")
-
-
-@pytest.fixture
-def cell(shared: Cell) -> Iterator[Cell]:
-    eventually(lambda: shared.client.state().guarded, "the robot is guarded")
-    yield shared
-    shared.home()
 
 
 def test_a_robot_rests_before_what_is_put_in_its_way_says_what_it_is_and_goes_on_when_it_is_taken_away(

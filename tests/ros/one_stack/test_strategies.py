@@ -13,14 +13,8 @@ from curobo_msgs.srv import GetRobotStrategies, SetRobotStrategy
 from support.harness import PATIENCE, eventually
 from support.ros.client import robot_type
 from support.ros.node import running_node
-from support.ros.stack import KEYS, RosClient, Stack, stack
+from support.ros.stack import KEYS, RosClient, Stack
 from zarm_contract.messages import Strategies, StrategyRequest
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    with stack(tmp_path_factory.mktemp("strategies")) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

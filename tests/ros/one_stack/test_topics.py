@@ -16,19 +16,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 from support.executor.client import Client
 from support.harness import eventually
 from support.ros.client import RosClient, one, told
-from support.ros.stack import KEYS, Stack, stack
+from support.ros.stack import KEYS, Stack
 from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract import messages as m
 from zarm_ros_bridge.description import shown_description
 from zarm_runtime.session import open_client
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    with stack(tmp_path_factory.mktemp("topics")) as started:
-        yield started
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from curobo_msgs.srv import SetRobotStrategy
 from support.harness import PATIENCE, eventually
 from support.ros.node import answer
-from support.ros.stack import KEYS, Stack, stack
+from support.ros.stack import KEYS, Stack
 from zarm_contract.errors import Busy
 from zarm_contract.messages import Cuboid, Cylinder, Nothing, Scene, Sphere, Strategies, StrategyRequest
 from zarm_contract.robot import find_robot
@@ -68,12 +67,6 @@ class Node:
 
     def becomes(self, name: str, value: Any) -> None:
         eventually(lambda: self.get(name) == value, f"{name} is {value}")
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    with stack(tmp_path_factory.mktemp("parameters")) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

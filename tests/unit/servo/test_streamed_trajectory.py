@@ -9,8 +9,8 @@ from zarm_executor.checks import continuation
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.controller import PERIOD, Controller
-from zarm_servo.course import REST, Course
 from zarm_servo.session import CHUNK, soft
+from zarm_servo.streamed_trajectory import REST, StreamedTrajectory
 from zarm_servo.targets import Target, TwistTarget
 from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
@@ -23,17 +23,17 @@ HOME = np.array(ROBOT.descriptor.home)
 
 def test_chunks_continue_one_another_exactly_stay_inside_the_limits_and_end_at_rest() -> None:
     controller = Controller(MODEL, MotionCheck(MODEL), soft(LIMITS), HOME, margin=0.01)
-    course, followed = Course(0.0, controller.state, controller.braking), TimedTrajectory.standing(HOME)
+    streamed, followed = StreamedTrajectory(0.0, controller.state, controller.braking), TimedTrajectory.standing(HOME)
     states = [controller.state]
     rng = np.random.default_rng(5)
     target: Target = TwistTarget(np.zeros(6))
     for cycle in range(40 * CHUNK):
         if cycle % 50 == 0:
             target = TwistTarget(np.append(rng.uniform(-0.3, 0.3, 3), rng.uniform(-0.5, 0.5, 3)))
-        course.add(step := controller.step(target, 0.0))
+        streamed.add(step := controller.step(target, 0.0))
         states.append(step.state)
-        if course.pending == CHUNK:
-            start, chunk = course.chunk()
+        if streamed.pending == CHUNK:
+            start, chunk = streamed.chunk()
             continuation(chunk.message(ROBOT.descriptor.joints), ROBOT, np.zeros(MODEL.dof))
             followed = blended(followed, max(start - 0.03, 0.0), chunk, start, LIMITS)
             assert np.all(chunk.states[1:, -1] == 0.0)
@@ -42,4 +42,4 @@ def test_chunks_continue_one_another_exactly_stay_inside_the_limits_and_end_at_r
     np.testing.assert_allclose(
         followed.sample(PERIOD * kept), np.swapaxes([states[index] for index in kept], 0, 1), atol=1e-6
     )
-    assert followed.duration >= course.time + REST
+    assert followed.duration >= streamed.time + REST

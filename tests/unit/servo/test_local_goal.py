@@ -13,7 +13,7 @@ from zarm_contract.errors import PlanningFailed
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.global_plan import GlobalPlan
-from zarm_servo.guide import Guide
+from zarm_servo.local_goal import LocalGoal
 from zarm_servo.targets import JointTarget, PoseTarget, Target, TwistTarget
 
 Array = NDArray[np.float64]
@@ -39,11 +39,11 @@ class AtOnce(Executor):
 
 
 class Stuck:
-    """A guide of a robot, and how often it asked for a plan; `known` says whether there is one."""
+    """The local goal of a robot, and how often it asked for a plan; `known` says whether there is one."""
 
     def __init__(self, *, known: bool = True) -> None:
         self.asked, self.known = 0, known
-        self.guide = Guide(MODEL, self._find, lambda *_: True, AtOnce())
+        self.local_goal = LocalGoal(MODEL, self._find, lambda *_: True, AtOnce())
 
     def _find(self, target: PoseTarget | JointTarget, _start: Array, _distance: float) -> GlobalPlan:
         self.asked += 1
@@ -53,12 +53,12 @@ class Stuck:
 
     def stay(self, target: Target, at: Array = START, steps: int = SECOND, revision: str = "1-a") -> Target | None:
         """What it is steered for after so many steps in which it has not moved."""
-        return [self.guide.target(target, at, revision) for _ in range(steps)][-1]
+        return [self.local_goal.target(target, at, revision) for _ in range(steps)][-1]
 
 
 def test_a_robot_that_moves_on_is_led_to_the_target_itself() -> None:
     robot = Stuck()
-    assert all(robot.guide.target(TARGET, position, "1-a") is TARGET for position in np.repeat(PATH, 10, axis=0))
+    assert all(robot.local_goal.target(TARGET, position, "1-a") is TARGET for position in np.repeat(PATH, 10, axis=0))
     assert robot.asked == 0
 
 
@@ -68,7 +68,7 @@ def test_a_robot_that_is_stuck_is_led_along_a_plan_to_its_end() -> None:
     assert isinstance(point, JointTarget)
     assert 0.1 < np.abs(point.position - START).max() < 1.0
     for position in np.repeat(PATH, 10, axis=0):
-        point = robot.guide.target(TARGET, position, "1-a")
+        point = robot.local_goal.target(TARGET, position, "1-a")
     assert isinstance(point, JointTarget)
     np.testing.assert_allclose(point.position, PATH[-1])
     assert robot.asked == 1
@@ -78,11 +78,11 @@ def test_a_target_that_moves_is_followed_directly_near_the_end_of_the_plan() -> 
     robot = Stuck()
     robot.stay(TARGET, steps=SECOND // 2)
     for position in np.repeat(PATH[:-2], 10, axis=0):
-        robot.guide.target(TARGET, position, "1-a")
+        robot.local_goal.target(TARGET, position, "1-a")
     pose = TARGET.pose.copy()
     pose[2, 3] += 0.02
     moved = PoseTarget(pose)
-    assert robot.guide.target(moved, PATH[-2], "1-a") is moved
+    assert robot.local_goal.target(moved, PATH[-2], "1-a") is moved
 
 
 def test_what_cannot_be_reached_is_told_and_asked_for_again_only_in_another_scene() -> None:
@@ -90,11 +90,11 @@ def test_what_cannot_be_reached_is_told_and_asked_for_again_only_in_another_scen
     assert robot.stay(TARGET) is TARGET
     robot.stay(TARGET)
     assert robot.asked == 1
-    assert robot.guide.problem is not None
-    assert robot.guide.problem.code == "goal_in_collision"
+    assert robot.local_goal.problem is not None
+    assert robot.local_goal.problem.code == "goal_in_collision"
     robot.known = True
     assert isinstance(robot.stay(TARGET, revision="2-a"), JointTarget)
-    assert robot.guide.problem is None
+    assert robot.local_goal.problem is None
 
 
 def test_who_jogs_is_never_led_elsewhere() -> None:

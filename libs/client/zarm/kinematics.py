@@ -1,0 +1,80 @@
+"""Kinematics of a robot, and how close it comes to its scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from zarm.calls import Calls
+from zarm.connection import ANSWER_SECONDS
+from zarm.values import Pose, joints_of, made, pose_of, rows
+from zarm_contract.messages import (
+    CheckRequest,
+    CheckResult,
+    CheckResults,
+    FkPoses,
+    FkRequest,
+    IkRequest,
+    IkSolutions,
+)
+from zarm_contract.messages import Pose as PoseMessage
+
+if TYPE_CHECKING:
+    from zarm.values import Numbers, Rows
+
+BATCH_SECONDS = 65.0
+"""Longest wait for a batch: the planner gives itself 60 s."""
+
+
+class Kinematics(Calls):
+    """Forward and inverse kinematics, and distances, as the planner computes them."""
+
+    def fk(self, joints: Rows, *, timeout: float = ANSWER_SECONDS) -> list[Pose]:
+        """The tip's pose at each row of joint positions (rad), up to 1000 of them."""
+        request = made(FkRequest, joints=rows(joints, "joints"))
+        poses = self._ask(self._keys.fk, FkPoses, request, timeout=timeout).poses
+        return [pose_of(pose) for pose in poses]
+
+    def ik(
+        self,
+        pose: PoseMessage,
+        *,
+        near: Numbers | None = None,
+        max_solutions: int = 8,
+        collision_free: bool = True,
+        seed: int = 0,
+    ) -> list[tuple[float, ...]]:
+        """Joint positions (rad) that bring the tip to a pose, those nearest to `near` (default: the measured) first.
+
+        Empty where there is none.
+        """
+        request = made(
+            IkRequest,
+            poses=(PoseMessage(position=pose.position, orientation=pose.orientation),),
+            near=joints_of(near, "near"),
+            max_solutions=max_solutions,
+            collision_free=collision_free,
+            seed=seed,
+        )
+        return list(self.request_ik(request, timeout=ANSWER_SECONDS).solutions[0])
+
+    def request_ik(self, request: IkRequest, *, timeout: float = BATCH_SECONDS) -> IkSolutions:
+        """Inverse kinematics of up to 1000 poses, asked by a message."""
+        return self._ask(self._keys.ik, IkSolutions, request, timeout=timeout)
+
+    def check(
+        self,
+        joints: Rows | None = None,
+        *,
+        spheres: bool = False,
+        points: bool = False,
+        timeout: float = ANSWER_SECONDS,
+    ) -> Sequence[CheckResult]:
+        """How close the robot comes to the scene and to itself (m) at each row of joint positions (rad), up to 1000 of them.
+
+        Left out, at the measured ones. With `spheres` the distance of each collision sphere is told as well, with `points`
+        the two nearest points.
+        """
+        where = None if joints is None else rows(joints, "joints")
+        request = made(CheckRequest, joints=where, spheres=spheres, points=points)
+        return self._ask(self._keys.check, CheckResults, request, timeout=timeout).results

@@ -1,0 +1,218 @@
+"""Motion of a robot: goals that its executor carries out, and its rest whatever goes wrong."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
+
+from zarm.calls import Calls
+from zarm.connection import ANSWER_SECONDS
+from zarm.values import made
+from zarm_contract.errors import Unavailable, from_problem
+from zarm_contract.messages import (
+    Accepted,
+    CancelRequest,
+    ExecuteRequest,
+    ExecutorState,
+    GoalState,
+    Plan,
+    Speed,
+    SpeedRequest,
+    Strategies,
+    StrategyRequest,
+    Trajectory,
+)
+
+REST_SECONDS = 30.0
+"""Longest wait for a robot that is brought to rest, and for what brings it to rest first."""
+
+OnProgress = Callable[[GoalState], object]
+"""Is told each state of a goal that differs from the one before."""
+
+
+class Motion(Calls):
+    """Goals, and commands to whatever moves the robot."""
+
+    def execute(
+        self,
+        what: Plan | Trajectory | ExecuteRequest | str | None = None,
+        *,
+        preempt: bool = False,
+        replan: bool = False,
+        on_progress: OnProgress | None = None,
+    ) -> GoalState:
+        """Move the robot along a plan, and wait until it rests at the end; the goal's last state.
+
+        `what` is a plan, its id, a trajectory (which nobody has checked against the scene), or left out: the last plan that
+        was made. A goal that runs makes this one Busy, unless `preempt`: then that goal is cancelled first. With
+        `replan` the servo plans anew, in motion, when something is put in the way. `on_progress` is told the goal's states,
+        some ten a second; its exception stops the robot.
+
+        Ctrl-C cancels the goal, waits until the robot rests, and then raises KeyboardInterrupt; a second one does not wait.
+        Raises ExecutionRefused before and ExecutionFailed during the motion, Cancelled where another client ended it, and
+        Unavailable where the executor is gone, and what the robot does is not known.
+        """
+        with self._new_goal() as goal_id:
+            self._send(what, goal_id, preempt, replan)
+            last = self._followed(goal_id, on_progress)
+        if last.problem is not None:
+            raise from_problem(last.problem)
+        return last
+
+    def start(
+        self,
+        what: Plan | Trajectory | ExecuteRequest | str | None = None,
+        *,
+        preempt: bool = False,
+        replan: bool = False,
+        timeout: float = REST_SECONDS,
+    ) -> str:
+        """`execute` that does not wait: the id of the goal, for `follow` and `cancel`. The motion goes on without this program.
+
+        The executor takes or refuses it within `timeout` s, else it is withdrawn.
+        """
+        with self._new_goal() as goal_id:
+            self._send(what, goal_id, preempt, replan, timeout)
+        return goal_id
+
+    def follow(
+        self,
+        goal_id: str,
+        on_progress: OnProgress | None = None,
+        *,
+        timeout: float | None = None,
+    ) -> GoalState:
+        """Wait for the end of a goal, whoever started it; its last state, which tells whether it succeeded.
+
+        Ctrl-C ends the wait and not the goal. Raises Unavailable where nothing is heard of it for 10 s, or where it has not
+        ended after `timeout` s.
+        """
+        for state in self.goal_states(goal_id, timeout=timeout):
+            if on_progress is not None:
+                on_progress(state)
+        return state
+
+    def goal_states(self, goal_id: str, *, timeout: float | None = None) -> Generator[GoalState]:
+        """The states of a goal up to its last one, each different from the one before; raises as `follow` does."""
+        before: GoalState | None = None
+        for state in self.connection.goals.states(goal_id, self.connection.interrupts, timeout=timeout):
+            if state != before:
+                before = state
+                yield state
+
+    def cancel(self, goal_id: str | None = None, *, timeout: float = ANSWER_SECONDS) -> ExecutorState:
+        """Cancel a goal, or left out the one that runs; the robot decelerates to rest. A finished goal is no error."""
+        request = made(CancelRequest, goal_id=goal_id)
+        return self._ask(self._keys.cancel, ExecutorState, request, timeout=timeout)
+
+    def stop(self) -> ExecutorState:
+        """Stop the robot now, whoever moves it; it decelerates to rest."""
+        return self._ask(self._keys.stop, ExecutorState)
+
+    def pause(self) -> ExecutorState:
+        """Hold the motion; `resume` goes on with it."""
+        return self._ask(self._keys.pause, ExecutorState)
+
+    def resume(self) -> ExecutorState:
+        """Go on with a motion that was paused."""
+        return self._ask(self._keys.resume, ExecutorState)
+
+    def reset(self) -> ExecutorState:
+        """Leave the fault state, once its reason is mended."""
+        return self._ask(self._keys.reset, ExecutorState)
+
+    def speed(self, scale: float | None = None) -> float:
+        """The share (0.05 to 1) of the planned speed at which the robot moves, after it was changed to `scale`, if given."""
+        if scale is None:
+            return self.connection.read(self._keys.speed, Speed).speed_scale
+        return self._ask(self._keys.speed, Speed, made(SpeedRequest, speed_scale=scale)).speed_scale
+
+    def strategy(self, name: str | None = None) -> Strategies:
+        """The control strategies of this robot and which one is active, after a switch to `name`, if given."""
+        if name is None:
+            return self.connection.read(self._keys.strategy, Strategies)
+        return self._ask(self._keys.strategy, Strategies, made(StrategyRequest, strategy=name), timeout=REST_SECONDS)
+
+    @contextmanager
+    def _new_goal(self) -> Iterator[str]:
+        """The id of a new goal; an interruption in the block brings the robot to rest, and says how it stands."""
+        goal_id = f"goal-{secrets.token_hex(8)}"
+        try:
+            yield goal_id
+        except KeyboardInterrupt as interruption:
+            if interruption.args:  # it comes from a rest that somebody would not wait for
+                raise
+            raise KeyboardInterrupt(self._rest(goal_id)) from None
+
+    def _send(
+        self,
+        what: Plan | Trajectory | ExecuteRequest | str | None,
+        goal_id: str,
+        preempt: bool,
+        replan: bool,
+        timeout: float = REST_SECONDS,
+    ) -> None:
+        """Ask for a goal; one that was asked for without an answer is withdrawn."""
+        request = _execution(what)
+        flags = {"preempt": preempt or request.preempt, "replan": replan or request.replan}
+        request = request.model_copy(update={"goal_id": goal_id, **flags})
+        self.connection.interrupts.attend(self.connection.goals.listen)
+        try:
+            with self.connection.interrupts.insist(f"the executor of {self.name} to take the goal or refuse it"):
+                self._ask(self._keys.execute, Accepted, request, timeout=timeout)
+        except Unavailable:  # the executor may have got the request, and start yet
+            with self._until_left(), suppress(Unavailable):
+                self.cancel(goal_id)
+            raise
+
+    def _followed(self, goal_id: str, on_progress: OnProgress | None) -> GoalState:
+        for state in self.goal_states(goal_id):
+            if on_progress is not None:
+                try:
+                    on_progress(state)
+                except Exception:
+                    self._rest(goal_id)
+                    raise
+        return state
+
+    def _rest(self, goal_id: str) -> str:
+        """Cancel a goal of this client and wait until the robot rests; how it stands there, in words."""
+        with self._until_left():
+            told: ExecutorState | None = None
+            with suppress(Unavailable):
+                told = self.cancel(goal_id)
+            known = self.connection.goals.known(goal_id)
+            if told is None and known is None:
+                return self._unknown()
+            if told is not None and told.goal_id != goal_id and known is None:
+                return "cancelled: the goal is withdrawn, and the robot has not moved for it"
+            last = self.follow(goal_id, timeout=REST_SECONDS)
+            return f"{last.status}: the robot stands still at {last.progress:.0%} of the motion"
+
+    @contextmanager
+    def _until_left(self) -> Iterator[None]:
+        """A block that insists on rest; who leaves it before is told what that means."""
+        try:
+            with self.connection.interrupts.insist(f"the executor of {self.name} to bring the robot to rest"):
+                yield
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(self._unknown()) from None
+
+    def _unknown(self) -> str:
+        return (
+            f"interrupted: the executor of {self.name} has not answered, and the state of the robot is unknown: make sure that "
+            "it stands still, then see `zarm status`"
+        )
+
+
+def _execution(what: Plan | Trajectory | ExecuteRequest | str | None) -> ExecuteRequest:
+    match what:
+        case ExecuteRequest():
+            return what
+        case Plan():
+            return ExecuteRequest(plan_id=what.plan_id)
+        case Trajectory():
+            return ExecuteRequest(trajectory=what)
+        case _:
+            return made(ExecuteRequest, plan_id=what)

@@ -1,0 +1,112 @@
+"""Plans of a robot: goals into verified motions."""
+
+from __future__ import annotations
+
+import secrets
+from contextlib import suppress
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+from zarm.calls import Calls
+from zarm.connection import ANSWER_SECONDS
+from zarm.values import Goal, goal_of, joints_of, made
+from zarm_contract.errors import Unavailable
+from zarm_contract.messages import (
+    CancelledPlan,
+    CancelPlan,
+    PathConstraint,
+    Plan,
+    PlannerKind,
+    PlannerSettings,
+    PlanRequest,
+    SettingsChange,
+    StartState,
+)
+
+if TYPE_CHECKING:
+    from zarm.values import Numbers
+
+LONGEST_PLANNING = 60.0
+"""s, what the planner allows at most."""
+
+
+class Settings(TypedDict, total=False):
+    """What can be set for all plans; `Robot.plan` says what each is."""
+
+    planner: PlannerKind
+    timeout: float
+    max_attempts: int
+    optimize_s: float
+    velocity_scale: float
+    acceleration_scale: float
+    margin: float
+
+
+class Planning(Calls):
+    """Plans, and what they are made with."""
+
+    def plan(
+        self,
+        goal: Goal,
+        *,
+        start: Numbers | StartState | None = None,
+        path_constraint: PathConstraint | None = None,
+        planner: PlannerKind | None = None,
+        timeout: float | None = None,
+        max_attempts: int | None = None,
+        optimize_s: float | None = None,
+        velocity_scale: float | None = None,
+        acceleration_scale: float | None = None,
+        margin: float | None = None,
+        seed: int = 0,
+    ) -> Plan:
+        """A verified motion to a `zarm.Pose`, to joint positions (rad), to `zarm.AnyOf` several poses, or through
+        `zarm.Waypoints`. Nothing moves.
+
+        `start` are joint positions (rad), left out: the measured ones; or a `zarm.StartState` in motion, with which the plan is
+        continuous in position, velocity and acceleration. `timeout` (s) is the deadline of the planning, and
+        `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is found
+        the planner looks for faster ones. The scales (above 0, up to 1) are fractions of the joint limits; `margin` (m) is kept
+        to objects on the way. What is left out comes from `settings`. The same request, seed, scene and `optimize_s` 0 give
+        the same motion.
+
+        Ctrl-C ends the planning too. Raises PlanningFailed, DeadlineExceeded, InvalidRequest.
+        """
+        return self.request_plan(
+            made(
+                PlanRequest,
+                goal=goal_of(goal),
+                start=None if isinstance(start, StartState) else joints_of(start, "start"),
+                start_state=start if isinstance(start, StartState) else None,
+                path_constraint=path_constraint,
+                planner=planner,
+                timeout=timeout,
+                max_attempts=max_attempts,
+                optimize_s=optimize_s,
+                velocity_scale=velocity_scale,
+                acceleration_scale=acceleration_scale,
+                margin=margin,
+                seed=seed,
+            )
+        )
+
+    def request_plan(self, request: PlanRequest) -> Plan:
+        """`plan`, asked by a message; its `request_id`, if it has none, is chosen here."""
+        named = request.model_copy(update={"request_id": request.request_id or f"plan-{secrets.token_hex(8)}"})
+        timeout = (request.timeout or LONGEST_PLANNING) + ANSWER_SECONDS
+        try:
+            return self._ask(self._keys.plan, Plan, named, timeout=timeout)
+        except KeyboardInterrupt:
+            with suppress(Unavailable):
+                self.cancel_plan(named.request_id or "")
+            raise
+
+    def cancel_plan(self, request_id: str, *, timeout: float = ANSWER_SECONDS) -> bool:
+        """End a planning by the `request_id` of its request, also one that is yet to come; whether it was running."""
+        request = CancelPlan(request_id=request_id)
+        return self._ask(self._keys.plan_cancel, CancelledPlan, request, timeout=timeout).was_running
+
+    def settings(self, /, **changes: Unpack[Settings]) -> PlannerSettings:
+        """What plans are made with where a request leaves it out, after these changes: `settings(margin=0.01)`."""
+        if not changes:
+            return self.connection.read(self._keys.settings, PlannerSettings)
+        return self._ask(self._keys.settings, PlannerSettings, made(SettingsChange, **changes))

@@ -1,0 +1,92 @@
+"""From a configuration with little or no room to one that has room."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.exact import RESOLUTION, ExactScene
+from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.kernels.motion import Movers, motion, solids
+from zarm_geometry.kernels.nearby import GRADIENT
+from zarm_geometry.rows import WIDTH
+from zarm_planner.context import PlanningContext
+from zarm_planner.kernels import contact
+from zarm_planner.kinematics.ik import chain_of
+
+Array = NDArray[np.float64]
+
+_ROOM = 0.005
+"""Metres that are room enough for a goal."""
+_ROWS = 150
+"""Steps of a walk at most; out of a slot of 1 mm and 20 cm depth it takes about 60."""
+_MOST_NEAR = 64
+"""Distances that are looked at at once."""
+
+
+def clear_pose(context: PlanningContext, pose: Array, q: Array) -> Array:
+    """Joints (dof,) near `q` that also reach the `pose` (4, 4) of the tip, with as much room as there is, at most enough.
+
+    Only an arm with a joint to spare has others.
+    """
+    model, found = context.model, np.array(q)
+    contact.clear_pose(chain_of(model), _surroundings(context.exact), pose, _ROOM, found, context.deadline.at)
+    return found
+
+
+def way_out(context: PlanningContext, q: Array, direction: Array) -> Array | None:
+    """A way (n, dof) from `q` (dof,), free in exact geometry, to where the robot is free in spheres.
+
+    It goes in a `direction` (dof,), of length 1, and slides along what is in the way. None where that leads nowhere.
+    """
+    model, way = context.model, np.empty((_ROWS, context.model.dof))
+    way[0] = q
+    count = contact.retreat(
+        model.arrays,
+        context.world.arrays,
+        memory(model.arrays),
+        chain_of(model),
+        _surroundings(context.exact),
+        direction,
+        way,
+        context.deadline.at,
+    )
+    return _straightened(context, way[:count]) if count else None
+
+
+def edge_is_free(context: PlanningContext, a: Array, b: Array) -> bool:
+    """Whether the straight edge between two configurations (dof,) is free in exact geometry."""
+    return context.exact.nearest(points(context.exact, a, b), context.deadline.check).distance > 0.0
+
+
+def points(scene: ExactScene, a: Array, b: Array) -> Array:
+    """Configurations (n, dof) along a straight edge, no further apart than RESOLUTION."""
+    return np.linspace(a, b, int(np.abs(b - a) @ scene.reach / RESOLUTION) + 2)
+
+
+def _straightened(context: PlanningContext, way: Array) -> Array | None:
+    """The way with as few corners as halving it finds; None where it is not free."""
+    if edge_is_free(context, way[0], way[-1]):
+        return way[[0, -1]]
+    if len(way) == 2:
+        return None
+    middle = len(way) // 2
+    first, second = _straightened(context, way[: middle + 1]), _straightened(context, way[middle:])
+    return None if first is None or second is None else np.vstack((first[:-1], second))
+
+
+def _surroundings(scene: ExactScene) -> contact.Surroundings:
+    dof = scene.model.dof
+    body, world, standing = scene.solids
+    return contact.Surroundings(
+        body,
+        world,
+        standing,
+        np.ones(len(world.rows), np.uint8),
+        _STILL,
+        motion(body, np.array((0.0, 1.0)), np.zeros((2, dof)), np.zeros(dof)),
+        np.empty((_MOST_NEAR, GRADIENT + dof)),
+    )
+
+
+_STILL = Movers(solids(np.zeros((0, WIDTH))), *(np.zeros(shape) for shape in ((0, 3), 0, 0, (0, 3), (0, 3))))

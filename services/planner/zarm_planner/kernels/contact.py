@@ -1,0 +1,252 @@
+"""Out of contact: away from what is near, by what each joint does to the distances.
+
+Distances and their gradients come from `zarm_geometry.kernels.nearby`. A step is the smallest that changes each distance as it
+should, found by projecting on one of these demands after the other (Kaczmarz' method; Agmon, "The relaxation method for
+linear inequalities", 1954). Demands that contradict each other, as those of the two sides of a slot do, end in the middle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
+from zarm_geometry.kernels.clearance import Obstacles
+from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.edge import edge_free
+from zarm_geometry.kernels.kinematics import Array
+from zarm_geometry.kernels.motion import Flags, Motion, MotionBody, Movers, Solids
+from zarm_geometry.kernels.nearby import GRADIENT, near
+from zarm_geometry.kernels.vectors import copy
+from zarm_planner.kernels.clock import passed
+from zarm_planner.kernels.inverse import TOLERANCE, Chain, Work, descend, make_work, tip_jacobian, tip_pose
+
+WITHIN = 0.05
+"""What is nearer (m) is kept away from."""
+SWEEPS = 20
+"""Times that all demands are projected on."""
+RELAXED = 0.5
+"""Part of the way that a projection goes."""
+STEPS = 60
+"""Steps of `clear_pose` at most."""
+TURN = 0.1
+"""Rad, Euclidean: the longest of these steps."""
+SHORTEST = 0.002
+"""Rad; where shorter ones would be needed it ends."""
+SINGULAR = 1e-3
+"""Part of a row of the Jacobian below which what the rows before it leave of it counts as none."""
+GROWTH = 0.3
+"""Part by which the smallest distance is to grow in one step of `retreat`."""
+FLOOR = 0.7
+"""Part of the distance at the start that has to be left on the way."""
+CUTS = 8
+"""Steps that are tried for one that is taken."""
+PER_METER = 10.0
+"""Rad per m of the smallest distance that such a step goes, so that what is bent about it does not matter, and at most LONGEST."""
+LONGEST = 0.02
+"""Rad, Euclidean."""
+
+
+class Surroundings(NamedTuple):
+    """What `near` looks at: a robot and what stands around it, and memory for one call, of which `motion` has two samples."""
+
+    body: MotionBody
+    world: Obstacles
+    standing: Solids
+    alive: Flags
+    movers: Movers
+    motion: Motion
+    found: Array
+
+
+@inlined
+def distances(around: Surroundings, q: Array) -> tuple[int, float]:
+    """Fill `around.found` with what is near at `q` (dof,); returns how many rows there are and the smallest distance (m)."""
+    copy(q, around.motion.q[0])
+    around.motion.placed[0] = 0
+    count = near(
+        around.body, around.world, around.standing, around.alive, around.movers, around.motion, WITHIN, around.found
+    )
+    least = WITHIN
+    for row in range(count):
+        least = min(least, around.found[row, 0])
+    return count, least
+
+
+@inlined
+def length(v: Array) -> float:
+    """Euclidean."""
+    total = 0.0
+    for k in range(v.shape[0]):
+        total += v[k] * v[k]
+    return math.sqrt(total)
+
+
+@inlined
+def project(found: Array, count: int, growth: Array, step: Array) -> None:
+    """Change `step` (dof,) so that each distance grows by `growth` (rows,) at least, or as nearly so as it can be."""
+    dof = step.shape[0]
+    for _ in range(SWEEPS):
+        for row in range(count):
+            short, square = growth[row], 1e-12
+            for k in range(dof):
+                short -= found[row, GRADIENT + k] * step[k]
+                square += found[row, GRADIENT + k] ** 2
+            if short > 0.0 and square > 1e-6:
+                for k in range(dof):
+                    step[k] += RELAXED * short / square * found[row, GRADIENT + k]
+
+
+@inlined
+def keep_pose(chain: Chain, q: Array, work: Work, basis: Array, found: Array, count: int) -> None:
+    """Leave of the gradients what does not move the tip: what is across the rows of its Jacobian at `q`."""
+    dof = q.shape[0]
+    tip_pose(chain, q, work)
+    tip_jacobian(chain, work)
+    rank = 0
+    for i in range(6):
+        for k in range(dof):
+            basis[rank, k] = work.jacobian[i, k]
+        whole = length(basis[rank])
+        for _ in range(2):  # twice is enough against rounding (Giraud et al., 2005)
+            across(basis, rank, basis[rank])
+        left = length(basis[rank])
+        if left > SINGULAR * max(whole, SINGULAR):
+            for k in range(dof):
+                basis[rank, k] /= left
+            rank += 1
+    for row in range(count):
+        across(basis, rank, found[row, GRADIENT:])
+
+
+@inlined
+def across(basis: Array, rank: int, v: Array) -> None:
+    """Take from `v` (dof,) what lies along the first `rank` rows of `basis`."""
+    for i in range(rank):
+        along = 0.0
+        for k in range(v.shape[0]):
+            along += basis[i, k] * v[k]
+        for k in range(v.shape[0]):
+            v[k] -= along * basis[i, k]
+
+
+@kernel
+def clear_pose(
+    chain: Chain, around: Surroundings, target: Array, enough: float, q: Array, deadline: NDArray[np.float64]
+) -> float:
+    """Move `q` (dof,), which reaches the pose `target` (4, 4), to where it does so with the most room.
+
+    Returns the smallest distance (m) there: about the largest nearby, or at least `enough`. An arm without a joint to spare
+    stays where it is.
+    """
+    dof = q.shape[0]
+    work, now = make_work(dof), np.empty(2, np.int64)
+    basis, growth = np.empty((7, dof)), np.empty(around.found.shape[0])
+    trial, step = np.empty(dof), np.empty(dof)
+    copy(q, trial)
+    most, best = TURN, -np.inf
+    for _ in range(STEPS):
+        count, least = distances(around, trial)
+        if least > best:
+            best = least
+            copy(trial, q)
+        else:
+            most *= 0.5
+        if best >= enough or most < SHORTEST or dof <= 6 or passed(deadline, now):
+            break
+        if least < best:
+            copy(q, trial)
+            count, least = distances(around, trial)
+        keep_pose(chain, trial, work, basis, around.found, count)
+        for row in range(count):
+            growth[row] = enough - around.found[row, 0]
+        for k in range(dof):
+            step[k] = 0.0
+        project(around.found, count, growth, step)
+        far = length(step)
+        if far < 1e-6:
+            break
+        for k in range(dof):
+            trial[k] = min(max(trial[k] + step[k] * min(1.0, most / far), chain.lower[k]), chain.upper[k])
+        distance, angle = descend(chain, target, trial, work)
+        if distance > TOLERANCE or angle > TOLERANCE:
+            most *= 0.5
+            copy(q, trial)
+    return best
+
+
+@inlined
+def add_cuts(found: Array, count: int, step: Array, cuts: Array, size: int) -> int:
+    """Add the distances at a `step` (dof,) away, as their gradients there say they are at its start; returns how many there are."""
+    dof = step.shape[0]
+    for row in range(count):
+        if size < cuts.shape[0]:
+            cuts[size, 0] = found[row, 0]
+            for k in range(dof):
+                cuts[size, 0] -= found[row, GRADIENT + k] * step[k]
+                cuts[size, GRADIENT + k] = found[row, GRADIENT + k]
+            size += 1
+    return size
+
+
+@kernel
+def retreat(
+    robot: RobotArrays,
+    world: WorldArrays,
+    memory: Memory,
+    chain: Chain,
+    around: Surroundings,
+    direction: Array,
+    way: Array,
+    deadline: NDArray[np.float64],
+) -> int:
+    """Walk from `way[0]` (n, dof), which is free of contact, in a `direction` (dof,), past what is near, to where it is free in
+    spheres.
+
+    Which point of a shape is nearest changes on a step. So one that comes too near is taken back, and what it met is kept clear
+    of by the next one, as in the cutting-plane method (Kelley, "The cutting-plane method for solving convex programs", 1960).
+    Returns how many rows of `way` lead there; none where it does not get there.
+    """
+    checks = space(robot, world, memory)
+    dof, now = direction.shape[0], np.empty(2, np.int64)
+    step, single, still = np.empty(dof), np.empty(dof, np.float32), np.zeros(dof)
+    cuts = np.empty((around.found.shape[0] * (CUTS + 1), around.found.shape[1]))
+    growth = np.empty(cuts.shape[0])
+    count, least = distances(around, way[0])
+    floor = FLOOR * least
+    for row in range(way.shape[0]):
+        copy(way[row], single)
+        if edge_free(checks, single, single):
+            return row + 1
+        if row + 1 == way.shape[0] or least <= 0.0 or passed(deadline, now):
+            break
+        size = add_cuts(around.found, count, still, cuts, 0)
+        wanted = min((1.0 + GROWTH) * least, WITHIN)
+        lowest = min(floor, least)
+        most = min(LONGEST, PER_METER * least)
+        taken = False
+        for _ in range(CUTS):
+            for k in range(dof):
+                step[k] = most * direction[k]
+            for i in range(size):
+                growth[i] = wanted - cuts[i, 0]
+            project(cuts, size, growth, step)
+            far = length(step)
+            if far < SHORTEST * most:
+                break
+            for k in range(dof):
+                place = way[row, k] + step[k] * min(1.0, most / far)
+                way[row + 1, k] = min(max(place, chain.lower[k]), chain.upper[k])
+                step[k] = way[row + 1, k] - way[row, k]
+            count, least = distances(around, way[row + 1])
+            taken = least >= lowest
+            if taken:
+                break
+            size = add_cuts(around.found, count, step, cuts, size)
+            most *= 0.7
+        if not taken:
+            break
+    return 0

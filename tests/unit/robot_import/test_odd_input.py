@@ -1,0 +1,116 @@
+"""What other tools stumble over is imported as well as it can be, and what was made of it is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.robot import load_robot
+from zarm_geometry.rows import distances
+from zarm_robot_import.body import Body
+from zarm_robot_import.description import describe
+from zarm_robot_import.importing import Options, import_robot
+from zarm_robot_import.meshes import MOST_KEPT, Surface, gathered, link_surface
+from zarm_robot_import.primitives import fit_primitives, rows_of
+from zarm_robot_import.source import read_source
+
+BOX = trimesh.creation.box((0.1, 0.2, 0.3)).subdivide().subdivide()
+
+
+def surface(folder: Path, mesh: trimesh.Trimesh | bytes) -> Surface:
+    """Of a link with this mesh."""
+    if isinstance(mesh, bytes):
+        (folder / "a.stl").write_bytes(mesh)
+    else:
+        mesh.export(folder / "a.stl")
+    text = (
+        '<robot name="r">\n<link name="a"><visual><geometry><mesh filename="a.stl"/></geometry></visual></link></robot>'
+    )
+    (folder / "a.urdf").write_text(text)
+    robot = describe(read_source(folder / "a.urdf"))
+    found = link_surface(robot.source, robot.links["a"])
+    assert found
+    return found
+
+
+def inside_out() -> trimesh.Trimesh:
+    mesh = BOX.copy()
+    mesh.invert()
+    return mesh
+
+
+def open_and_torn() -> trimesh.Trimesh:
+    """One triangle is not there, and one stands on an edge that has two already."""
+    a, b = BOX.faces[1, :2]
+    vertices = np.concatenate([BOX.vertices, [[0.0, 0.0, 0.0]]])
+    return trimesh.Trimesh(vertices, np.concatenate([BOX.faces[1:], [[a, b, len(BOX.vertices)]]]), process=False)
+
+
+@pytest.mark.parametrize("mesh", [inside_out(), open_and_torn()], ids=["inside-out", "open, non-manifold"])
+def test_a_broken_surface_is_contained_as_tightly_as_a_sound_one(tmp_path: Path, mesh: trimesh.Trimesh) -> None:
+    found = surface(tmp_path, mesh)
+    (box,) = fit_primitives(Body.of(found.triangles, found.off))
+    assert box.kind == "cuboid"
+    assert sorted(box.size) == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
+
+
+def test_a_mesh_with_too_many_triangles_is_contained_by_what_is_made_of_fewer(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(7, 0.1)
+    given = np.asarray(ball.triangles)
+    assert len(given) > MOST_KEPT
+    found = surface(tmp_path, ball)
+    assert len(found.triangles) <= MOST_KEPT
+    assert f"its {len(given)} triangles are taken as" in found.warnings[0]
+    rows = rows_of(fit_primitives(Body.of(found.triangles, found.off)))
+    assert distances(given.reshape(-1, 3)[::7], rows).min(axis=1).max() <= 0.0
+
+
+def test_gathered_triangles_lose_no_part_however_small() -> None:
+    crumbs = np.random.default_rng(0).uniform(-0.1, 0.1, (300, 1, 3)) + 1e-6 * np.eye(3)
+    kept, off = gathered(crumbs, 299)
+    apart = np.linalg.norm(crumbs[:, None, 0] - kept[None, :, 0], axis=2).min(axis=1)
+    assert apart.max() <= off
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "pointer of Git LFS; run `git lfs pull`"),
+        (b"", "holds no triangles"),
+        (b"solid a\nendsolid a\n", "holds no triangles"),
+    ],
+    ids=["git lfs", "empty", "no triangles"],
+)
+def test_a_file_that_is_no_mesh_is_said_with_its_place(tmp_path: Path, content: bytes, sentence: str) -> None:
+    with pytest.raises(InvalidRequest, match=r"a\.urdf:2: link a: .*a\.stl") as refused:
+        surface(tmp_path, content)
+    assert sentence in refused.value.problem.message
+    assert "\n" not in refused.value.problem.message
+
+
+def test_twelve_joints_without_limits_with_strange_names_on_a_floating_base(tmp_path: Path) -> None:
+    shape = '<collision><origin xyz="0 0 0.1"/><geometry><cylinder radius="0.02" length="0.15"/></geometry></collision>'
+    nothing = '<visual><geometry><box size="0 0 0"/></geometry></visual>'
+    links = ['<link name="world"/>', *(f'<link name="glied ü{i}">{shape}</link>' for i in range(13))]
+    links.append(f'<link name="tip: 手">{nothing}</link>')
+    joints = [
+        '<joint name="float" type="floating"><parent link="world"/><child link="glied ü0"/></joint>',
+        *(
+            f'<joint name="ось {i}" type="revolute"><parent link="glied ü{i}"/><child link="glied ü{i + 1}"/>'
+            f'<origin xyz="0 0 0.2"/><axis xyz="{i % 2} {1 - i % 2} 0"/></joint>'
+            for i in range(12)
+        ),
+        '<joint name="end" type="fixed"><parent link="glied ü12"/><child link="tip: 手"/></joint>',
+    ]
+    file = tmp_path / "schlange.urdf"
+    file.write_text(f'<robot name="Schlange ü">{"".join(links + joints)}</robot>', encoding="utf-8")
+    descriptor, report = import_robot(file, tmp_path / "out", Options())
+    robot = load_robot(str(descriptor))
+    assert descriptor.name == "schlange_u.yaml"
+    assert robot.descriptor.joints == tuple(f"ось {i}" for i in range(12))
+    assert robot.descriptor.tip_link == "tip: 手"
+    assert sum("the URDF gives no range" in warning for warning in report.warnings) == 12

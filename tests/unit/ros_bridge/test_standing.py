@@ -1,0 +1,48 @@
+"""All joint states of a robot that moves are passed on, and some of one that stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from zarm_contract.messages import JointState
+from zarm_ros_bridge.standing import Standing
+
+TIMEOUT = 0.1
+
+
+def passed(at: Callable[[float], float], speed: float = 0.0) -> int:
+    """How many of a second at 100 Hz are, where the second joint is `at` a position (rad) by the time (s)."""
+    standing, count = Standing(TIMEOUT), 0
+    for step in range(100):
+        state = JointState(stamp=step, joint_names=("a", "b"), position=(1.0, at(step / 100)), velocity=(0.0, speed))
+        count += standing.passes(state, step / 100)
+    return count
+
+
+def test_of_a_robot_that_stands_some_are_passed_on() -> None:
+    assert passed(lambda _: 0.5) == 25
+
+
+def test_they_come_more_often_the_sooner_the_executor_misses_them() -> None:
+    standing = Standing(0.02)
+    state = JointState(stamp=0.0, joint_names=("a",), position=(0.0,), velocity=(0.0,))
+    assert [standing.passes(state, step / 100) for step in range(3)] == [True, True, True]
+
+
+def test_noise_of_an_encoder_is_no_motion() -> None:
+    assert passed(lambda time: 0.5 + 2e-5 * (round(time * 100) % 3)) == 25
+
+
+def test_all_are_of_a_robot_that_moves() -> None:
+    assert passed(lambda time: 0.02 * time) == 100
+
+
+def test_all_are_of_a_robot_that_tells_a_velocity() -> None:
+    assert passed(lambda _: 0.5, speed=-0.01) == 100
+
+
+def test_the_first_that_moves_is_passed_on_at_once() -> None:
+    standing = Standing(TIMEOUT)
+    for now, at, due in ((0.0, 0.0, True), (0.01, 0.0, False), (0.02, 0.001, True), (0.03, 0.001, False)):
+        state = JointState(stamp=now, joint_names=("a",), position=(at,), velocity=(0.0,))
+        assert standing.passes(state, now) == due
