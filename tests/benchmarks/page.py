@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -51,40 +52,57 @@ class Reader:
         self._socket.close()
 
 
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return int(probe.getsockname()[1])
+
+
+def lateness(metrics: str) -> tuple[float, float]:
+    """How many ticks the executor has had, and how late (s) all of them were together."""
+    with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=5) as answer:
+        lines = [line.split() for line in answer.read().decode().splitlines() if line.startswith("zarm_tick_lateness")]
+    values = {name.partition("{")[0]: float(value) for name, value in lines}
+    return values["zarm_tick_lateness_seconds_count"], values["zarm_tick_lateness_seconds_sum"]
+
+
 def main() -> None:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         endpoint = stack.enter_context(router())
         bus = stack.enter_context(Bus(endpoint))
-        for service in ("planner", "executor"):
-            stack.enter_context(ServiceProcess(service, endpoint, folder)).wait_ready(bus, KEYS)
+        metrics = f"127.0.0.1:{free_port()}"
+        for service, arguments in (("planner", ()), ("executor", ("--metrics", metrics))):
+            process = ServiceProcess(service, endpoint, folder, arguments=arguments)
+            stack.enter_context(process).wait_ready(bus, KEYS)
         robot = stack.enter_context(zarm.connect(endpoint))
         cells = [(x + 150, y - 50, z - 20) for x in range(100) for y in range(100) for z in range(10)]
         robot.scene.add(zarm.Voxels("cloud", resolution=0.01, cells=cells))
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            address = f"127.0.0.1:{probe.getsockname()[1]}"
+        address = f"127.0.0.1:{free_port()}"
         viewer = stack.enter_context(ServiceProcess("viewer", endpoint, folder, arguments=("--listen", address)))
         eventually(lambda: "ready" in viewer.output(), "the page is served")
-        process = psutil.Process(viewer.process.pid)
+        usage = psutil.Process(viewer.process.pid)
         for pages in PAGES:
             readers = [Reader(address) for _ in range(pages)]
             time.sleep(2.0)  # the pages are filled
             first, missed = [reader.bytes for reader in readers], robot.state().missed_ticks
-            used, began = process.cpu_times(), time.monotonic()
+            before = lateness(metrics)
+            used, began = usage.cpu_times(), time.monotonic()
             ends = ((0.8, *HOME[1:]), HOME)
-            count = 0
+            goals = 0
             while time.monotonic() - began < SECONDS:
-                robot.execute(robot.plan(ends[count % 2], velocity_scale=0.5))
-                count += 1
-            took, now = time.monotonic() - began, process.cpu_times()
+                robot.execute(robot.plan(ends[goals % 2], velocity_scale=0.5))
+                goals += 1
+            took, now = time.monotonic() - began, usage.cpu_times()
             share = (now.user + now.system - used.user - used.system) / took
             sent = (
                 sum(reader.bytes - start for reader, start in zip(readers, first, strict=True)) / max(pages, 1) / took
             )
             ticks = robot.state().missed_ticks - missed
+            (count, late), (count_before, late_before) = lateness(metrics), before
             Console().print(
                 f"{pages} pages: viewer {share:.0%} of a core, {sent / 1e3:.0f} kB/s a page, filled with "
-                f"{max(first, default=0) / 1e6:.2f} MB, {ticks} ticks missed"
+                f"{max(first, default=0) / 1e6:.2f} MB, {ticks} of "
+                f"{count - count_before:.0f} ticks missed, {1e6 * (late - late_before) / (count - count_before):.0f} us late on average"
             )
             for reader in readers:
                 reader.close()

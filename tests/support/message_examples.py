@@ -124,7 +124,12 @@ _SESSION = m.ServoSession(
 )
 _EMULATOR = m.StrategyInfo(name="emulator", available=True, reason="it needs no robot")
 _CHECKED = m.CheckResult(
-    in_collision=True, within_limits=False, clearance=-0.004, pair=("link_3", "table"), spheres=(-0.004, 0.5)
+    in_collision=False,
+    within_limits=False,
+    clearance=0.1,
+    pair=("link_3", "table"),
+    spheres=(0.1, 0.5),
+    points=((0.5, 0.0, 0.1), (0.5, 0.0, 0.0)),
 )
 
 EXAMPLES: tuple[Message, ...] = (
@@ -179,7 +184,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.IkSolutions(solutions=(((0.1, 0.2), (0.3, 0.4)), ())),
     m.FkRequest(joints=((0.1, 0.2), (0.3, 0.4)), device="kernels"),
     m.FkPoses(poses=(_POSE,)),
-    m.CheckRequest(joints=((0.1, 0.2),), spheres=True),
+    m.CheckRequest(joints=((0.1, 0.2),), spheres=True, points=True),
     _CHECKED,
     m.CheckResults(results=(_CHECKED,)),
     m.PlannerSettings(

@@ -63,12 +63,18 @@ class Kinematics(Calls):
         return self._ask(self._keys.ik, IkSolutions, request, timeout=timeout)
 
     def check(
-        self, joints: Rows | None = None, *, spheres: bool = False, timeout: float = ANSWER_SECONDS
+        self,
+        joints: Rows | None = None,
+        *,
+        spheres: bool = False,
+        points: bool = False,
+        timeout: float = ANSWER_SECONDS,
     ) -> Sequence[CheckResult]:
         """How close the robot comes to the scene and to itself (m) at each row of joint positions (rad), up to 1000 of them.
 
-        Left out, at the measured ones. With `spheres` the distance of each collision sphere is told as well.
+        Left out, at the measured ones. With `spheres` the distance of each collision sphere is told as well, with `points`
+        the two nearest points.
         """
         where = None if joints is None else rows(joints, "joints")
-        request = made(CheckRequest, joints=where, spheres=spheres)
+        request = made(CheckRequest, joints=where, spheres=spheres, points=points)
         return self._ask(self._keys.check, CheckResults, request, timeout=timeout).results

@@ -19,7 +19,7 @@ from zarm_geometry.kernels.clearance import Obstacles, RobotParts, course, look
 from zarm_geometry.kernels.convex import PRECISION
 from zarm_geometry.kernels.motion import MotionBody, Solids, motion_body, solids
 from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.shapes import distance, obstacle_shape
+from zarm_geometry.shapes import Shape, distance, nearest_points, obstacle_shape
 from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
@@ -39,12 +39,13 @@ class Nearest:
     """The smallest distance (m): below 0 it is the depth of penetration, and at FARTHEST there is no `pair`.
 
     `pair` names a link and what is nearest to it, a scene object or another link; `sample` is the index of the
-    configuration.
+    configuration. `shapes` are what `clearance.look` calls the two.
     """
 
     distance: float
     pair: tuple[str, str] | None
     sample: int
+    shapes: tuple[int, int] | None = None
 
 
 class ExactScene:
@@ -80,8 +81,15 @@ class ExactScene:
             part, other, sample = map(int, which)
             pair, measured = self._measure(q[sample], part, other, upper)
             if measured < best.distance:
-                best = Nearest(measured, pair, sample)
+                best = Nearest(measured, pair, sample, (part, other))
         return best
+
+    def nearest_points(self, q: Array, nearest: Nearest) -> Array | None:
+        """The points (2, 3) in the base frame between which `nearest`, found at `q` (dof,), is measured.
+
+        None where nothing is near or the two overlap.
+        """
+        return None if nearest.shapes is None else nearest_points(*self._placed(q, *nearest.shapes))
 
     @cached_property
     def solids(self) -> tuple[MotionBody, Obstacles, Solids]:
@@ -100,17 +108,18 @@ class ExactScene:
 
     def _measure(self, q: Array, part: int, other: int, upper: float) -> tuple[tuple[str, str], float]:
         """Names and distance (m) of a part and what `clearance.look` calls `other`, which is at most `upper`."""
+        shape, pose, other_shape, other_pose = self._placed(q, part, other)
+        return (shape.name, other_shape.name), distance(shape, pose, other_shape, other_pose, upper)
+
+    def _placed(self, q: Array, part: int, other: int) -> tuple[Shape, Array, Shape, Array]:
+        """A part and what `clearance.look` calls `other`, with their poses (4, 4) in the base frame at `q` (dof,)."""
         links = self.model.link_transforms(q)
         link, shape = self.model.parts[part]
         if other >= 0:
-            name = self._world.names[self._world.owner[other]]
-            other_shape = obstacle_shape(name, self._world.rows[other])
-            other_pose = other_shape.pose
-        else:
-            other_link, other_shape = self.model.parts[-1 - other]
-            other_pose = links[other_link] @ other_shape.pose
-        measured = distance(shape, links[link] @ shape.pose, other_shape, other_pose, upper)
-        return (shape.name, other_shape.name), measured
+            found = obstacle_shape(self._world.names[self._world.owner[other]], self._world.rows[other])
+            return shape, links[link] @ shape.pose, found, found.pose
+        other_link, other_shape = self.model.parts[-1 - other]
+        return shape, links[link] @ shape.pose, other_shape, links[other_link] @ other_shape.pose
 
 
 def obstacles(world: World) -> Obstacles:

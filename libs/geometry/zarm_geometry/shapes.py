@@ -109,6 +109,18 @@ def distance(a: Shape, pose_a: Array, b: Shape, pose_b: Array, upper: float = ma
     return nearest if nearest > _TOUCHING else -depth(a, pose_a, b, pose_b)
 
 
+def nearest_points(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> Array | None:
+    """The points (2, 3) of two shapes that are nearest to each other by FCL, in the frame of the poses; None where they overlap."""
+    found = fcl.DistanceResult()
+    measured = fcl.distance(
+        fcl.CollisionObject(a.geometry, fcl.Transform(pose_a[:3, :3], pose_a[:3, 3])),
+        fcl.CollisionObject(b.geometry, fcl.Transform(pose_b[:3, :3], pose_b[:3, 3])),
+        fcl.DistanceRequest(enable_nearest_points=True),
+        found,
+    )
+    return np.array(found.nearest_points) if measured > _TOUCHING else None
+
+
 def depth(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> float:
     """How far (m) one of two shapes that overlap must at least be moved to part them; poses (4, 4) in one frame.
 

@@ -14,6 +14,7 @@ from zarm.replaying import replay as publish_again
 from zarm.replaying import story
 from zarm_cli.client import SIGNALS, Connect, keys_of
 from zarm_cli.output import counted, facts, out
+from zarm_cli.view import require_viewer, serve
 from zarm_contract.keys import Keys
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
@@ -28,11 +29,28 @@ def replay(
         ),
     ] = None,
     speed: Annotated[float | None, typer.Option(help="With --publish: how many times as fast.")] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Play it on a page in the browser: any moment, at any speed.")
+    ] = False,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DESCRIPTOR",
+            help="With --view: the robot's descriptor (default: that of its name, of those with zarm).",
+        ),
+    ] = None,
     connect: Connect = DEFAULT_ENDPOINT,
 ) -> None:
-    """Tell what happened in a record, or publish its messages again."""
+    """Tell what happened in a record, play it on a page, or publish its messages again."""
+    if view and publish is not None:
+        raise typer.BadParameter("does not go with --publish", param_hint="--view")
+    if robot is not None and not view:
+        raise typer.BadParameter("belongs to --view", param_hint="--robot")
     if speed is not None and (publish is None or speed <= 0):
         raise typer.BadParameter("belongs to --publish, and is above 0", param_hint="--speed")
+    if view:
+        require_viewer()
+        serve(["--record", str(file), *(("--robot", robot) if robot else ())])
     if publish is None:
         _print(file, story(file, interrupts=SIGNALS))
         return

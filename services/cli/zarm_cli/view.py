@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from importlib.util import find_spec
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -47,6 +47,11 @@ def view(
     words = [word for each in robot or () for word in ("--robot", each)]
     words += ["--connect", connect, "--listen", listen]
     words += ["--role", role] if role else []
+    serve(words)
+
+
+def serve(words: list[str]) -> NoReturn:
+    """Become the viewer with these words of its command line."""
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, "-P", "-m", VIEWER, *words])  # noqa: S606 - our own interpreter
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
@@ -36,6 +37,7 @@ from zarm_contract.messages import (
     SceneRevision,
     SetLinkCollision,
     SettingsChange,
+    Vector3,
 )
 from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_geometry.frames import matrix, pose_of
@@ -225,6 +227,7 @@ class Handlers:
                 deadline.check()
                 nearest = scene.exact.nearest(q, deadline.check)
                 spheres = tuple(sphere_distances(model, scene.world, q).tolist()) if request.spheres else None
+                points = scene.exact.nearest_points(q, nearest) if request.points else None
                 results.append(
                     CheckResult(
                         in_collision=nearest.distance <= 0.0,
@@ -232,6 +235,7 @@ class Handlers:
                         clearance=nearest.distance,
                         pair=nearest.pair,
                         spheres=spheres,
+                        points=None if points is None else _two(points),
                     )
                 )
             return CheckResults(results=tuple(results))
@@ -324,3 +328,9 @@ class Handlers:
             return self._measured()
         except ExecutionRefused:
             return np.array(self._model.robot.descriptor.home)
+
+
+def _two(points: NDArray[np.float64]) -> tuple[Vector3, Vector3]:
+    """Two points (2, 3) as the bus has them."""
+    (ax, ay, az), (bx, by, bz) = points.tolist()
+    return (ax, ay, az), (bx, by, bz)

@@ -15,6 +15,7 @@ from zarm_contract.robot import RobotDescription
 from zarm_viewer.drawing import Brush, Colour, file_mesh, link_mesh
 from zarm_viewer.kinematics import Array, motion, origin
 
+SPHERES = (250, 176, 5)
 STILL = 1e-4
 """A joint that has moved less (rad or m) is not drawn anew."""
 
@@ -55,6 +56,9 @@ class Arm:
                     moving[joint.child] = frame, robot.descriptor.joints.index(joint.name)
         self._moving = [(frame, index, joints[link], origin(joints[link])) for link, (frame, index) in moving.items()]
         self.tip = names[robot.descriptor.tip_link]
+        self._api, self._robot, self._names = api, robot, names
+        self._spheres: list[MeshHandle] = []
+        self._axes: list[SceneNodeHandle] = []
         visuals = _visuals(robot.urdf_path)
         for link, node in names.items():
             self._draw_link(brush, node, robot, link, visuals.get(link, ()))
@@ -88,6 +92,28 @@ class Arm:
         for shape in self._shapes:
             if tuple(shape.color) != colour:
                 shape.color = colour
+
+    def show_spheres(self, seen: bool) -> None:
+        """Show the collision spheres of the links, or not."""
+        while self._spheres:
+            self._spheres.pop().remove()
+        if seen:
+            brush = Brush(self._api, SPHERES, 0.35)
+            self._spheres = [
+                brush.mesh(f"{self._names[link]}/spheres", link_mesh(spheres), SE3.identity())
+                for link, spheres in self._robot.descriptor.spheres.items()
+                if spheres and link in self._names
+            ]
+
+    def show_axes(self, seen: bool) -> None:
+        """Show the frames of the links, or not."""
+        while self._axes:
+            self._axes.pop().remove()
+        if seen:
+            self._axes = [
+                self._api.add_frame(f"{node}/axes", axes_length=0.15, axes_radius=0.004)
+                for node in self._names.values()
+            ]
 
     @property
     def visible(self) -> bool:

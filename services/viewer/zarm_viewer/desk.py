@@ -13,7 +13,7 @@ import viser
 from viser import ClientHandle
 
 from zarm.robot import Robot
-from zarm_contract.errors import ZarmError
+from zarm_contract.errors import Unavailable, ZarmError
 from zarm_contract.robot import RobotDescription
 from zarm_viewer.kinematics import Array, Chain
 
@@ -25,12 +25,15 @@ EVENTS = 40
 
 @dataclass
 class Desk:
-    """One robot on the page: `root` is its node in the scene, `joints` (J,) are the last measured (rad)."""
+    """One robot on the page; `joints` (J,) are the last measured (rad).
+
+    `client` reaches it on the bus; a record has none.
+    """
 
     server: viser.ViserServer
-    robot: Robot
+    name: str
     description: RobotDescription
-    root: str
+    client: Robot | None
     moves: bool
     """Whether this page may move robots: its process is no mere viewer."""
     chain: Chain = field(init=False)
@@ -42,6 +45,18 @@ class Desk:
     def __post_init__(self) -> None:
         self.chain = Chain(self.description)
         self.joints = np.array(self.description.descriptor.home)
+
+    @property
+    def root(self) -> str:
+        """Its node in the scene."""
+        return f"/{self.name}"
+
+    @property
+    def robot(self) -> Robot:
+        """The robot on the bus. Raises Unavailable for a record."""
+        if self.client is None:
+            raise Unavailable("this is a record; `zarm view` shows a robot that can be asked")
+        return self.client
 
     def note(self, event: str) -> None:
         """Write an event into the log of events, which all pages show."""

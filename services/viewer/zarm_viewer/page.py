@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +19,14 @@ from zarm_viewer.aim import Goal
 from zarm_viewer.desk import Desk
 from zarm_viewer.gate import Gate
 from zarm_viewer.jog_panel import JogPanel
+from zarm_viewer.looks_panel import LooksPanel
 from zarm_viewer.motion_panel import MotionPanel
 from zarm_viewer.named_poses import NamedPoses
 from zarm_viewer.objects_panel import ObjectsPanel
 from zarm_viewer.picture import Picture
+from zarm_viewer.playback import Playback
 from zarm_viewer.plots_panel import PlotsPanel
+from zarm_viewer.record_panel import RecordPanel
 from zarm_viewer.status_panel import EventsPanel, StatusPanel
 from zarm_viewer.stop import Stop
 from zarm_viewer.watching import News, Watching
@@ -33,16 +35,23 @@ log = logging.getLogger(__name__)
 
 PERIOD = 1 / 30
 """s between two drawings, where anything changes."""
+UNSEEN = 0.5
+"""The same (s), where no page is open."""
 BESIDE = 2.5
 """Robots stand so many m apart in the picture, along y: the bus does not say where their bases are."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A robot on the bus, and what it looks like."""
+    """A robot on the bus or in a record, and what it looks like."""
 
-    robot: Robot
+    source: Robot | Playback
     description: RobotDescription
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.source.story.robot if isinstance(self.source, Playback) else self.source.name
 
 
 class Page:
@@ -54,12 +63,14 @@ class Page:
         self._furnish()
         moves = role != "viewer"
         self._stops: list[Stop] = []
-        self._add_stop()
+        if any(isinstance(shown.source, Robot) for shown in robots):
+            self._add_stop()
         self._parts = [_Part(self.server, shown, moves, meshes, state, BESIDE * at) for at, shown in enumerate(robots)]
         self._choose_between(self._parts)
         for shown, part in zip(robots, self._parts, strict=True):
-            endpoint = shown.robot.connection.bus.endpoint
-            self._stops.append(Stop(endpoint, shown.robot.name, role, part.stopped))
+            if isinstance(shown.source, Robot):
+                endpoint = shown.source.connection.bus.endpoint
+                self._stops.append(Stop(endpoint, shown.name, role, part.stopped))
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._draw, name="page", daemon=True)
         self._thread.start()
@@ -109,18 +120,18 @@ class Page:
     def _choose_between(self, parts: Sequence[_Part]) -> None:
         if len(parts) < 2:
             return
-        names = [part.desk.robot.name for part in parts]
+        names = [part.desk.name for part in parts]
         choice = self.server.gui.add_dropdown("robot", names, order=-1)
 
         def choose() -> None:
             for part in parts:
-                part.chosen(part.desk.robot.name == choice.value)
+                part.chosen(part.desk.name == choice.value)
 
         choice.on_update(lambda _: choose())
         choose()
 
     def _draw(self) -> None:
-        while not self._ended.wait(PERIOD):
+        while not self._ended.wait(PERIOD if self.server.get_clients() else UNSEEN):
             try:
                 with self.server.atomic():
                     for part in self._parts:
@@ -135,22 +146,33 @@ class _Part:
     def __init__(
         self, server: viser.ViserServer, shown: Shown, moves: bool, meshes: tuple[Path, ...], state: Path, aside: float
     ) -> None:
-        name = shown.robot.name
-        self.desk = Desk(server, shown.robot, shown.description, f"/{name}", moves)
+        client = shown.source if isinstance(shown.source, Robot) else None
+        moves = moves and client is not None
+        self.desk = Desk(server, shown.name, shown.description, client, moves)
         server.scene.add_frame(self.desk.root, show_axes=False, position=(0.0, aside, 0.0))
         self._picture = Picture(self.desk, meshes)
-        self._folder = server.gui.add_folder(name)
+        self._folder = server.gui.add_folder(shown.name)
+        self._record: RecordPanel | None = None
+        self._events: EventsPanel | None = None
+        self._controls: _Controls | None = None
         with self._folder:
             self._status = StatusPanel(self.desk)
             if moves:
-                self._add_reset(shown.robot)
+                self._add_reset()
             tabs = server.gui.add_tab_group()
-            self._controls = _Controls(self.desk, self._picture, tabs, state) if moves else None
+            if moves:
+                self._controls = _Controls(self.desk, self._picture, tabs, state)
+            if isinstance(shown.source, Playback):
+                with tabs.add_tab("Record"):
+                    self._record = RecordPanel(self.desk, shown.source)
+            with tabs.add_tab("Look"):
+                self._looks = LooksPanel(self.desk, self._picture)
             with tabs.add_tab("Plots"):
                 self._plots = PlotsPanel(self.desk)
-            with tabs.add_tab("Events"):
-                self._events = EventsPanel(self.desk)
-        self._watching = Watching(shown.robot, shown.description.descriptor.joints)
+            if client is not None:
+                with tabs.add_tab("Events"):
+                    self._events = EventsPanel(self.desk, state / shown.name / "records")
+        self._source = Watching(shown.source) if isinstance(shown.source, Robot) else shown.source
 
     def chosen(self, yes: bool) -> None:
         """Show its panels, or those of another robot."""
@@ -167,22 +189,26 @@ class _Part:
 
     def draw(self) -> None:
         """Show what is new."""
-        news = self._watching.take()
+        news = self._source.take(self.desk.description.descriptor.joints)
         self._picture.draw(news)
-        self._status.draw(news, self._watching.age(time.monotonic()))
+        self._status.draw(news, self._source.age())
         if news.state is not None and self._controls is not None:
             self._reset.visible = news.state.mode == "fault"
+        self._looks.draw()
         self._plots.draw(news)
         if self._controls is not None:
             self._controls.draw(news)
-        self._events.draw()
+        if self._record is not None:
+            self._record.draw()
+        if self._events is not None:
+            self._events.draw()
 
-    def _add_reset(self, robot: Robot) -> None:
+    def _add_reset(self) -> None:
         self._reset = self.desk.server.gui.add_button("Reset the fault", color="orange", visible=False)
 
         @self._reset.on_click
         def _(event: GuiEvent[GuiButtonHandle]) -> None:
-            self.desk.attempt("reset", robot.reset, event.client)
+            self.desk.attempt("reset", self.desk.robot.reset, event.client)
 
 
 class _Controls:
@@ -190,7 +216,7 @@ class _Controls:
 
     def __init__(self, desk: Desk, picture: Picture, tabs: GuiTabGroupHandle, state: Path) -> None:
         self._goal = Goal(desk)
-        poses = NamedPoses(state, desk.robot.name, desk.description.descriptor.home)
+        poses = NamedPoses(state / "viewer", desk.robot.name, desk.description.descriptor.home)
         with tabs.add_tab("Move"):
             self._motion = MotionPanel(desk, self._goal, poses)
         with tabs.add_tab("Scene"):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zarm_contract.messages import Trajectory
+from zarm_contract.messages import Trajectory, Vector3
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.arm import Arm
 from zarm_viewer.desk import Desk
@@ -16,7 +16,7 @@ from zarm_viewer.scene_view import SceneView
 from zarm_viewer.watching import News
 
 MEASURED, GHOST = (222, 226, 230), (90, 200, 250)
-TRAIL, PATH = (250, 176, 5), (64, 192, 87)
+TRAIL, PATH, CLEARANCE = (250, 176, 5), (64, 192, 87), (224, 49, 49)
 TRAIL_POINTS, PATH_POINTS = 150, 120
 TRAIL_STEP = 0.005
 """The trail has a point for every so many m."""
@@ -36,6 +36,7 @@ class Picture:
         self.scene = SceneView(desk, self.arm.tip, meshes)
         self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
         self._preview: Array | None = None
+        self._clearance: tuple[Vector3, Vector3] | None = None
 
     def draw(self, news: News) -> None:
         """Show what is new."""
@@ -56,6 +57,15 @@ class Picture:
             self._draw_path(news.plan.trajectory)
         elif news.trajectory is not None:
             self._draw_path(news.trajectory.trajectory)
+
+    def show_clearance(self, points: tuple[Vector3, Vector3] | None) -> None:
+        """Show a line between two points (m) in the base frame, or none."""
+        if points != self._clearance:
+            self._clearance = points
+            if points is not None:
+                self._line("clearance", np.array(points), CLEARANCE)
+            else:
+                self._desk.server.scene.remove_by_name(f"{self._desk.root}/clearance")
 
     def _extend_trail(self, joints: Array) -> None:
         at = np.asarray(self._desk.chain.tip(joints).translation(), dtype=np.float64)

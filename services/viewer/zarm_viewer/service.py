@@ -23,6 +23,7 @@ from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT
 from zarm_viewer.gate import Gate
 from zarm_viewer.page import Page, Shown
+from zarm_viewer.playback import Playback
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +63,18 @@ def parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="a folder with meshes of the scene, besides those in $ZARM_MESHES: those of the planner; repeatable",
     )
-    parser.add_argument("--state", type=Path, default=default_state(), help="the folder for saved state: named poses")
+    parser.add_argument(
+        "--record",
+        type=Path,
+        metavar="FILE",
+        help="play this record of `zarm record` or of a flight recorder, and ask nothing of a bus",
+    )
+    parser.add_argument(
+        "--state",
+        type=Path,
+        default=default_state(),
+        help="the folder for saved state: named poses; records of faults are found there, where the executor keeps its state there too",
+    )
     return parser
 
 
@@ -75,13 +87,16 @@ def main() -> int:
         with ExitStack() as stack:
             role: Role = options.role or client_role()
             gate = Gate.at(options.listen, tls=_tls(role), token=os.environ.get("ZARM_VIEW_TOKEN") or None)
-            shown = []
-            for name, description in _described(options.robot or _own(), options.connect, role):
-                bus = stack.enter_context(opened(options.connect, role, timeout=10.0))
-                shown.append(Shown(Robot(Connection.of(bus, keys_of(name))), description))
-            page = Page(shown, gate, role, tuple(options.meshes), options.state / "viewer")
+            if options.record is not None:
+                shown = [_recorded(options.record, options.robot)]
+            else:
+                shown = []
+                for name, description in _described(options.robot or _own(), options.connect, role):
+                    bus = stack.enter_context(opened(options.connect, role, timeout=10.0))
+                    shown.append(Shown(Robot(Connection.of(bus, keys_of(name))), description))
+            page = Page(shown, gate, role, tuple(options.meshes), options.state)
             stack.callback(page.close)
-            log.info("ready page=%s role=%s robots=%s", page.address, role, ",".join(one.robot.name for one in shown))
+            log.info("ready page=%s role=%s robots=%s", page.address, role, ",".join(one.name for one in shown))
             print(page.address, flush=True)  # noqa: T201 - what is opened in the browser
             while not signals.heard:
                 signals.wait()
@@ -114,6 +129,20 @@ def _described(wanted: Sequence[str] | None, connect: str, role: Role) -> list[t
             field="--robot",
         )
     return found
+
+
+def _recorded(file: Path, wanted: Sequence[str] | None) -> Shown:
+    """The robot of a record: the descriptor that is wanted, else the one that comes with zarm under its name."""
+    playback = Playback(file)
+    if wanted:
+        return Shown(playback, _named(wanted[0])[1])
+    name = playback.story.robot
+    if not (ROBOTS / f"{name}.yaml").is_file():
+        raise InvalidRequest(
+            f"no descriptor comes with zarm for {name}, the robot of {file}; name it: --robot FILE.yaml",
+            field="--robot",
+        )
+    return Shown(playback, load_robot(name))
 
 
 def _own() -> list[str]:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
+
+from viser import ClientHandle, GuiButtonHandle, GuiEvent, Icon
 
 from zarm.servoing import limited
+from zarm_contract.errors import MEANINGS, InvalidRequest
 from zarm_contract.messages import ExecutorState, GoalState, Plan, ServoState
 from zarm_viewer.controls import put
 from zarm_viewer.desk import Desk
@@ -12,6 +16,8 @@ from zarm_viewer.watching import News
 
 SILENT = 1.0
 """Joint states older than this (s) are told to be stale."""
+LOOK = 1.0
+"""s between two looks for records of faults."""
 
 
 class StatusPanel:
@@ -53,6 +59,7 @@ class StatusPanel:
             lines.append("**no joint states**")
         if state.problem is not None:
             lines.append(f"**{state.problem.code}**: {state.problem.message}")
+            lines.append(MEANINGS[state.problem.code].remedy)
         if goal is not None:
             lines.append(f"{goal.status} · {goal.progress:.0%} of {goal.duration:.2f} s")
             if goal.hold is not None:
@@ -86,16 +93,46 @@ class StatusPanel:
 
 
 class EventsPanel:
-    """The log of events, newest first."""
+    """The log of events, newest first, and the records of faults in the folder `records`, where the executor's is on this machine."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
-        self._text = desk.server.gui.add_markdown("")
+    def __init__(self, desk: Desk, records: Path) -> None:
+        self._desk, self._records = desk, records
+        gui = desk.server.gui
+        self._choice = gui.add_dropdown("record", ["-"], visible=False)
+        self._download = gui.add_button(
+            "Download", icon=Icon.DOWNLOAD, visible=False, hint="`zarm replay --view FILE` plays it on a page"
+        )
+
+        @self._download.on_click
+        def _(event: GuiEvent[GuiButtonHandle]) -> None:
+            desk.attempt("download", lambda: self._send(event.client), event.client)
+
+        self._text = gui.add_markdown("")
         self._shown = ""
-        desk.note(f"page opened on {desk.robot.name}, {time.strftime('%Y-%m-%d')}")
+        self._look = 0.0
+        desk.note(f"page opened on {desk.name}, {time.strftime('%Y-%m-%d')}")
 
     def draw(self) -> None:
-        """Show what was noted since."""
+        """Show what was noted since, and records that are new."""
         text = "  \n".join(list(self._desk.events))
         if text != self._shown:
             self._text.content = self._shown = text
+        if (now := time.monotonic()) > self._look:
+            self._look = now + LOOK
+            names = tuple(sorted((file.name for file in self._records.glob("*.mcap")), reverse=True))
+            if names and names != self._choice.options:
+                self._choice.options = names
+                put(self._choice, names[0])
+            put(self._choice, bool(names), "visible")
+            put(self._download, bool(names), "visible")
+
+    def _send(self, client: ClientHandle | None) -> None:
+        file = self._records / self._choice.value
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise InvalidRequest(
+                f"{file.name} cannot be read any more: {error.strerror}; choose a newer one"
+            ) from error
+        if client is not None:
+            client.send_file_download(file.name, content)

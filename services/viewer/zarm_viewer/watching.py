@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -45,7 +46,6 @@ class Watching:
     """Subscriptions to one robot. High-rate joints are decoded when they are taken, and no sooner."""
 
     robot: Robot
-    joint_names: tuple[str, ...]
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _newest: dict[str, Any] = field(default_factory=dict)
     _goals: dict[str, GoalState] = field(default_factory=dict)
@@ -67,13 +67,13 @@ class Watching:
             bus.watch(key, model, self._put(name))
         bus.watch(keys.goal("*"), GoalState, self._put_goal)
 
-    def take(self) -> News:
-        """What is new since the last call."""
+    def take(self, joint_names: tuple[str, ...]) -> News:
+        """What is new since the last call, with joints in this order."""
         with self._lock:
             newest, self._newest = self._newest, {}
             goals, self._goals = tuple(self._goals.values()), {}
-        joints = self._new_joints("joints", self._joints.received())
-        preview = self._new_joints("preview", self._preview.received())
+        joints = self._new_joints("joints", self._joints.received(), joint_names)
+        preview = self._new_joints("preview", self._preview.received(), joint_names)
         return News(
             joints=None if joints is None else joints[0],
             velocity=None if joints is None else joints[1],
@@ -82,18 +82,17 @@ class Watching:
             **newest,
         )
 
-    def age(self, now: float) -> float | None:
-        """How old (s) the newest joint state is at `now` (monotonic), None where none has come."""
-        return now - self._taken["joints"] if "joints" in self._taken else None
+    def age(self) -> float | None:
+        """How old (s) the newest joint state is, None where none has come."""
+        return time.monotonic() - self._taken["joints"] if "joints" in self._taken else None
 
-    def _new_joints(self, name: str, received: tuple[JointState, float] | None) -> tuple[Array, Array] | None:
+    def _new_joints(
+        self, name: str, received: tuple[JointState, float] | None, joint_names: tuple[str, ...]
+    ) -> tuple[Array, Array] | None:
         if received is None or received[1] == self._taken.get(name):
             return None
         state, self._taken[name] = received
-        if set(state.joint_names) != set(self.joint_names):
-            return None
-        order = [state.joint_names.index(joint) for joint in self.joint_names]
-        return np.array(state.position)[order], np.array(state.velocity)[order]
+        return in_order(state, joint_names)
 
     def _put(self, name: str) -> Callable[[str, Message], None]:
         def put(_: str, message: Message) -> None:
@@ -105,3 +104,11 @@ class Watching:
     def _put_goal(self, _: str, goal: GoalState) -> None:
         with self._lock:
             self._goals[goal.goal_id] = goal
+
+
+def in_order(state: JointState, joint_names: tuple[str, ...]) -> tuple[Array, Array] | None:
+    """Positions and velocities (J,) in the order of `joint_names`; None where the state is one of other joints."""
+    if set(state.joint_names) != set(joint_names):
+        return None
+    order = [state.joint_names.index(joint) for joint in joint_names]
+    return np.array(state.position)[order], np.array(state.velocity)[order]

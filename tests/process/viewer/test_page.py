@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import socket
 import urllib.error
 import urllib.request
@@ -188,8 +189,12 @@ def test_a_page_that_is_lost_while_jogging_lets_the_robot_rest(page: Page, cell:
 def test_a_viewer_sees_everything_and_can_only_stop(page: Page, cell: Cell, chromium: Browser) -> None:
     watching = opened(chromium, cell.serve("--role", "viewer"))
     expect(watching.get_by_text("idle").first).to_be_visible()
-    assert set(watching.get_by_role("tab").all_inner_texts()) == {"Plots", "Events", "Stop"}
+    assert set(watching.get_by_role("tab").all_inner_texts()) == {"Look", "Plots", "Events", "Stop"}
     assert {button for button in watching.get_by_role("button").all_inner_texts() if button} == {"STOP"}
+    watching.get_by_role("tab", name="Look").click()
+    for box in ("collision spheres", "clearance"):
+        watching.get_by_role("checkbox", name=box).click()
+    expect(watching.get_by_text(re.compile(r"clearance \d+ mm"))).to_be_visible()
     watching.close()
 
 

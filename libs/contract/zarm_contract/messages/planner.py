@@ -225,10 +225,14 @@ class FkPoses(Message):
 
 
 class CheckRequest(Message):
-    """Check joint vectors (rad; default: the measured joints) for collision. `spheres` asks for the distance of each collision sphere."""
+    """Check joint vectors (rad; default: the measured joints) for collision. `spheres` asks for the distance of each collision sphere.
+
+    `points` asks between which points the clearance is measured.
+    """
 
     joints: tuple[Joints, ...] | None = Field(default=None, min_length=1, max_length=1000)
     spheres: bool = False
+    points: bool = False
 
 
 class CheckResult(Message):
@@ -236,7 +240,8 @@ class CheckResult(Message):
 
     A negative `clearance` is a penetration depth (m). `spheres` (m) are the distances from the collision spheres of the robot
     to the scene, link by link in the order of the descriptor; negative inside an object, at most 1 m. They include links that
-    are fixed to the base and links whose collisions are ignored.
+    are fixed to the base and links whose collisions are ignored. `points` (m, in the base frame) are the nearest ones of the
+    pair, left out where the two overlap.
     """
 
     in_collision: bool
@@ -244,6 +249,7 @@ class CheckResult(Message):
     clearance: float
     pair: tuple[str, str] | None = None
     spheres: tuple[float, ...] | None = None
+    points: tuple[Vector3, Vector3] | None = None
 
 
 class CheckResults(Message):

@@ -1,0 +1,67 @@
+"""What else can be seen of a robot, where somebody asks: collision spheres, the clearance, axes, the room to the limits."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from zarm_contract.errors import ZarmError
+from zarm_contract.messages import CheckResult
+from zarm_viewer.controls import put
+from zarm_viewer.desk import Desk
+from zarm_viewer.picture import Picture
+
+PERIOD = 0.2
+"""s between two questions for the clearance."""
+NEAR = np.radians(10.0)
+"""A joint so near to a limit (rad) is written in bold."""
+
+
+class LooksPanel:
+    """Check boxes, and what they show."""
+
+    def __init__(self, desk: Desk, picture: Picture) -> None:
+        self._desk, self._picture = desk, picture
+        gui = desk.server.gui
+        spheres = gui.add_checkbox("collision spheres", False)
+        spheres.on_update(lambda _: picture.arm.show_spheres(spheres.value))
+        axes = gui.add_checkbox("axes of the links", False)
+        axes.on_update(lambda _: picture.arm.show_axes(axes.value))
+        self._asks = threading.Event()
+        self._found: CheckResult | ZarmError | None = None
+        if desk.client is not None:
+            clearance = gui.add_checkbox("clearance", False, hint="A line between the two nearest points")
+            clearance.on_update(lambda _: self._asks.set() if clearance.value else self._asks.clear())
+            threading.Thread(target=self._ask, name="clearance", daemon=True).start()
+        self._limits = gui.add_checkbox("room to the limits", False)
+        self._text = gui.add_markdown("", visible=False)
+
+    def draw(self) -> None:
+        """Show what is new."""
+        lines = []
+        found = self._found if self._asks.is_set() else None
+        if isinstance(found, CheckResult):
+            pair = f": {' and '.join(found.pair)}" if found.pair else ""
+            lines.append(f"clearance **{found.clearance * 1e3:.0f} mm**{pair}")
+        elif found is not None:
+            lines.append(str(found))
+        self._picture.show_clearance(found.points if isinstance(found, CheckResult) else None)
+        if self._limits.value:
+            robot = self._desk.description
+            for joint, at, low, high in zip(
+                robot.descriptor.joints, self._desk.joints, robot.lower, robot.upper, strict=True
+            ):
+                room = f"{np.degrees(at - low):.0f}° down, {np.degrees(high - at):.0f}° up"
+                lines.append(f"{joint}: " + (f"**{room}**" if min(at - low, high - at) < NEAR else room))
+        put(self._text, "  \n".join(lines), "content")
+        put(self._text, bool(lines), "visible")
+
+    def _ask(self) -> None:
+        pause = threading.Event()
+        while self._asks.wait():
+            try:
+                self._found = self._desk.robot.check(points=True, timeout=1.0)[0]
+            except ZarmError as error:
+                self._found = error
+            pause.wait(PERIOD)

@@ -1,0 +1,115 @@
+"""A record in the place of the bus: what it tells at any moment, as often as somebody wants to look."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zarm.record_story import Story, tell
+from zarm_contract.codec import decode
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.keys import Keys
+from zarm_contract.messages import GoalState, JointState, Message
+from zarm_runtime.record import read_record
+from zarm_runtime.recorded import Recorded
+from zarm_viewer.watching import News, in_order
+
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""Times as fast as it came."""
+
+
+class Playback:
+    """A record of `zarm record` or of a flight recorder. Raises InvalidRequest where the file is none.
+
+    It plays from its beginning to its end, once. Messages are decoded when they are looked at, and stay as they were on the bus.
+    """
+
+    def __init__(self, file: Path) -> None:
+        entries = list(read_record(file))
+        self.file = file
+        self.story: Story = tell(entries)
+        self.speed = 1.0
+        self._keys = Keys(self.story.robot)
+        self._recorded = Recorded(self._keys)
+        self._times: dict[str, list[float]] = defaultdict(list)
+        self._payloads: dict[str, list[bytes]] = defaultdict(list)
+        for stamp, key, payload in entries:
+            self._times[key].append((stamp - self.story.began) / 1e9)
+            self._payloads[key].append(payload)
+        self._at, self._since = 0.0, time.monotonic()
+        self._playing = True
+        self._told: dict[str, int] = {}
+
+    @property
+    def at(self) -> float:
+        """The moment (s after the record begins) that is looked at."""
+        if self._playing:
+            now = time.monotonic()
+            self._at, self._since = self._at + (now - self._since) * self.speed, now
+            if self._at >= self.story.lasted:
+                self._at, self._playing = self.story.lasted, False
+        return self._at
+
+    @property
+    def playing(self) -> bool:
+        """Whether it goes on by itself."""
+        return self._playing
+
+    def play(self) -> None:
+        """Go on; from the beginning, where it is at its end."""
+        if self.at >= self.story.lasted:
+            self.seek(0.0)
+        self._since, self._playing = time.monotonic(), True
+
+    def pause(self) -> None:
+        """Stay at this moment."""
+        self._playing, _ = False, self.at
+
+    def seek(self, at: float) -> None:
+        """Look at another moment (s)."""
+        if at < self.at:
+            self._told.clear()
+        self._at, self._since = at, time.monotonic()
+
+    def take(self, joint_names: tuple[str, ...]) -> News:
+        """What has become new since the last call, or all that holds after a step back. The ghost is where the goal commands."""
+        at, found = self.at, []
+        for key, times in self._times.items():
+            index = bisect(times, at) - 1
+            if index >= 0 and index != self._told.get(key):
+                self._told[key] = index
+                if (message := self._decoded(key, self._payloads[key][index])) is not None:
+                    found.append((times[index], key, message))
+        found.sort(key=lambda each: each[0])
+        goals = tuple(message for _, _, message in found if isinstance(message, GoalState))
+        newest: dict[str, Any] = {key: message for _, key, message in found}
+        measured = newest.get(self._keys.joint_states)
+        joints = in_order(measured, joint_names) if isinstance(measured, JointState) else None
+        return News(
+            joints=None if joints is None else joints[0],
+            velocity=None if joints is None else joints[1],
+            preview=np.array(goals[-1].joint_command) if goals else None,
+            state=newest.get(self._keys.executor_state),
+            strategies=newest.get(self._keys.strategy),
+            servo=newest.get(self._keys.servo_state),
+            plan=newest.get(self._keys.plans),
+            goals=goals,
+        )
+
+    def age(self) -> float | None:
+        """How old (s) the newest joint state is at the moment that is looked at, None where none has come yet."""
+        times = self._times.get(self._keys.joint_states, [])
+        index = bisect(times, self._at) - 1
+        return self._at - times[index] if index >= 0 else None
+
+    def _decoded(self, key: str, payload: bytes) -> Message | None:
+        model = self._recorded.model(key)
+        try:
+            return None if model is None else decode(model, payload)
+        except InvalidRequest:  # noise was on the bus; the record holds it as it was
+            return None
