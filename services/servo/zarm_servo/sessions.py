@@ -36,6 +36,8 @@ log = logging.getLogger(__name__)
 
 _FRESH = 0.5
 """Joints that were measured longer ago (s) are not where a session begins."""
+_NEWS = 0.5
+"""Time (s) in which the servo, too, hears what the executor has told a client: that a goal is at its end."""
 
 
 class Sessions:
@@ -58,6 +60,7 @@ class Sessions:
         self._session: Session | None = None
         self._ended: deque[str] = deque(maxlen=32)
         self._lock = threading.Lock()
+        self._news = threading.Condition()  # what the executor tells
 
     def start(self, request: ServoStart) -> Accepted:
         """Open a session.
@@ -75,13 +78,7 @@ class Sessions:
                     )
                 log.info("session taken over goal_id=%s", before.goal_id)
                 before.close()
-            executor = self._executor
-            if executor is None:
-                raise Unavailable(
-                    "the executor is not heard; start it (`zarm status` shows it), then start the session again"
-                )
-            if executor.goal_id is not None and executor.goal_id not in self._ended:
-                raise Busy(f"{executor.goal_id} is not at its end; cancel it or wait, then start the session again")
+            executor = self._free_executor()
             if self._guard.monitor.snapshot(time.monotonic()).revision is None:
                 raise Unavailable(
                     "the scene is not known, so nothing could be kept away from; start the planner, then start the session again"
@@ -131,17 +128,39 @@ class Sessions:
     def hear_goal(self, _key: str, goal: GoalState) -> None:
         """What the executor tells of a goal; its state, which comes after that, may still be on its way."""
         if goal.done:
-            self._ended.append(goal.goal_id)
+            with self._news:
+                self._ended.append(goal.goal_id)
+                self._news.notify_all()
         session = self._session
         if session is not None and session.goal_id == goal.goal_id:
             session.hear_goal(goal)
 
     def hear_state(self, _key: str, state: ExecutorState) -> None:
         """What the executor does."""
-        self._executor = state
+        with self._news:
+            self._executor = state
+            self._news.notify_all()
         session = self._open()
         if session is not None:
             session.hear_speed(state)
+
+    def _free_executor(self) -> ExecutorState:
+        """The executor, which runs no goal. Raises Unavailable where it is not heard and Busy where it runs one."""
+        with self._news:
+            self._news.wait_for(lambda: self._executor is not None and self._goal() is None, _NEWS)
+            executor, goal = self._executor, self._goal()
+        if executor is None:
+            raise Unavailable(
+                "the executor is not heard; start it (`zarm status` shows it), then start the session again"
+            )
+        if goal is not None:
+            raise Busy(f"{goal} is not at its end; cancel it or wait, then start the session again")
+        return executor
+
+    def _goal(self) -> str | None:
+        """The goal that the executor runs."""
+        goal = None if self._executor is None else self._executor.goal_id
+        return None if goal in self._ended else goal
 
     def close(self) -> None:
         """End the session that there is."""
