@@ -17,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 from support.executor.client import Client
 from support.harness import ServiceProcess, eventually
 from support.ros.client import RosClient, told
+from support.ros.node import destroyed
 from support.ros.stack import controller
 from support.trajectories import patient, rest_to_rest
 from zarm_contract import messages as m
@@ -220,7 +221,7 @@ def test_a_driver_that_comes_late_and_again_is_heard(bus: Bus, bridge: ServicePr
             ),
             "the joints have come",
         )
-        ros.node.destroy_publisher(publisher)
+        destroyed(ros.node, ros.node.destroy_publisher, publisher)
 
 
 def test_the_log_says_when_a_driver_comes_that_commands_reach_and_when_it_goes(
@@ -234,7 +235,7 @@ def test_the_log_says_when_a_driver_comes_that_commands_reach_and_when_it_goes(
         driver = ros.node.create_subscription(JointTrajectory, "/leeloo/execute_trajectory", lambda _: None, 10)
         eventually(lambda come=come: said("come") > come, f"it comes {times}")
         assert said("gone") == gone
-        ros.node.destroy_subscription(driver)
+        destroyed(ros.node, ros.node.destroy_subscription, driver)
         eventually(lambda gone=gone: said("gone") > gone, f"it goes {times}")
 
 
@@ -254,9 +255,9 @@ def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
             eventually(
                 lambda stamp=stamp: (told := latest.get()) and told.stamp == stamp, "the bridge carries its joints"
             )
-        ros.node.destroy_timer(telling)
+        destroyed(ros.node, ros.node.destroy_timer, telling)
         assert "Traceback" not in bridge.output()
-    ros.node.destroy_publisher(publisher)
+    destroyed(ros.node, ros.node.destroy_publisher, publisher)
 
 
 def test_two_robots_in_one_bridge_have_namespaces_and_their_own_drivers(

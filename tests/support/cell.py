@@ -16,7 +16,7 @@ from zarm_contract.messages import GoalState, PlanRequest, SceneObject
 from zarm_runtime.bus import Bus
 
 SLOWLY = 0.3
-GIVEN_UP_AFTER = 4.0
+GIVEN_UP_AFTER = 8.0
 
 
 class Cell:

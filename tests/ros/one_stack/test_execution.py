@@ -15,6 +15,7 @@ from std_srvs.srv import Trigger
 from support.harness import PATIENCE, eventually
 from support.planner.client import BEHIND_POST, POST
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
+from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import (
@@ -164,7 +165,7 @@ def test_an_edit_of_the_scene_under_a_goal_is_said_on_rosout_and_the_goal_goes_o
     eventually(lambda: any(line.startswith(changed) for line in said), "the bridge says so")
     assert goal.ended()[0] == SUCCEEDED
     assert sum(line.startswith(changed) for line in said) == 1
-    running.ros.node.destroy_subscription(listener)
+    destroyed(running.ros.node, running.ros.node.destroy_subscription, listener)
 
 
 def test_a_plan_is_not_run_a_second_time_from_where_it_ended(robot: Robot, actions: Actions) -> None:
@@ -278,4 +279,4 @@ def test_what_a_goal_waits_for_is_on_the_diagnostics_and_with_the_strategy(
         servo.put(in_the_way.model_copy(update={"sequence": 2, "until": None, "obstruction": None}))
         assert goal.ended()[0] == SUCCEEDED
     finally:
-        node.destroy_subscription(subscription)
+        destroyed(node, node.destroy_subscription, subscription)

@@ -16,6 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from support.executor.client import Client
 from support.harness import eventually
 from support.ros.client import RosClient, one, told
+from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack
 from support.trajectories import HOME, ROBOT, moved, rest_to_rest
 from zarm_contract import messages as m
@@ -29,7 +30,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 def ros(running: Stack) -> Iterator[RosClient]:
     yield running.ros
     for subscription in list(running.ros.node.subscriptions):  # each test listens to what it reads alone
-        running.ros.node.destroy_subscription(subscription)
+        destroyed(running.ros.node, running.ros.node.destroy_subscription, subscription)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +101,7 @@ def test_joints_are_received_while_somebody_listens_and_again_for_whoever_comes_
             subscription = ros.node.create_subscription(JointState, "/preview/joint_states", ghost.append, 10)
             one(ghost, "the ghost is told")
             assert received()
-            ros.node.destroy_subscription(subscription)
+            destroyed(ros.node, ros.node.destroy_subscription, subscription)
 
 
 def test_the_scene_is_there_as_markers_for_whoever_comes_late(client: Client, ros: RosClient) -> None:

@@ -41,6 +41,11 @@ def on_its_thread(node: Node, ask: Callable[[], Future]) -> Future:
     return answer(node.executor.create_task(ask), "the node's thread has asked")
 
 
+def destroyed(node: Node, destroy: Callable[[Any], object], part: Any) -> None:
+    """Destroy a subscription or the like of a node where its callbacks run: rclpy fails a wait that it is destroyed beside."""
+    answer(node.executor.create_task(destroy, part), "it is destroyed")
+
+
 def answer(future: Future, what: str) -> Any:
     """What the future comes to; fails the test when it does not in time."""
     done = threading.Event()
