@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -45,7 +46,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     def begin(stage: str) -> None:
         report(f"loading {stage} ({next(number)} of {STAGES})")
 
-    world, deadline = World((), 0.0), Deadline(60.0)
+    world, deadline = World((), 0.0), Deadline(math.inf)  # a slow machine compiles for minutes
     home = np.array(model.robot.descriptor.home)
     begin("forward kinematics")
     pose = model.fk_tip(home)
