@@ -24,6 +24,7 @@ from support.ros.stack import KEYS, Stack, stack
 from support.trajectories import patient
 from zarm_contract.messages import CancelRequest, ExecutorState, FkPoses, FkRequest
 from zarm_ros_bridge.convert.poses import ros_pose
+from zarm_ros_bridge.convert.servo_commands import INVALID, NO_WARNING
 
 MPC, RETARGET, CLASSIC = 1, 6, 0
 NODE = "/unified_planner"
@@ -234,7 +235,7 @@ def test_a_twist_moves_the_tip_along_the_axes_of_its_frame_and_silence_brakes(ar
         eventually(lambda: arm.away_from(start) > 0.02, "the tip moves")
         pause()
         arm.robot.wait_rest()
-    assert {told.data for told in statuses} == {0}
+    assert {told.data for told in statuses} - {INVALID} == {NO_WARNING}  # a busy machine pauses sessions
     moved = np.subtract(_xyz(arm.tip().position), _xyz(start.position))
     axis = np.array((0.0, 0.0, -1.0)) if frame == "base_link" else -_z_axis(start)
     assert moved @ axis > 0.98 * np.linalg.norm(moved)
