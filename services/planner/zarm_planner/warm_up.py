@@ -37,7 +37,7 @@ STAGES = 9
 
 
 def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
-    """Run each kernel once; `report` is told what comes next. About 25 s after an installation, then 0.3 s.
+    """Run each kernel once; `report` is told what comes next. About 70 s after an installation, then 0.3 s.
 
     The compiled kernels serve every robot and every scene; nothing is compiled after this.
     """
