@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from support.planner.sphere_model import gaps_to_itself, random_joints, spheres
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit
+from zarm_contract.messages import AddObjects, ClearScene, Mesh, SceneEdit, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry import meshes as limits
 from zarm_geometry import rows, solid
@@ -327,3 +327,15 @@ def test_no_world_is_made_while_a_mesh_of_the_scene_cannot_be_read(tmp_path: Pat
     path.write_bytes(content)
     World(store.scene.objects, 0.0, store.meshes)
     assert store.edit(SceneEdit(edit=ClearScene(op="clear"))).objects == ()
+
+
+def test_a_world_takes_over_what_an_earlier_one_has_made_ready_of_the_same_mesh_and_of_no_other(tmp_path: Path) -> None:
+    meshes = Meshes((tmp_path,))
+    item = meshes.checked(mesh(saved(trimesh.creation.icosphere(2, 0.1), tmp_path / "ball.stl").name), "")
+    before = World((item,), 0.0, meshes)
+    post = Sphere(kind="sphere", name="post", position=(1.0, 0.0, 0.0), radius=0.1)
+    after = World((post, item), 0.005, Meshes(), before)  # which reads no files
+    assert sorted(after.names[i] for i in set(after.owner)) == ["post", "vice"]
+    assert len(after.rows) == len(before.rows) + 1
+    with pytest.raises(Unavailable):
+        World((item.model_copy(update={"position": (0.1, 0.0, 0.0)}),), 0.0, Meshes(), before)
