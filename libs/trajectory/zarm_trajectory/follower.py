@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import copy
 import math
+from typing import Self
 
 import numpy as np
 
 from zarm_contract.errors import InternalError
-from zarm_trajectory.limits import Limits
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
-from zarm_trajectory.rate_bounds import ROW, RateBounds
+from zarm_trajectory.rate_bounds import ROW, RateBounds, RateLimits
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -31,6 +32,8 @@ _SLOWEST = 0.01
 """What takes longer (x the duration of the trajectory) than at this path speed is no motion, but a fault of the follower."""
 _LEAST = 1e-3
 """Least change of the rate, 1/s^2, with which it is brought back to zero where the path speed has almost come to its target."""
+_FARTHEST = 10
+"""Rows ahead at most in which it is looked for a way back to a constant speed."""
 _THERE = 1e-9
 """A path speed this close to its target is at it."""
 
@@ -45,7 +48,7 @@ class Follower:
     def __init__(
         self,
         trajectory: TimedTrajectory,
-        limits: Limits,
+        limits: RateLimits,
         *,
         time: float = 0.0,
         speed: float = 1.0,
@@ -58,8 +61,8 @@ class Follower:
         self.rate = rate
         self.target = target
         self._limits = limits
-        self._ahead = 2 + math.ceil(2 * float((limits.acceleration / limits.jerk).max()) / ROW)
-        self._bounds = RateBounds(trajectory, limits.acceleration, limits.jerk)
+        self._ahead = min(2 + math.ceil(2 * limits.ramp / ROW), _FARTHEST)
+        self._bounds = RateBounds(trajectory, limits)
         self._reach()
 
     @property
@@ -90,10 +93,27 @@ class Follower:
             self._move(dt)
         self._reach()
 
+    @property
+    def state(self) -> PathState:
+        """Where it is."""
+        return PathState(self.time, self.speed, self.rate)
+
+    def moved_to(self, state: PathState, target: float) -> Self:
+        """Another follower of the same trajectory, there."""
+        other = copy.copy(self)
+        other.time, other.speed, other.rate = state
+        other.target = target
+        other._reach()
+        return other
+
+    def braking(self, dt: float) -> RetimedTrajectory:
+        """How the robot comes to rest when it is told to stop now, a point every `dt` s: the one answer to how a stop goes."""
+        return self.moved_to(self.state, 0.0).ahead(dt)
+
     def join(self, trajectory: TimedTrajectory) -> None:
         """Go on along `trajectory`, which is at `time` where the present one is there."""
         self.trajectory = trajectory
-        self._bounds = RateBounds(trajectory, self._limits.acceleration, self._limits.jerk)
+        self._bounds = RateBounds(trajectory, self._limits)
         self._reach()
 
     def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
@@ -201,14 +221,14 @@ class _View:
             speed = min(speed + (self.rate + most) * dt / 2, 1.0)
             here = [bounds.at(k, speed, way) for k in range(row, end + 1)]
         self.most = min(each.rate_after(self.rate, dt) for each in here)
-        self.shrink = min(each.shrink_from(self.rate) for each in here)
-        self.ease = min(min(each.shrink, each.shrink_at_rate) for each in here)
+        self.shrink = min(each.ease(self.rate) for each in here)
+        self.ease = min(each.ease(max(self.most, self.rate)) for each in here)
         passed, recovered = ROW / max(speed, 0.05), 0.0
         for k in range(end + 1, min(end + follower._ahead, last) + 1):
             speed = min(max(speed + way * self.most * passed / 2, 0.0), 1.0)
             each = bounds.at(k, speed, way)
             self.most = min(self.most, each.rate + recovered)
-            back = min(each.shrink, each.shrink_at_rate)
+            back = each.ease(min(self.most, each.rate))
             self.ease = min(self.ease, back)
             recovered += back * passed
         self.ease = max(self.ease, _LEAST)

@@ -12,105 +12,143 @@ at every constant path speed below 1.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 
+from zarm_contract.robot import RobotDescriptor
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ROW = 0.01
 """Path time, s, over which the bounds are one."""
-_SPAN = 50
+_ROWS = 32
 """So many rows are looked up at once."""
-_SAMPLES = 8
+_SAMPLES = 4
 """The trajectory is looked at so often in each row."""
-_NODES = 8
+_NODES = 6
 """Between so many squared path speeds from 0 to 1 the bounds are interpolated. They are concave in them, so that is conservative."""
 _SLACK = 0.003
 """Share of a limit that a change of path speed may use where the trajectory alone needs all of it: less than anybody can measure."""
+_BEYOND = 1.01
+"""A trajectory whose jerk is above the limit by more than this factor comes from somebody who does not hold it."""
 _STANDING = 1e-9
 """Slope of a trajectory, rad/s, below which a joint says nothing about the path speed."""
-_MOST_RATE, _MOST_CHANGE = 1e3, 1e6
-"""Bounds of a (1/s^2... of the path speed per s) and u where no joint says anything."""
+_MOST = 1e6
+"""Bound where no joint says anything."""
+
+_Table = list[list[list[float]]]
+"""By row and node: what the rate may be by the accelerations, what it may be times the path speed by the jerks, how fast it may grow and
+fall at a rate of zero, and by how much less for each unit of the rate times the path speed."""
+
+
+@dataclass(frozen=True, eq=False)
+class RateLimits:
+    """What bounds the rate of a path speed: the joints' limits (J,) of `acceleration` (rad/s^2) and `jerk` (rad/s^3)."""
+
+    acceleration: Array
+    jerk: Array
+
+    @classmethod
+    def of(cls, descriptor: RobotDescriptor) -> Self:
+        """Those of the descriptor."""
+        return cls(np.array(descriptor.cspace.acceleration), np.array(descriptor.cspace.jerk))
+
+    @property
+    def ramp(self) -> float:
+        """The longest time (s) that a joint takes from no acceleration to its limit."""
+        return float((self.acceleration / self.jerk).max())
 
 
 class Bounds(NamedTuple):
-    """For one direction of change: the greatest rate, how fast the rate may grow from 0 and at its greatest, and how fast it may fall again."""
+    """In one direction of change: the greatest `rate` (1/s); how fast it may `grow` and `shrink` near zero (1/s^2), and by how much less for
+    each unit of it."""
 
     rate: float
     grow: float
-    grow_at_rate: float
     shrink: float
-    shrink_at_rate: float
+    grow_loss: float
+    shrink_loss: float
 
     def rate_after(self, rate: float, dt: float) -> float:
         """The greatest rate that one of `rate` may have become `dt` s later."""
-        return min(rate + _between(self.grow, self.grow_at_rate, rate, self.rate) * dt, self.rate)
+        grown = rate + (self.grow - self.grow_loss * rate) * dt, (rate + self.grow * dt) / (1.0 + self.grow_loss * dt)
+        return min(*grown, self.rate)
 
-    def shrink_from(self, rate: float) -> float:
-        """How fast this rate may fall."""
-        return _between(self.shrink, self.shrink_at_rate, rate, self.rate)
+    def ease(self, rate: float) -> float:
+        """How fast this rate, and any lower one, may fall towards zero."""
+        return max(self.shrink - self.shrink_loss * rate, 0.0)
 
 
 class RateBounds:
-    """The bounds along `trajectory` for joints with these limits (J,) of acceleration (rad/s^2) and jerk (rad/s^3).
+    """The bounds along `trajectory` inside these limits.
 
-    What the trajectory itself has beyond a limit is granted to it; a change of path speed adds no more than the limit to a jerk that
-    is beyond it already.
+    What the trajectory itself has beyond a limit is granted to it; where its jerk is, a change of path speed may add up to the limit.
     """
 
-    def __init__(self, trajectory: TimedTrajectory, acceleration: Array, jerk: Array) -> None:
-        self._trajectory, self._acceleration, self._jerk = trajectory, acceleration, jerk
-        self._tables: dict[int, tuple[list[list[list[float]]], list[list[list[float]]]]] = {}
+    def __init__(self, trajectory: TimedTrajectory, limits: RateLimits) -> None:
+        self._trajectory, self._limits = trajectory, limits
+        self._tables: dict[int, tuple[_Table, _Table]] = {}
 
-    def at(self, row: int, speed: float, direction: int) -> Bounds:
-        """The bounds in a row, the one that begins at the path time `row` x ROW (s), for slowing down (-1) or speeding up (1)."""
-        block, index = divmod(row, _SPAN)
-        table = self._tables.get(block)
-        if table is None:
-            table = self._tables[block] = self._look_up(block * _SPAN)
+    def at(self, row: int, speed: float, way: int) -> Bounds:
+        """The bounds in a row, that from the path time `row` x ROW (s) on, for slowing down (`way` -1) or speeding up (1)."""
+        block, index = divmod(row, _ROWS)
+        tables = self._tables.get(block)
+        if tables is None:
+            tables = self._tables[block] = self._look_up(block * _ROWS)
         node = speed * speed * _NODES
         low = min(int(node), _NODES - 1)
-        share = node - low
-        cells = table[direction > 0][index]
-        return Bounds(*[a + share * (b - a) for a, b in zip(cells[low], cells[low + 1], strict=True)])
+        high = node - low
+        cells = tables[way > 0][index]
+        a, b = cells[low], cells[low + 1]
+        return Bounds(
+            min(a[0] + high * (b[0] - a[0]), (a[1] + high * (b[1] - a[1])) / max(speed, 1e-6)),
+            a[2] + high * (b[2] - a[2]),
+            a[3] + high * (b[3] - a[3]),
+            (a[4] + high * (b[4] - a[4])) * speed,
+            (a[5] + high * (b[5] - a[5])) * speed,
+        )
 
-    def _look_up(self, first: int) -> tuple[list[list[list[float]]], list[list[list[float]]]]:
-        trajectory = self._trajectory
-        times = ROW * (first + np.arange(_SPAN * _SAMPLES + 1) / _SAMPLES)
+    def _look_up(self, first: int) -> tuple[_Table, _Table]:
+        trajectory, limit, jerk = self._trajectory, self._limits.acceleration, self._limits.jerk
+        times = ROW * (first + np.arange(_ROWS * _SAMPLES + 1) / _SAMPLES)
         times = times.clip(trajectory.begin, trajectory.duration)
-        row = np.arange(_SPAN)[:, None] * _SAMPLES + np.arange(_SAMPLES + 1)
-        states = [each[row][..., None] for each in (*trajectory.sample(times)[1:], trajectory.jerks(times))]
-        slope, bend, twist = states  # each (rows, samples, J, 1)
-        speed = np.sqrt(np.arange(_NODES + 1) / _NODES)
-        limit, jerk = self._acceleration[:, None], self._jerk[:, None]
-        own, own_jerk = bend * speed**2, twist * speed**3
-        most = np.maximum(limit, np.abs(own)) + _SLACK * limit
-        most_jerk = np.where(np.abs(own_jerk) <= 1.01 * jerk, np.maximum(jerk, np.abs(own_jerk)), np.abs(own_jerk) + jerk)
-        most_jerk = most_jerk + _SLACK * jerk
-        bends = 3 * bend * speed
-        rates = []
-        for sign in (-1, 1):
-            by_acceleration = _room(most, own, sign * slope)
-            by_jerk = _room(most_jerk, own_jerk, sign * bends)
-            rates.append(np.minimum(np.minimum(by_acceleration, by_jerk).min(axis=(1, 2)), _MOST_RATE))
+        samples = np.arange(_ROWS)[:, None] * _SAMPLES + np.arange(
+            _SAMPLES + 1
+        )  # of each row, both its ends among them
+        _, slope, bend = trajectory.sample(times)[:, samples]
+        twist = trajectory.jerks(times)[samples]
+        least_jerk = np.where(np.abs(twist) > _BEYOND * jerk, jerk, _SLACK * jerk)
+        most_jerk = (1 + _SLACK) * jerk
+        turn = 3 * bend
+        by_slope, by_turn = 1.0 / np.maximum(np.abs(slope), _STANDING), 1.0 / np.maximum(np.abs(turn), _STANDING)
+        leaning, turning = np.sign(slope) * by_slope, np.sign(turn) * by_turn
         tables = []
-        for sign, rate in zip((-1, 1), rates, strict=True):
-            columns = [rate]
-            for way in (sign, -sign):
-                for a in (np.zeros_like(rate), sign * rate):
-                    room = _room(most_jerk, own_jerk + bends * a[:, None, None], way * slope)
-                    columns.append(room.min(axis=(1, 2)).clip(0.0, _MOST_CHANGE))
-            tables.append(np.stack(columns, axis=-1).tolist())
+        for way in (-1, 1):
+            rate = _room((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, way * bend * leaning, _SQUARED)
+            product = _room(most_jerk * by_turn, least_jerk * by_turn, way * twist * turning, _CUBED)
+            reach = np.minimum(rate * np.sqrt(_SQUARED), product).max(axis=1)
+            columns, losses = [rate, product], []
+            for sign in (way, -way):
+                room, least, used = most_jerk * by_slope, least_jerk * by_slope, sign * twist * leaning
+                near = _room(room, least, used, _CUBED)
+                far = _room(room - sign * way * turn * leaning * reach[:, None, None], least, used, _CUBED)
+                columns.append(near)
+                losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING)[:, None])
+            tables.append(np.stack(columns + losses, axis=-1).tolist())
         return tables[0], tables[1]
 
 
-def _room(most: Array, own: Array, factor: Array) -> Array:
-    """The greatest x >= 0 with |own + factor x| <= most."""
-    return np.asarray((most - np.sign(factor) * own) / np.maximum(np.abs(factor), _STANDING))
+_SQUARED = np.arange(_NODES + 1.0) / _NODES
+_CUBED = _SQUARED**1.5
 
 
-def _between(first: float, last: float, rate: float, most: float) -> float:
-    share = min(rate / most, 1.0) if most > 0.0 else 1.0
-    return first + share * (last - first)
+def _room(most: Array, least: Array, used: Array, power: Array) -> Array:
+    """What every joint of every sample has left of `most` beside `used` x a power of the path speed, at the nodes (rows, nodes) of that.
+
+    `most`, `used` and `least`, below which it does not fall, are (rows, samples, J).
+    """
+    rows = len(most)
+    left = most.reshape(rows, -1, 1) - used.reshape(rows, -1, 1) * power
+    return np.asarray(np.maximum(left, least.reshape(rows, -1, 1)).min(axis=1).clip(0.0, _MOST))

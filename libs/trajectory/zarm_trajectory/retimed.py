@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -59,13 +60,12 @@ class RetimedTrajectory:
         points = TimedTrajectory(np.arange(float(states.shape[1])) * self.dt, *states)
         return type(self)(self.dt, *rows, points)
 
-    def at(self, index: float) -> tuple[float, float, float]:
-        """Path time, path speed and its rate at a point, or between two; the nearest end beyond them."""
+    def at(self, index: float) -> PathState:
+        """Where on the planned trajectory a point lies, or what is between two; the nearest end beyond them."""
         places = np.arange(float(len(self)))
-        time, speed, rate = (
-            float(np.interp(index, places, row)) for row in (self.path_time, self.path_speed, self.path_rate)
+        return PathState(
+            *(float(np.interp(index, places, row)) for row in (self.path_time, self.path_speed, self.path_rate))
         )
-        return time, speed, rate
 
     def position(self, index: float) -> Array:
         """The position (J,) at a point, or on the straight line between two; the nearest end beyond them."""
