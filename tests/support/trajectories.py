@@ -11,10 +11,12 @@ import numpy as np
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Plan, PlanTimings, Pose, Trajectory
 from zarm_contract.robot import RobotDescription, find_robot, load_robot
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ROBOT = load_robot("doosan_m1013")
 """The robot that tests move."""
+RATE_LIMITS = RateLimits.of(ROBOT.descriptor)
 KEYS = Keys(ROBOT.descriptor.name)
 HOME = np.array(ROBOT.descriptor.home)
 SCENE = "1-5be0c1d2f3a4"

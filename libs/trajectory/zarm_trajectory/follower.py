@@ -216,19 +216,22 @@ class _View:
         row, last = int(follower.time / ROW), int(follower.trajectory.duration / ROW)
         end = min(int((follower.time + speed * dt + max(follower.rate, 0.0) * dt * dt) / ROW), last)
         here = [bounds.at(k, speed, way) for k in range(row, end + 1)]
-        if way > 0:  # what the trajectory needs grows with the path speed
-            most = min(each.rate_after(self.rate, dt) for each in here)
-            speed = min(speed + (self.rate + most) * dt / 2, 1.0)
-            here = [bounds.at(k, speed, way) for k in range(row, end + 1)]
+        self.most = min(each.rate_after(self.rate, dt) for each in here)
+        # The path speed is another one where the step ends.
+        speed = min(max(speed + way * (self.rate + self.most) * dt / 2, 0.0), 1.0)
+        here += [bounds.at(k, speed, way) for k in range(row, end + 1)]
         self.most = min(each.rate_after(self.rate, dt) for each in here)
         self.shrink = min(each.ease(self.rate) for each in here)
         self.ease = min(each.ease(max(self.most, self.rate)) for each in here)
-        passed, recovered = ROW / max(speed, 0.05), 0.0
+        place, squared, recovered, back = follower.time + follower.speed * dt, speed * speed, 0.0, self.ease
         for k in range(end + 1, min(end + follower._ahead, last) + 1):
-            speed = min(max(speed + way * self.most * passed / 2, 0.0), 1.0)
+            way_there, before = max(k * ROW - place, 0.0), speed
+            place = k * ROW
+            squared = min(max(squared + (2.0 if way > 0 else -1.0) * self.most * way_there, 0.0), 1.0)
+            speed = math.sqrt(squared)
+            recovered += back * way_there / max(speed, before, 1e-3)
             each = bounds.at(k, speed, way)
             self.most = min(self.most, each.rate + recovered)
             back = each.ease(min(self.most, each.rate))
             self.ease = min(self.ease, back)
-            recovered += back * passed
         self.ease = max(self.ease, _LEAST)

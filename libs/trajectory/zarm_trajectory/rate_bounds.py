@@ -29,7 +29,7 @@ _SAMPLES = 4
 """The trajectory is looked at so often in each row."""
 _NODES = 6
 """Between so many squared path speeds from 0 to 1 the bounds are interpolated. They are concave in them, so that is conservative."""
-_SLACK = 0.003
+_SLACK = 0.001
 """Share of a limit that a change of path speed may use where the trajectory alone needs all of it: less than anybody can measure."""
 _BEYOND = 1.01
 """A trajectory whose jerk is above the limit by more than this factor comes from somebody who does not hold it."""

@@ -48,17 +48,14 @@ class RetimedTrajectory:
 
     def followed_by(self, other: RetimedTrajectory) -> RetimedTrajectory:
         """These points, then those of `other`, whose first is where the last of these is."""
-        rows = (
-            np.concatenate((a, b[1:]))
-            for a, b in (
-                (self.path_time, other.path_time),
-                (self.path_speed, other.path_speed),
-                (self.path_rate, other.path_rate),
-            )
-        )
         states = np.concatenate((self.points.states, other.points.states[:, 1:]), axis=1)
-        points = TimedTrajectory(np.arange(float(states.shape[1])) * self.dt, *states)
-        return type(self)(self.dt, *rows, points)
+        return type(self)(
+            self.dt,
+            np.append(self.path_time, other.path_time[1:]),
+            np.append(self.path_speed, other.path_speed[1:]),
+            np.append(self.path_rate, other.path_rate[1:]),
+            TimedTrajectory(np.arange(float(states.shape[1])) * self.dt, *states),
+        )
 
     def at(self, index: float) -> PathState:
         """Where on the planned trajectory a point lies, or what is between two; the nearest end beyond them."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from support.harness import eventually
-from support.trajectories import HOME, ROBOT, moved, rest_to_rest
+from support.trajectories import HOME, RATE_LIMITS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
@@ -24,7 +24,7 @@ def saved_in(folder: Folder) -> StateFile[JointState]:
 
 
 def emulator_in(folder: Folder) -> Emulator:
-    return Emulator(EmulatedRobot(ROBOT.descriptor, saved_in(folder)), np.array(ROBOT.descriptor.cspace.acceleration))
+    return Emulator(EmulatedRobot(ROBOT.descriptor, saved_in(folder)), RATE_LIMITS)
 
 
 def position(emulator: Emulator) -> np.ndarray:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.examples import examples
-from support.trajectories import HOME, ROBOT, curved_path, moved, rest_to_rest, trapezoid
+from support.trajectories import HOME, RATE_LIMITS, ROBOT, curved_path, moved, rest_to_rest, trapezoid
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -40,7 +40,7 @@ def distance_from(path: TimedTrajectory, positions: Array) -> float:
 
 def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
     path = curved_path(1)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     for tick in range(1, 50):
         follower.advance(TICK)
         np.testing.assert_allclose(follower.position, path.at(tick * TICK)[0], atol=1e-12)
@@ -51,7 +51,7 @@ def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
 @given(seed=st.integers(0, 2**32 - 1), when=st.floats(0.0, 1.0))
 def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_path(seed: int, when: float) -> None:
     path = curved_path(seed)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     while follower.time < when * path.duration:
         follower.advance(TICK)
     before = follower.position - follower.velocity * TICK
@@ -69,7 +69,7 @@ def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_pat
 
 def test_braking_is_as_strong_as_the_limits_allow() -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(2.0)), ROBOT.descriptor.joints)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     while follower.time < path.duration / 2:
         follower.advance(TICK)
     speed = follower.velocity[0]
@@ -80,7 +80,7 @@ def test_braking_is_as_strong_as_the_limits_allow() -> None:
 
 def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
     path = curved_path(3)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     positions = [follower.position]
     for tick in range(400):
         follower.target = 0.0 if tick % 20 < 7 else 1.0
@@ -100,7 +100,7 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
     seed: int, targets: list[tuple[float, int]]
 ) -> None:
     path = curved_path(seed)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     positions = [follower.position, follower.position]
     for target, ticks in targets:
         follower.target = target
@@ -131,7 +131,7 @@ def planned_path(seed: int) -> TimedTrajectory:
 def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_comes_to_the_end(
     seed: int, speed: float
 ) -> None:
-    follower = Follower(planned_path(seed), LIMIT)
+    follower = Follower(planned_path(seed), RATE_LIMITS)
     while not follower.finished:
         other = copy.copy(follower)
         for target in (0.0, speed):
@@ -149,7 +149,7 @@ def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_co
 def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_no_longer_than_from_the_start(
     seed: int, tick: int
 ) -> None:
-    follower = Follower(planned_path(seed), LIMIT)
+    follower = Follower(planned_path(seed), RATE_LIMITS)
     for _ in range(tick):
         follower.advance(0.004)
     follower.target = 0.0
@@ -163,7 +163,7 @@ def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_n
 @pytest.mark.parametrize("speed", [0.05, 0.5])
 def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) -> None:
     path = curved_path(6)
-    follower = Follower(path, LIMIT, speed=speed, target=speed)
+    follower = Follower(path, RATE_LIMITS, speed=speed, target=speed)
     ticks = len(followed(follower)) - 3
     assert ticks * TICK == pytest.approx(path.duration / speed, rel=0.01)
 
@@ -171,7 +171,7 @@ def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) 
 @pytest.mark.parametrize("target", [0.05, 0.4])
 def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float) -> None:
     path = curved_path(7)
-    follower = Follower(path, LIMIT, time=path.duration / 3, target=target)
+    follower = Follower(path, RATE_LIMITS, time=path.duration / 3, target=target)
     ahead = follower.ahead(TICK)
     for position in ahead.points.position[:200]:
         np.testing.assert_allclose(follower.position, position, atol=1e-9)
@@ -181,7 +181,7 @@ def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float)
 
 def test_a_short_pause_between_ticks_is_caught_up_with() -> None:
     path = curved_path(4)
-    late, on_time = Follower(path, LIMIT), Follower(path, LIMIT)
+    late, on_time = Follower(path, RATE_LIMITS), Follower(path, RATE_LIMITS)
     late.advance(CATCH_UP)
     for _ in range(round(CATCH_UP / TICK)):
         on_time.advance(TICK)
@@ -190,7 +190,7 @@ def test_a_short_pause_between_ticks_is_caught_up_with() -> None:
 
 def test_after_a_long_pause_between_ticks_the_robot_goes_on_from_rest_where_it_stood() -> None:
     path = curved_path(5)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     while follower.time < path.duration / 2:
         follower.advance(TICK)
     stood = follower.position.copy()
