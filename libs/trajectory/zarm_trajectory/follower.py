@@ -223,7 +223,7 @@ class _View:
         self.most = min(each.rate_after(self.rate, dt) for each in here)
         self.shrink = min(each.ease(self.rate) for each in here)
         self.ease = min(each.ease(max(self.most, self.rate)) for each in here)
-        place, squared, recovered, back = follower.time + follower.speed * dt, speed * speed, 0.0, self.ease
+        place, squared, recovered, back = follower.time + follower.speed * dt, speed * speed, -self.ease * TICK, self.ease
         for k in range(end + 1, min(end + follower._ahead, last) + 1):
             way_there, before = max(k * ROW - place, 0.0), speed
             place = k * ROW
@@ -231,7 +231,7 @@ class _View:
             speed = math.sqrt(squared)
             recovered += back * way_there / max(speed, before, 1e-3)
             each = bounds.at(k, speed, way)
-            self.most = min(self.most, each.rate + recovered)
+            self.most = min(self.most, each.rate + max(recovered, 0.0))
             back = each.ease(min(self.most, each.rate))
             self.ease = min(self.ease, back)
         self.ease = max(self.ease, _LEAST)

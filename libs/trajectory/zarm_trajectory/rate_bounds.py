@@ -23,9 +23,9 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 ROW = 0.01
 """Path time, s, over which the bounds are one."""
-_ROWS = 32
+_ROWS = 20
 """So many rows are looked up at once."""
-_SAMPLES = 4
+_SAMPLES = 8
 """The trajectory is looked at so often in each row."""
 _NODES = 6
 """Between so many squared path speeds from 0 to 1 the bounds are interpolated. They are concave in them, so that is conservative."""

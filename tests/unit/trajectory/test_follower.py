@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 
 import numpy as np
@@ -12,9 +13,11 @@ from support.examples import examples
 from support.trajectories import HOME, RATE_LIMITS, ROBOT, curved_path, moved, rest_to_rest, trapezoid
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
+VELOCITY = np.array(ROBOT.descriptor.cspace.velocity)
 ROUNDING = 1.005
 """The path bends within a tick; what the follower looks ahead leaves this much at most."""
 
@@ -30,6 +33,29 @@ def followed(follower: Follower) -> Array:
 
 def accelerations(positions: Array) -> Array:
     return np.diff(positions, 2, axis=0) / TICK**2
+
+
+class Recorded(Follower):
+    """A follower that keeps what it did: spans of time in which the rate changes evenly."""
+
+    spans: list[tuple[float, ...]]
+
+    def _pass(self, dt: float, change: float) -> None:
+        self.spans.append((*self.state, change, dt))
+        super()._pass(dt, change)
+
+
+def commanded(follower: Recorded, looks: int = 6) -> tuple[Array, Array]:
+    """Acceleration and jerk (N, J) of all that was commanded, by the chain rule, at so many moments of each span."""
+    time, speed, rate, change, dt = np.array(follower.spans).T[:, :, None]
+    h = dt * np.linspace(0.0, 1.0, looks)
+    path = follower.trajectory
+    s = (time + h * (speed + h * (rate / 2 + h * change / 6))).clip(path.begin, path.duration).ravel()
+    x = (speed + h * (rate + h * change / 2)).ravel()[:, None]
+    a = (rate + h * change).ravel()[:, None]
+    u = np.broadcast_to(change, h.shape).ravel()[:, None]
+    _, slope, bend = path.sample(s)
+    return bend * x**2 + slope * a, path.jerks(s) * x**3 + 3 * bend * x * a + slope * u
 
 
 def distance_from(path: TimedTrajectory, positions: Array) -> float:
@@ -116,13 +142,49 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
     np.testing.assert_allclose(positions[-1], path.end, atol=1e-9)
 
 
-def planned_path(seed: int) -> TimedTrajectory:
-    """A motion as a planner times it, at the limits from the first milliseconds on."""
+@examples(0.3)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    planned=st.booleans(),
+    ramp=st.sampled_from([0.002, 0.01]),
+    commands=st.lists(
+        st.tuples(st.sampled_from([0.0, 0.05, 0.3, 0.7, 1.0]), st.integers(1, 40)), min_size=1, max_size=12
+    ),
+    ticks=st.lists(st.sampled_from([0.002, 0.004, 0.0081, 0.01, 0.013, 0.05]), min_size=1, max_size=7),
+)
+def test_whatever_is_asked_for_and_however_ticks_come_jerk_and_acceleration_hold_and_a_stop_comes_to_rest_in_time(
+    seed: int, planned: bool, ramp: float, commands: list[tuple[float, int]], ticks: list[float]
+) -> None:
+    """`ramp` is the time from no acceleration to its limit, of the M1013 and of a UR."""
+    limits = RateLimits(RATE_LIMITS.acceleration, RATE_LIMITS.acceleration / ramp)
+    follower = Recorded(planned_path(seed, ramp) if planned else curved_path(seed), limits)
+    follower.spans = []
+    tick = itertools.cycle(ticks)
+    for target, count in (*commands, (0.0, 0)):
+        follower.target = target
+        for _ in range(count):
+            before = follower.time
+            follower.advance(next(tick))
+            assert follower.time >= before
+            assert 0.0 <= follower.speed <= 1.0
+    took = 0.0
+    while not follower.settled:
+        dt = next(tick)
+        follower.advance(dt)
+        took += dt
+    assert took <= 1.3 * np.max(VELOCITY / limits.acceleration) + limits.ramp + 3 * TICK + max(ticks)
+    acceleration, jerk = commanded(follower)
+    assert np.all(np.abs(acceleration) <= limits.acceleration * 1.01 * ROUNDING)
+    assert np.all(np.abs(jerk) <= limits.jerk * 1.01)
+
+
+def planned_path(seed: int, ramp: float | None = None) -> TimedTrajectory:
+    """A motion as a planner times it, at the limits from the first milliseconds, or after `ramp` s."""
     random = np.random.default_rng(seed)
     goal = HOME + random.uniform(-0.2, 0.2, len(HOME))
     share = float(random.uniform(0.98, 1.01))  # checks let a hundredth pass
     return TimedTrajectory.of(
-        trapezoid(goal, share=share, dt=float(random.uniform(0.01, 0.05))), ROBOT.descriptor.joints
+        trapezoid(goal, share=share, dt=float(random.uniform(0.01, 0.05)), ramp=ramp), ROBOT.descriptor.joints
     )
 
 
