@@ -223,7 +223,12 @@ class _View:
         self.most = min(each.rate_after(self.rate, dt) for each in here)
         self.shrink = min(each.ease(self.rate) for each in here)
         self.ease = min(each.ease(max(self.most, self.rate)) for each in here)
-        place, squared, recovered, back = follower.time + follower.speed * dt, speed * speed, -self.ease * TICK, self.ease
+        place, squared, recovered, back = (
+            follower.time + follower.speed * dt,
+            speed * speed,
+            -self.ease * TICK,
+            self.ease,
+        )
         for k in range(end + 1, min(end + follower._ahead, last) + 1):
             way_there, before = max(k * ROW - place, 0.0), speed
             place = k * ROW

@@ -126,16 +126,16 @@ class RateBounds:
         leaning, turning = np.sign(slope) * by_slope, np.sign(turn) * by_turn
         tables = []
         for way in (-1, 1):
-            rate = _room((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, way * bend * leaning, _SQUARED)
-            product = _room(most_jerk * by_turn, least_jerk * by_turn, way * twist * turning, _CUBED)
-            reach = np.minimum(rate * np.sqrt(_SQUARED), product).max(axis=1)
+            rate = _room((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, (way * bend * leaning, _SQUARED))
+            product = _room(most_jerk * by_turn, least_jerk * by_turn, (way * twist * turning, _CUBED))
+            reach = np.minimum(rate * np.sqrt(np.maximum(_SQUARED, _SQUARED[1])), product)
             columns, losses = [rate, product], []
             for sign in (way, -way):
-                room, least, used = most_jerk * by_slope, least_jerk * by_slope, sign * twist * leaning
-                near = _room(room, least, used, _CUBED)
-                far = _room(room - sign * way * turn * leaning * reach[:, None, None], least, used, _CUBED)
+                of_trajectory, of_rate = (sign * twist * leaning, _CUBED), (sign * way * turn * leaning, reach[:, None])
+                near = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
+                far = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
                 columns.append(near)
-                losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING)[:, None])
+                losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING))
             tables.append(np.stack(columns + losses, axis=-1).tolist())
         return tables[0], tables[1]
 
@@ -144,11 +144,12 @@ _SQUARED = np.arange(_NODES + 1.0) / _NODES
 _CUBED = _SQUARED**1.5
 
 
-def _room(most: Array, least: Array, used: Array, power: Array) -> Array:
-    """What every joint of every sample has left of `most` beside `used` x a power of the path speed, at the nodes (rows, nodes) of that.
+def _room(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
+    """What every joint of every sample has left of `most` at the nodes (rows, nodes), and `least` at least.
 
-    `most`, `used` and `least`, below which it does not fall, are (rows, samples, J).
+    Of what is used (rows, samples, J) so much for each node (nodes,) or (rows, 1, nodes); `most` and `least` are (rows, samples, J) too.
     """
-    rows = len(most)
-    left = most.reshape(rows, -1, 1) - used.reshape(rows, -1, 1) * power
-    return np.asarray(np.maximum(left, least.reshape(rows, -1, 1)).min(axis=1).clip(0.0, _MOST))
+    left = most.reshape(len(most), -1, 1)
+    for used, share in uses:
+        left = left - used.reshape(len(most), -1, 1) * share
+    return np.asarray(np.maximum(left, least.reshape(len(most), -1, 1)).min(axis=1).clip(0.0, _MOST))

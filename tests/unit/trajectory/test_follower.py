@@ -146,7 +146,7 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
 @given(
     seed=st.integers(0, 2**32 - 1),
     planned=st.booleans(),
-    ramp=st.sampled_from([0.002, 0.01]),
+    ramp=st.sampled_from([0.002, 0.01, 0.05]),
     commands=st.lists(
         st.tuples(st.sampled_from([0.0, 0.05, 0.3, 0.7, 1.0]), st.integers(1, 40)), min_size=1, max_size=12
     ),
@@ -155,7 +155,7 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
 def test_whatever_is_asked_for_and_however_ticks_come_jerk_and_acceleration_hold_and_a_stop_comes_to_rest_in_time(
     seed: int, planned: bool, ramp: float, commands: list[tuple[float, int]], ticks: list[float]
 ) -> None:
-    """`ramp` is the time from no acceleration to its limit, of the M1013 and of a UR."""
+    """`ramp` is the time from no acceleration to its limit, of the M1013, of a UR and of a slower arm."""
     limits = RateLimits(RATE_LIMITS.acceleration, RATE_LIMITS.acceleration / ramp)
     follower = Recorded(planned_path(seed, ramp) if planned else curved_path(seed), limits)
     follower.spans = []
