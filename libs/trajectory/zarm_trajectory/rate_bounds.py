@@ -131,7 +131,7 @@ class RateBounds:
             reach = np.minimum(rate * np.sqrt(np.maximum(_SQUARED, _SQUARED[1])), product)
             columns, losses = [rate, product], []
             for sign in (way, -way):
-                of_trajectory, of_rate = (sign * twist * leaning, _CUBED), (sign * way * turn * leaning, reach[:, None])
+                of_trajectory, of_rate = (sign * twist * leaning, _CUBED), (sign * way * turn * leaning, reach)
                 near = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
                 far = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
                 columns.append(near)
@@ -147,9 +147,10 @@ _CUBED = _SQUARED**1.5
 def _room(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
     """What every joint of every sample has left of `most` at the nodes (rows, nodes), and `least` at least.
 
-    Of what is used (rows, samples, J) so much for each node (nodes,) or (rows, 1, nodes); `most` and `least` are (rows, samples, J) too.
+    Of what is used (rows, samples, J) so much for each node, (nodes,) or (rows, nodes); `most` and `least` are (rows, samples, J) too.
     """
-    left = most.reshape(len(most), -1, 1)
+    flat = (len(most), 1, -1)
+    left = most.reshape(flat)
     for used, share in uses:
-        left = left - used.reshape(len(most), -1, 1) * share
-    return np.asarray(np.maximum(left, least.reshape(len(most), -1, 1)).min(axis=1).clip(0.0, _MOST))
+        left = left - used.reshape(flat) * share[..., None]
+    return np.asarray(np.maximum(left, least.reshape(flat)).min(axis=2).clip(0.0, _MOST))
