@@ -34,6 +34,8 @@ _LEAST = 1e-3
 """Least change of the rate, 1/s^2, with which it is brought back to zero where the path speed has almost come to its target."""
 _FARTHEST = 10
 """Rows ahead at most in which it is looked for a way back to a constant speed."""
+_INSTANT = 1e-9
+"""A time, s, in which nothing happens."""
 _THERE = 1e-9
 """A path speed this close to its target is at it."""
 
@@ -146,13 +148,13 @@ class Follower:
         self.velocity: Array = self._state[1] * (0.0 if self.at_rest else self.speed)
 
     def _move(self, dt: float) -> None:
-        while dt > 1e-9 and not self.settled:
+        while dt > _INSTANT and not self.settled:
             step = min(dt, TICK)
             self._step(step)
             dt -= step
 
     def _step(self, dt: float) -> None:
-        while dt > 0.0 and not self.settled:
+        while dt > _INSTANT and not self.settled:
             if self.steady:
                 self._pass(dt, 0.0)
                 return
@@ -169,7 +171,10 @@ class Follower:
     def _ease(self, view: _View, dt: float) -> float:
         """Bring the rate to zero, as the target lies the other way or will be passed; returns the time (s) that it takes of `dt`."""
         wall = 1.0 - self.speed if view.way > 0 else self.speed
-        change = max(view.shrink, _LEAST, view.rate**2 / (2 * wall) if wall > 0.0 else math.inf)
+        if wall <= 0.0:  # rounding
+            self.rate = 0.0
+            return 0.0
+        change = max(view.shrink, _LEAST, view.rate**2 / (2 * wall))
         time = view.rate / change
         if time >= dt:
             self._pass(dt, -view.way * change)
@@ -187,9 +192,8 @@ class Follower:
             self._pass(time, -view.way * view.rate / time)
             self.speed, self.rate = self.target, 0.0
             return time
-        landing = view.ease * (
-            math.sqrt(dt * dt / 4 + (2 * gap - view.rate * dt) / view.ease) - dt / 2
-        )  # with this rate a step later, `ease` ends at the target
+        # With this rate a step later, `ease` ends just at the target.
+        landing = view.ease * (math.sqrt(dt * dt / 4 + (2 * gap - view.rate * dt) / view.ease) - dt / 2)
         rate = max(min(view.most, landing), view.rate - max(view.shrink, needed) * dt)
         self._pass(dt, view.way * (rate - view.rate) / dt)
         if self.rate * view.way < 1e-12 or abs(self.target - self.speed) < _THERE:
@@ -223,12 +227,9 @@ class _View:
         self.most = min(each.rate_after(self.rate, dt) for each in here)
         self.shrink = min(each.ease(self.rate) for each in here)
         self.ease = min(each.ease(max(self.most, self.rate)) for each in here)
-        place, squared, recovered, back = (
-            follower.time + follower.speed * dt,
-            speed * speed,
-            -self.ease * TICK,
-            self.ease,
-        )
+        # There must be a way back to what later rows allow, from one step later on.
+        place, squared, back = follower.time + follower.speed * dt, speed * speed, self.ease
+        recovered = -back * TICK
         for k in range(end + 1, min(end + follower._ahead, last) + 1):
             way_there, before = max(k * ROW - place, 0.0), speed
             place = k * ROW
