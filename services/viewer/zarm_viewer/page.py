@@ -54,10 +54,19 @@ class Shown:
         return self.source.story.robot if isinstance(self.source, Playback) else self.source.name
 
 
+@dataclass(frozen=True)
+class Folders:
+    """Where files are: meshes of the scene, the viewer's state, and the executor's, in which records of faults lie."""
+
+    meshes: tuple[Path, ...]
+    state: Path
+    records: Path
+
+
 class Page:
     """The page of these robots, served behind a gate until `close`."""
 
-    def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, meshes: tuple[Path, ...], state: Path) -> None:
+    def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, folders: Folders) -> None:
         self.server = gate.serve("zarm")
         self.address = gate.address(self.server.get_port())
         self._furnish()
@@ -65,7 +74,7 @@ class Page:
         self._stops: list[Stop] = []
         if any(isinstance(shown.source, Robot) for shown in robots):
             self._add_stop()
-        self._parts = [_Part(self.server, shown, moves, meshes, state, BESIDE * at) for at, shown in enumerate(robots)]
+        self._parts = [_Part(self.server, shown, moves, folders, BESIDE * at) for at, shown in enumerate(robots)]
         self._choose_between(self._parts)
         for shown, part in zip(robots, self._parts, strict=True):
             if isinstance(shown.source, Robot):
@@ -143,14 +152,12 @@ class Page:
 class _Part:
     """One robot's share of the page."""
 
-    def __init__(
-        self, server: viser.ViserServer, shown: Shown, moves: bool, meshes: tuple[Path, ...], state: Path, aside: float
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, shown: Shown, moves: bool, folders: Folders, aside: float) -> None:
         client = shown.source if isinstance(shown.source, Robot) else None
         moves = moves and client is not None
         self.desk = Desk(server, shown.name, shown.description, client, moves)
         server.scene.add_frame(self.desk.root, show_axes=False, position=(0.0, aside, 0.0))
-        self._picture = Picture(self.desk, meshes)
+        self._picture = Picture(self.desk, folders.meshes)
         self._folder = server.gui.add_folder(shown.name)
         self._record: RecordPanel | None = None
         self._events: EventsPanel | None = None
@@ -161,7 +168,7 @@ class _Part:
                 self._add_reset()
             tabs = server.gui.add_tab_group()
             if moves:
-                self._controls = _Controls(self.desk, self._picture, tabs, state)
+                self._controls = _Controls(self.desk, self._picture, tabs, folders.state)
             if isinstance(shown.source, Playback):
                 with tabs.add_tab("Record"):
                     self._record = RecordPanel(self.desk, shown.source)
@@ -171,7 +178,7 @@ class _Part:
                 self._plots = PlotsPanel(self.desk)
             if client is not None:
                 with tabs.add_tab("Events"):
-                    self._events = EventsPanel(self.desk, state / shown.name / "records")
+                    self._events = EventsPanel(self.desk, folders.records / shown.name / "records")
         self._source = Watching(shown.source) if isinstance(shown.source, Robot) else shown.source
 
     def chosen(self, yes: bool) -> None:
