@@ -232,8 +232,8 @@ class _Controls:
             self._jog = JogPanel(desk, self._goal)
 
     def chosen(self, yes: bool) -> None:
-        """Show the gizmo, or not."""
-        self._goal.show(gizmo=yes)
+        """Show the handles, or not."""
+        self._motion.chosen(yes)
 
     def draw(self, news: News) -> None:
         """Show what is new."""
