@@ -30,7 +30,7 @@ class WaypointHandles:
         node = f"{self._desk.root}/waypoint_{number}"
         gizmo = scene.add_transform_controls(
             node,
-            scale=0.18,
+            scale=0.22,
             line_width=3.0,
             depth_test=False,
             position=pose.translation(),
