@@ -79,6 +79,8 @@ def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
         raise
     except Exception as error:  # parsers of broken files raise whatever they stumble over
         raise ValueError(f"{file} cannot be read: {error}") from error
+    if not len(mesh.faces):
+        raise ValueError(f"{file} cannot be read: it holds no triangles")
     mesh.apply_scale(unit * np.array(scale))
     return _edged(mesh)
 
