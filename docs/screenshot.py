@@ -19,8 +19,8 @@ IMAGES = Path(__file__).parent / "images"
 PATIENCE = 120e3
 ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE, SMALL = (1280, 800), (832, 520)
-FRAME, LAST = 90, 2000
-"""ms for which a picture of the animation is shown, and the last one."""
+PLAYS, LAST = 4000, 2000
+"""ms for which the animation plays, however many pictures this machine has taken, and for which the last one stays."""
 SLOW = 2
 """Steps of the speed slider above its least: pictures are taken one after the other while the robot moves so slowly."""
 
@@ -54,7 +54,7 @@ def main() -> None:
             frames.append(shot(page))
         frames.append(shot(page))
         browser.close()
-    durations = [FRAME] * (len(frames) - 1) + [LAST]
+    durations = [PLAYS // len(frames)] * (len(frames) - 1) + [LAST]
     frames[0].save(
         IMAGES / "page.webp", save_all=True, append_images=frames[1:], duration=durations, loop=0, quality=55, method=6
     )
