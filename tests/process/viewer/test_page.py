@@ -12,9 +12,11 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
 from support.harness import PATIENCE, eventually
-from support.trajectories import HOME, KEYS, moved
+from support.trajectories import HOME, KEYS, ROBOT, moved
 from support.viewer import SIZE, Cell, cell_of, drawn_tip, opened
+from zarm_contract.messages import Plan
 from zarm_contract.robot import load_robot
+from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
 
 PHONE = (390, 844)
@@ -101,6 +103,33 @@ def test_dragging_the_handle_shows_a_ghost_and_the_robot_goes_there(page: Page, 
     page.get_by_role("button", name="Plan and execute").click()
     eventually(lambda: cell.robot.tip().position[2] < tip[2] - 0.03, "the robot has gone down")
     eventually(cell.rests, "it rests")
+
+
+def test_a_plan_passes_through_a_waypoint(page: Page, cell: Cell) -> None:
+    page.get_by_text("Waypoints").click()
+    cell.robot.execute(cell.robot.plan(moved(0.8)))
+    eventually(lambda: drawn_where_measured(page, cell), "the page shows the robot there")
+    page.get_by_role("button", name="Add one here").click()
+    page.wait_for_function("() => '/doosan_m1013/waypoint_1' in window.__viserMutable.nodeRefFromName")
+    waypoint = cell.robot.tip().position
+    cell.robot.execute(cell.robot.plan(HOME))
+    page.get_by_text("Poses").click()
+    page.get_by_role("button", name="Home").click()
+    expect(page.get_by_text("reachable, free")).to_be_visible()
+    page.get_by_role("button", name="Plan", exact=True).click()
+
+    def through() -> Plan | None:
+        made = cell.bus.read(KEYS.plans, Plan, timeout=5)
+        return made if made.waypoint_times else None
+
+    plan = eventually(through, "a plan with waypoints is made")
+    at = TimedTrajectory.of(plan.trajectory, ROBOT.descriptor.joints).at(plan.waypoint_times[0])[0]
+    passed = Chain(ROBOT).tip(at).translation()
+    assert np.allclose(passed, waypoint, atol=0.02)
+    for label in ("Forget them", "Back to the robot"):
+        page.get_by_role("button", name=label).click()
+    for folder in ("Waypoints", "Poses"):
+        page.get_by_text(folder).click()
 
 
 def test_stop_brings_the_robot_to_rest_before_its_goal(page: Page, cell: Cell) -> None:
