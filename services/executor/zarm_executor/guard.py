@@ -85,15 +85,17 @@ class Guard:
             and now - self._heard_at <= self.timeout
         )
 
-    def limit(self, authority: Authority, trajectory: TimedTrajectory) -> Limit | None:
-        """Where an authority over this trajectory ends; None where it reaches to its end."""
-        if authority.until is None or authority.until >= trajectory.duration:
+    def limit(
+        self, trajectory: TimedTrajectory, until: float | None, obstruction: Obstruction | None = None
+    ) -> Limit | None:
+        """The end of an authority over this trajectory up to the path time `until` (s); None where it reaches to its end."""
+        if until is None or until >= trajectory.duration:
             return None
-        contact = authority.until if authority.obstruction is None else authority.obstruction.time
+        contact = until if obstruction is None else obstruction.time
         return Limit(
-            BrakingCurve(trajectory, authority.until, self._acceleration),
+            BrakingCurve(trajectory, until, self._acceleration),
             BrakingCurve(trajectory, contact, self._acceleration),
-            authority.obstruction,
+            obstruction,
         )
 
     def must_brake(self, limit: Limit, time: float, speed: float) -> bool:
