@@ -6,7 +6,7 @@ singularities; collision checks at 10 Hz, each of which scales the speed by `exp
 in contact; limits of speed kept by scaling all joints alike, the output smoothed by the low-pass filter that is its default. *pink*: differential IK as
 a quadratic program at 250 Hz with limits of position and speed; it is told of no obstacles. It takes part where `pip install pin-pink daqp` was run.
 
-Both peers follow poses with a proportional gain of 4/s. The robot is where it is commanded to be. Closest distances, to objects and of the robot to
+Both peers follow poses with a proportional gain of 4/s and limit no acceleration, so that a far target makes them jump to full speed. The robot is where it is commanded to be. Closest distances, to objects and of the robot to
 itself, are those of the exact shapes, 20 ms apart; a contact is a distance of 0 or less. The jerk is the difference of the commanded
 accelerations over 20 ms, as a multiple of the robot's limit.
 """
@@ -148,25 +148,25 @@ class Zarm:
 
 
 class MoveItServo:
-    """What the documentation of MoveIt Servo says, with its default thresholds; one exact distance stands for both kinds of collision."""
+    """What the documentation of MoveIt Servo says, with its default thresholds."""
 
     PUBLISHED, CHECKED = 0.01, 0.1
-    PROXIMITY = 0.02
+    PROXIMITY, SELF_PROXIMITY = 0.02, 0.01
     SINGULAR, STOP = 17.0, 30.0
     """Condition numbers between which it slows down."""
     FILTER = 1.5
     """Coefficient of its low-pass filter."""
 
     def __init__(self, world: World) -> None:
-        self._scene = ExactScene(MODEL, world)
+        self._scene, self._alone = ExactScene(MODEL, world), ExactScene(MODEL, World((), 0.0))
         self._filtered, self._raw = START.copy(), START.copy()
         self._scale, self._cycle = 1.0, 0
 
     def __call__(self, goal: Array) -> Array:
         if self._cycle % round(self.CHECKED / PERIOD) == 0:
-            distance = self._scene.nearest(self._filtered).distance
-            rate = -np.log(0.001) / self.PROXIMITY
-            self._scale = 0.0 if distance <= 0.0 else min(1.0, float(np.exp(rate * (distance - self.PROXIMITY))))
+            from_scene = self._scene.nearest(self._filtered, itself=False).distance
+            from_itself = self._alone.nearest(self._filtered).distance
+            self._scale = min(scale(from_scene, self.PROXIMITY), scale(from_itself, self.SELF_PROXIMITY))
         before = int((self._cycle - 1) * PERIOD / self.PUBLISHED)
         if self._cycle == 0 or int(self._cycle * PERIOD / self.PUBLISHED) != before:
             self._publish(goal)
@@ -185,6 +185,12 @@ class MoveItServo:
         # Butterworth, first order: y = (x + x' + (c - 1) y') / (c + 1)
         self._filtered = (raw + self._raw + (self.FILTER - 1) * self._filtered) / (self.FILTER + 1)
         self._raw = raw
+
+
+def scale(distance: float, threshold: float) -> float:
+    """The share of the speed that MoveIt Servo leaves at a distance (m) below a threshold (m)."""
+    rate = -np.log(0.001) / threshold
+    return 0.0 if distance <= 0.0 else min(1.0, float(np.exp(rate * (distance - threshold))))
 
 
 def pink_servo(_: World) -> Servo:
