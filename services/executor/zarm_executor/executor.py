@@ -82,7 +82,7 @@ class Executor:
             trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
             goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
-            goal.replan = request.replan
+            goal.replan, goal.tip = request.replan, chosen.tip
             turn.start(goal)
         return Accepted(goal_id=goal_id)
 
@@ -99,7 +99,7 @@ class Executor:
         else:
             trajectory = continuation(request.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))
             start = request.at
-        goal = self._machine.replace(request.goal_id, request.number, trajectory, revision, start)
+        goal = self._machine.replace(request.goal_id, request.number, trajectory, revision, start, request.until)
         self._reporter.show(goal)
         self._reporter.publish()
         return Accepted(goal_id=request.goal_id)

@@ -118,7 +118,8 @@ class Machine:
                 self._leave_fault()
             authority = self._guard.of(goal.goal_id)
             if authority is not None:
-                motion.permit(authority, self._guard.limit(authority, goal.trajectory), self.scene)
+                limit = self._guard.limit(goal.trajectory, authority.until, authority.obstruction)
+                motion.permit(authority, limit, self.scene)
 
     def _can_leave_fault(self) -> bool:
         """Whether the next goal leaves the fault that there is."""
@@ -188,10 +189,12 @@ class Machine:
         trajectory: TimedTrajectory,
         scene: SceneRevision,
         start: float | Monitor,
+        until: float | None = None,
     ) -> Goal:
         """Have the goal go on along `trajectory`, verified in `scene`, in place of its trajectory `number`; the goal.
 
-        From the path time `start` (s) on, or from where the robot rests, watched by the Monitor `start`. Raises ExecutionRefused (`stale_plan`) where another
+        From the path time `start` (s) on, or from where the robot rests, watched by the Monitor `start`. It may go up to the time `until` (s)
+        of `trajectory`, None: to its end, before the servo says how far. Raises ExecutionRefused (`stale_plan`) where another
         trajectory is followed, and what `GoalExecution.replace` and `replace_at_rest` raise.
         """
         with self._lock:
@@ -204,9 +207,9 @@ class Machine:
                     code="stale_plan",
                 )
             if isinstance(start, Monitor):
-                motion.replace_at_rest(trajectory, start, scene)
+                motion.replace_at_rest(trajectory, start, scene, until)
             else:
-                motion.replace(trajectory, start, scene)
+                motion.replace(trajectory, start, scene, until)
             return motion.goal
 
     def hear(self, authority: Authority, now: float) -> None:
@@ -214,7 +217,9 @@ class Machine:
         with self._lock:
             motion = None if authority.goal_id is None else self._motion_of(authority.goal_id)
             trajectory = None if motion is None else motion.goal.trajectory
-        limit = None if trajectory is None else self._guard.limit(authority, trajectory)  # no tick waits for this
+        limit = None
+        if trajectory is not None:  # no tick waits for this
+            limit = self._guard.limit(trajectory, authority.until, authority.obstruction)
         with self._lock:
             newer = self._guard.hear(authority, now)
             if newer and motion is not None and motion is self._motion and motion.goal.trajectory is trajectory:
