@@ -79,7 +79,7 @@ class Executor:
             if request.preempt:
                 turn.preempt(goal_id)
                 scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest took a while
-            trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
+            trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
             goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
             goal.replan, goal.tip = request.replan, chosen.tip
@@ -94,7 +94,7 @@ class Executor:
         start: float | Monitor
         if request.at is None:
             trajectory = executable(request.trajectory, self._robot)
-            trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
+            trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
             start = Monitor(trajectory, self._robot.descriptor)
         else:
             trajectory = continuation(request.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))

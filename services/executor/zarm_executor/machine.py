@@ -73,6 +73,7 @@ class Machine:
         self._rested = threading.Condition(self._lock)
         self._told = threading.Condition(self._lock)
         self._begun = threading.Condition(self._lock)
+        self._ticked = threading.Condition(self._lock)
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
         # Arrivals of the newest stop, of the newest command that ends whatever moves (a stop too), and of the newest pause.
         self._stopped_by = self._cleared_by = self._held_by = 0.0
@@ -400,6 +401,20 @@ class Machine:
         with self._lock:
             return self._strategy.joint_state()
 
+    def wait_for_joint_state(self, since: float, patience: float) -> Measured | None:
+        """The newest measured state, once that is of `since` (s, on the monotonic clock) or later, after `patience` s at most.
+
+        A robot that stands tells where it is as seldom as its executor allows, and a busy machine passes that on late.
+        """
+
+        def fresh() -> bool:
+            measured = self._strategy.joint_state()
+            return measured is not None and measured.time >= since
+
+        with self._ticked:
+            self._ticked.wait_for(fresh, patience)
+            return self._strategy.joint_state()
+
     def wait_for_rest(self, patience: float) -> bool:
         """Wait until no goal is left; whether that was so within `patience` s."""
         with self._rested:
@@ -434,6 +449,7 @@ class Machine:
                 ended = motion.advance(now, dt, guarded=self._guarded)
                 if ended is not None:
                     self._rest(motion.goal, ended)
+            self._ticked.notify_all()
             return self._strategy.joint_state()
 
     def _rest(self, goal: Goal, ended: Outcome) -> None:
