@@ -28,9 +28,9 @@ class Contacts:
         self.q = np.random.default_rng(0).uniform(self.lower, self.upper, (SAMPLES, len(limits)))
         self.poses = chain.poses(self.q)
         self.body = {mounted.link: mounted.body for mounted in chain.mounted}
-        self._whole = {surface.link: _bvh(surface.triangles) for surface in surfaces}
+        self._whole = {surface.link: _object(surface.triangles) for surface in surfaces}
         self._collision = {
-            surface.link: _bvh(surface.collision) for surface in surfaces if surface.collision is not None
+            surface.link: _object(surface.collision) for surface in surfaces if surface.collision is not None
         }
 
     def drop_visual(self, link: str) -> None:
@@ -63,13 +63,14 @@ class Contacts:
         return bool(fcl.collide(one, other, fcl.CollisionRequest(), fcl.CollisionResult()))
 
     def _placed(self, link: str, pose: Array, bare: Sequence[str]) -> Any:
-        mesh = self._collision[link] if link in bare and link in self._collision else self._whole[link]
-        return fcl.CollisionObject(mesh, fcl.Transform(pose[:3, :3], pose[:3, 3]))
+        placed = self._collision[link] if link in bare and link in self._collision else self._whole[link]
+        placed.setTransform(fcl.Transform(pose[:3, :3], pose[:3, 3]))
+        return placed
 
 
-def _bvh(triangles: Array) -> Any:
+def _object(triangles: Array) -> Any:
     mesh = fcl.BVHModel()
     mesh.beginModel(len(triangles), 3 * len(triangles))
     mesh.addSubModel(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
     mesh.endModel()
-    return mesh
+    return fcl.CollisionObject(mesh)
