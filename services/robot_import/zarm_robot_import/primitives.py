@@ -298,11 +298,12 @@ def _adjoin(a: _Cell, b: _Cell) -> bool:
 
 def _hull(points: Array) -> Array:
     """The corners (k, 3) of the convex hull of points (n, 3); all of them where they are flat."""
+    found: Array
     try:
-        return points[ConvexHull(points).vertices]
+        found = points[ConvexHull(points).vertices]
     except QhullError:
-        found: Array = np.unique(points, axis=0)
-        return found
+        found = np.unique(points, axis=0)
+    return found
 
 
 def _cell(triangles: Array, corners: Array, points: Array, axes: Array, body: Body) -> _Cell:

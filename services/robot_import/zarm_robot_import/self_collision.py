@@ -61,19 +61,6 @@ class Pairs:
                 found.append(self._marked(self._judge(first, second)))
         return found
 
-    def loose(self) -> list[str]:
-        """Links whose exact geometry takes more than MOST_TAKEN of all configurations from a pair."""
-        found = []
-        for first, second in combinations(self._fitted, 2):
-            if self._contacts.body[second] - self._contacts.body[first] > 1:
-                overlapping = [k for k in range(_CROWD) if self._overlap(first, second, k)]
-                if len(overlapping) <= MOST_TAKEN * _CROWD:
-                    continue
-                touching = sum(self._contacts.touch(first, second, k) for k in overlapping)
-                if 0 < touching < len(overlapping) - MOST_TAKEN * _CROWD:
-                    found += [first, second]
-        return [link for link in self._fitted if link in found]
-
     def _marked(self, pair: Pair) -> Pair:
         """The same, `exact` where its covers take more than MOST_TAKEN of all configurations."""
         taken = 0.0 if pair.ignored else self._taken(pair)
@@ -90,7 +77,7 @@ class Pairs:
         near = np.flatnonzero(
             _gaps(*(_placed(balls, self._contacts.poses[link][:_CROWD]) for link, balls in covers)) < 0.0
         )
-        return sum(not self._overlap(pair.first, pair.second, k) for k in near) / _CROWD
+        return sum(not self._overlap(pair.first, pair.second, k) for k in near.tolist()) / _CROWD
 
     def _bounds(self, link: str) -> Array:
         """Balls (k, 4) around the primitives of a link."""
@@ -121,18 +108,18 @@ class Pairs:
         if self._always(first, second, near):
             if not bare or self._always(first, second, near, bare):
                 return Pair(first, second, True, f"they touch in all of {SAMPLES} configurations")
-            if any(self._contacts.touch(first, second, k, bare) for k in near):
+            if any(self._contacts.touch(first, second, k, bare) for k in near.tolist()):
                 return Pair(
                     first, second, False, "their collision geometry parts, though what is seen of them does not"
                 )
             return self._never(first, second, near, "collision geometry", bare)
-        if any(self._contacts.touch(first, second, k) for k in near):
+        if any(self._contacts.touch(first, second, k) for k in near.tolist()):
             return Pair(first, second, False, "their meshes can collide")
         return self._never(first, second, near, "meshes")
 
     def _always(self, first: str, second: str, near: NDArray[np.intp], bare: Sequence[str] = ()) -> bool:
         """Whether they touch in all configurations."""
-        return len(near) == SAMPLES and all(self._contacts.touch(first, second, k, bare) for k in near[::-1])
+        return len(near) == SAMPLES and all(self._contacts.touch(first, second, k, bare) for k in near[::-1].tolist())
 
     def _never(self, first: str, second: str, near: NDArray[np.intp], what: str, bare: Sequence[str] = ()) -> Pair:
         """What becomes of two links that touched in none."""
