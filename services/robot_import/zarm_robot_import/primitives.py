@@ -250,6 +250,8 @@ def _faces(triangles: Array) -> Array:
     """Axes (3, 3): the direction that the most area faces, that of the most area across it, and the one across both."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sizes = np.linalg.norm(normals, axis=1)
+    if not sizes.any():
+        return np.eye(3)
     normals, sizes = normals[sizes > 0.0] / sizes[sizes > 0.0, None], sizes[sizes > 0.0]
     normals *= np.where(normals @ (1.0, 0.1, 0.01) < 0.0, -1.0, 1.0)[:, None]
     names, group = np.unique(np.round(normals, 2), axis=0, return_inverse=True)
