@@ -105,10 +105,10 @@ def triangles_of(row: Array) -> Array:
 
 @dataclass(eq=False)
 class _Cell:
-    """What is between planes: triangles (n, 3, 3), the corners (k, 3) of their convex hull, points (m, 3) on them, frames to try, and the row of what
+    """What is between planes: triangles (n, 3, 3), the corners (k, 3) of their convex hull, points (m, 3) on them, and the row of what
     contains them; `out` as in `_tightest`.
 
-    `final` where no plane makes it tighter.
+    `axes` (l, 3, 3) are the frames to try here. `final` where no plane makes it tighter.
     """
 
     triangles: Array
