@@ -13,6 +13,7 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
 from zarm_trajectory.blending import blended, continued
 from zarm_trajectory.limits import Limits
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -116,7 +117,7 @@ class GoalExecution:
         """
         self._demand_no_end()
         strategy = self._steerable()
-        earliest = strategy.braking_from()[0]
+        earliest = strategy.braking_from().time
         if at < earliest:
             raise ExecutionRefused(
                 f"the trajectory takes over at {at:.3f} s, and what the robot does until {earliest:.3f} s is certain; plan from a "
@@ -272,18 +273,18 @@ class GoalExecution:
     def _brake_in_time(self, now: float) -> None:
         limit = self._limit
         if limit is not None:
-            time, speed = self._strategy.braking_from()
-            if self._guard.must_brake(limit, time, speed):
+            state = self._strategy.braking_from()
+            if self._guard.must_brake(limit, state):
                 self._held_at = limit.until
-                self._hold(limit.hold(time, speed), now)
+                self._hold(limit.hold(state), now)
 
     def _blocked(self, now: float) -> bool:
         """Hold a goal that rests where its authority ends; whether it does."""
-        limit, (time, _) = self._limit, self._strategy.braking_from()
+        limit, time = self._limit, self._strategy.braking_from().time
         blocked = limit is not None and limit.until < time + LEAST_WAY
         if limit is not None and blocked:
             self._held_at = time
-            self._hold(limit.hold(time, 0.0), now)
+            self._hold(limit.hold(PathState(time, 0.0)), now)
         return blocked
 
     def _free(self, progress: Progress, *, guarded: bool) -> bool:

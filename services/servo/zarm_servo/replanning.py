@@ -29,6 +29,7 @@ from zarm_servo.check import Checker
 from zarm_servo.moving_objects import MovingObjects
 from zarm_servo.scene_monitor import SceneMonitor
 from zarm_servo.stopping import StoppingTime, reaction
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -78,9 +79,7 @@ class Replanner:
         metrics: Metrics,
     ) -> None:
         self._joints = robot.descriptor.joints
-        self._velocity, self._acceleration = (
-            np.array(limit) for limit in (robot.descriptor.cspace.velocity, robot.descriptor.cspace.acceleration)
-        )
+        self._velocity, self._limits = np.array(robot.descriptor.cspace.velocity), RateLimits.of(robot.descriptor)
         self._reaction = reaction(robot.descriptor)
         params = robot.descriptor.strategy_params
         self._delay = 0.0 if params is None else params.delay + params.point_dt
@@ -224,7 +223,7 @@ class Replanner:
             return False
         if not movers:
             return True
-        stopping = StoppingTime(trajectory, self._acceleration, self._reaction).after(0.0)
+        stopping = StoppingTime(trajectory, self._limits, self._reaction).after(0.0)
         return self._checker.validity_among(trajectory, 0.0, scene, movers, now, stopping).until is None
 
     def _put(self, blocked: Blocked, plan: Plan, at: float | None) -> None:
@@ -251,7 +250,7 @@ class Replanner:
     def _used(self, trajectory: TimedTrajectory) -> tuple[float, float]:
         """The shares of the velocity and acceleration limits that a trajectory may take that replaces this one."""
         velocity = float((np.abs(trajectory.velocity) / self._velocity).max())
-        acceleration = float((np.abs(trajectory.acceleration) / self._acceleration).max())
+        acceleration = float((np.abs(trajectory.acceleration) / self._limits.acceleration).max())
         return min(max(_PACE * velocity, _LEAST_PACE), 1.0), min(max(_PACE * acceleration, _LEAST_PACE), 1.0)
 
     def _note(self, blocked: Blocked, kind: str, took: float) -> None:
