@@ -149,10 +149,10 @@ class Arena(Driven):
     # -- the executor --
 
     def motion(self) -> Trajectory:
-        """From where the arm stands to the further one of two places."""
+        """From where the arm stands as far as from `HOME` to `FAR`, towards the further one of these."""
         here = self.true_position()
-        there = max((HOME, FAR), key=lambda place: float(np.abs(place - here).max()))
-        return rest_to_rest(there, here)
+        nearer_home = np.abs(HOME - here).max() < np.abs(FAR - here).max()
+        return rest_to_rest(here + (FAR - HOME if nearer_home else HOME - FAR), here)
 
     def go(self) -> str:
         """Start a motion that takes a while; the goal."""
