@@ -19,7 +19,7 @@ from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 from zarm_runtime import signals
 from zarm_runtime.logs import setup_logging
 from zarm_runtime.security import client_role, security_on
-from zarm_runtime.service import default_state
+from zarm_runtime.service import add_meshes, default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT
 from zarm_viewer.gate import Gate
 from zarm_viewer.page import Folders, Page, Shown
@@ -55,14 +55,7 @@ def parser() -> argparse.ArgumentParser:
         choices=("viewer", "operator"),
         help="a viewer sees everything and moves nothing, but stops (default: $ZARM_ROLE, else operator)",
     )
-    parser.add_argument(
-        "--meshes",
-        type=Path,
-        action="append",
-        default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
-        metavar="FOLDER",
-        help="a folder with meshes of the scene, besides those in $ZARM_MESHES: those of the planner; repeatable",
-    )
+    add_meshes(parser)
     parser.add_argument(
         "--record",
         type=Path,
