@@ -97,7 +97,7 @@ def run(model: RobotModel, problem: motion_bench.Problem, self_margin: float) ->
     world = World(problem.objects, MARGIN)
     scene = PlanningScene("0-000000000000", model, world, ExactScene(model, world)).with_self_margin(self_margin)
     context = PlanningContext(scene, Limits.of(model.robot), Deadline(5.0))
-    goal, start = JointGoal(position=problem.goals[0]), np.array(problem.start)
+    goal, start = JointGoal(kind="joints", position=problem.goals[0]), np.array(problem.start)
     began = time.thread_time()
     try:
         found = plan(choose(AUTO, goal, constrained=False), context, start, goal)
