@@ -32,6 +32,7 @@ _PROBLEM = Problem(
     joint="elbow",
 )
 _TIMINGS = m.PlanTimings(ik=0.001, search=0.002, shortcut=0.004, timing=0.008, verify=0.016, optimize=0.02, total=0.052)
+_TOO_NEAR = m.TooNear(pair=("link_3", "table"), distance=0.002, margin=0.03, time=0.75)
 _CUBOID = m.Cuboid(
     kind="cuboid", name="table", position=(0.5, 0.0, -0.1), orientation=(0.0, 0.0, 0.6, 0.8), size=(1.0, 2.0, 0.2)
 )
@@ -156,6 +157,7 @@ EXAMPLES: tuple[Message, ...] = (
         velocity_scale=0.5,
         acceleration_scale=0.25,
         margin=0.03,
+        self_margin=0.01,
         seed=7,
         publish=False,
     ),
@@ -164,6 +166,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.PlanRequest(goal=_JOINT_GOAL, start_state=_START_STATE),
     m.PlanRequest(goal=_WAYPOINTS),
     _TIMINGS,
+    _TOO_NEAR,
     m.Plan(
         plan_id="plan-1",
         robot="arm_2",
@@ -172,7 +175,8 @@ EXAMPLES: tuple[Message, ...] = (
         trajectory=_TRAJECTORY,
         tip=_POSE,
         selected_goal_index=1,
-        clearance=0.021,
+        clearance=0.002,
+        too_near=(_TOO_NEAR,),
         resolution=0.005,
         waypoint_times=(0.5, 1.25),
         path_length=0.5,
@@ -243,9 +247,11 @@ EXAMPLES: tuple[Message, ...] = (
         hold=_HOLD,
     ),
     m.GoalTrajectory(
-        goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True
+        goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True, tip=_POSE
     ),
-    m.ReplaceTrajectory(goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION),
+    m.ReplaceTrajectory(
+        goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION, until=3.0
+    ),
     _HOLD,
     m.Hold(reason="no_guard"),
     _OBSTRUCTION,

@@ -57,6 +57,7 @@ class Planning(Calls):
         velocity_scale: float | None = None,
         acceleration_scale: float | None = None,
         margin: float | None = None,
+        self_margin: float | None = None,
         seed: int = 0,
     ) -> Plan:
         """A verified motion to a `zarm.Pose`, to joint positions (rad), to `zarm.AnyOf` several poses, or through
@@ -66,7 +67,7 @@ class Planning(Calls):
         continuous in position, velocity and acceleration. `timeout` (s) is the deadline of the planning, and
         `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is found
         the planner looks for faster ones. The scales (above 0, up to 1) are fractions of the joint limits; `margin` (m) is kept
-        to objects on the way. What is left out comes from `settings`. The same request, seed, scene and `optimize_s` 0 give
+        to objects on the way, and `self_margin` (m), left out the descriptor's, between the robot's own links. What is left out comes from `settings`. The same request, seed, scene and `optimize_s` 0 give
         the same motion.
 
         Ctrl-C ends the planning too. Raises PlanningFailed, DeadlineExceeded, InvalidRequest.
@@ -85,6 +86,7 @@ class Planning(Calls):
                 velocity_scale=velocity_scale,
                 acceleration_scale=acceleration_scale,
                 margin=margin,
+                self_margin=self_margin,
                 seed=seed,
             )
         )

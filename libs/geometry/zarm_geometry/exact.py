@@ -73,8 +73,31 @@ class ExactScene:
         cylinder and a box or cylinder, FCL measures 1 in 600 more than 0.1 mm too long, by 49 mm at worst, and none too short.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
-        near = self.bounds(q, check, itself)
-        best = Nearest(FARTHEST, None, 0)
+        return self._nearest(q, check, self._asked if itself else self._asked_of_world, FARTHEST)
+
+    def too_near(
+        self, q: Array, margin: float, self_margin: float, check: Callable[[], None] = lambda: None
+    ) -> list[tuple[Nearest, float]]:
+        """What is nearer over configurations `q` (n, dof) than it is to be, with the distance (m) that it was to keep.
+
+        For each link what is nearest in the world, if nearer than `margin` (m), and each two links that are nearer to each other than
+        `self_margin` (m), or than what the search keeps of that: where `RobotModel.pair_room` is less, it is that.
+        """
+        model, links = self.model, len(self.model.links)
+        room = {tuple(pair): room for pair, room in zip(model.arrays.pairs.tolist(), model.pair_room, strict=True)}
+        kept = [margin] * links + [min(self_margin, room.get(tuple(pair), np.inf)) for pair in model.pairs.tolist()]
+        found = []
+        for subject in np.flatnonzero(self._asked & (np.array(kept) > 0.0)).tolist():
+            alone = np.arange(len(self._asked)) == subject
+            nearest = self._nearest(q, check, alone, kept[subject])
+            if nearest.pair is not None:
+                found.append((nearest, kept[subject]))
+        return found
+
+    def _nearest(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float) -> Nearest:
+        """The smallest distance below `within` (m) of the subjects that are `asked` for; without a pair if there is none."""
+        near = self.bounds(q, check, asked, within)
+        best = Nearest(within, None, 0)
         for lower, upper, *which in near[np.argsort(near[:, 0], kind="stable")].tolist():
             if lower >= best.distance - PRECISION:
                 break
@@ -96,10 +119,10 @@ class ExactScene:
         """The same robot and obstacles for `kernels.nearby`."""
         return motion_body(self._body, self._asked), self._obstacles, solids(self._world.rows)
 
-    def bounds(self, q: Array, check: Callable[[], None], itself: bool) -> Array:
-        """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof)."""
-        motion = course(self._body, q, self._asked if itself else self._asked_of_world)
-        smallest, over, looks = FARTHEST, False, []
+    def bounds(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float = FARTHEST) -> Array:
+        """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof), if below `within` (m)."""
+        motion = course(self._body, q, asked)
+        smallest, over, looks = within, False, []
         while not over:
             check()
             found, smallest, over = look(self._body, self._obstacles, motion, smallest, _LOOKS)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Self
 
@@ -18,6 +19,7 @@ from zarm_geometry.body import Body, along, attached_body, link_body
 from zarm_geometry.kernels.arrays import RobotArrays
 from zarm_geometry.kernels.kinematics import frames
 from zarm_geometry.kernels.simd import LANES
+from zarm_geometry.self_margin import CONFIGURATIONS, pair_room
 from zarm_geometry.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -117,9 +119,21 @@ class RobotModel:
                 spheres=np.concatenate([np.empty((0, 4)), *spheres]).astype(np.float32),
                 bounds=np.array([_bounding_sphere(balls) for balls in spheres], np.float32).reshape(-1, 4),
                 pairs=np.array(searched, np.int32).reshape(-1, 2),
+                apart=np.zeros(len(searched), np.float32),
                 reach=reach,
             ),
         )
+
+    def with_self_margin(self, margin: float) -> Self:
+        """This robot, with links that the search keeps `margin` (m) from each other, or what `pair_room` leaves a pair of it."""
+        apart = np.minimum(margin, self.pair_room).astype(np.float32)
+        return replace(self, arrays=self.arrays._replace(apart=apart))
+
+    @cached_property
+    def pair_room(self) -> Array:
+        """How far (n,) in m each two links of `arrays.pairs` can be asked to keep from each other, see `self_margin.pair_room`."""
+        q = np.random.default_rng(0).uniform(self.lower, self.upper, (CONFIGURATIONS, self.dof))
+        return pair_room(self.bodies, self.link_transforms(q), self.arrays.pairs)
 
     def fk_tip(self, q: ArrayLike) -> Array:
         """The pose of `tip_link` (..., 4, 4) for joints (..., dof)."""

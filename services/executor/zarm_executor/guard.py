@@ -104,11 +104,13 @@ class Guard:
             and now - self._heard_at <= self.timeout
         )
 
-    def limit(self, authority: Authority, trajectory: TimedTrajectory) -> Limit | None:
-        """Where an authority over this trajectory ends; None where it reaches to its end."""
-        if authority.until is None or authority.until >= trajectory.duration:
+    def limit(
+        self, trajectory: TimedTrajectory, until: float | None, obstruction: Obstruction | None = None
+    ) -> Limit | None:
+        """The end of an authority over this trajectory up to the path time `until` (s); None where it reaches to its end."""
+        if until is None or until >= trajectory.duration:
             return None
-        return Limit(Follower(trajectory, self._limits), authority.until, authority.obstruction)
+        return Limit(Follower(trajectory, self._limits), until, obstruction)
 
     def must_brake(self, limit: Limit, state: PathState) -> bool:
         """Whether a robot that would brake from there must do so now."""

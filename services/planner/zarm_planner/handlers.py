@@ -133,8 +133,10 @@ class Handlers:
                 start, motion = state[0], state[1:]
             else:
                 start = within_range(model, self._measured() if request.start is None else request.start, "start")
+            given = request.self_margin
+            self_margin = model.robot.descriptor.self_margin if given is None else given
             context = PlanningContext(
-                scene=self._look(request.margin),
+                scene=self._look(request.margin).with_self_margin(self_margin),
                 limits=limits,
                 deadline=deadline,
                 path_constraint=request.path_constraint,
@@ -158,6 +160,7 @@ class Handlers:
             tip=pose_of(model.fk_tip(trajectory.position[-1])),
             selected_goal_index=verified.goal_pose,
             clearance=verified.clearance,
+            too_near=verified.too_near,
             resolution=RESOLUTION,
             waypoint_times=verified.waypoint_times,
             path_length=trajectory.length,

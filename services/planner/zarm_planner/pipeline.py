@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded, InvalidRequest, PlanningFailed
-from zarm_contract.messages import Goal, WaypointsGoal
+from zarm_contract.messages import Goal, TooNear, WaypointsGoal
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.smoothing import least_duration
+from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_planner.verification.waypoints import passing_times
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -29,13 +30,14 @@ _FASTEST_ONLY = 2
 class Verified:
     """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s.
 
-    `goal_pose` says which pose of its goal it reaches, where that has any.
+    `goal_pose` says which pose of its goal it reaches, where that has any, and `too_near` which margins it does not keep.
     """
 
     trajectory: TimedTrajectory
     clearance: float
     waypoint_times: tuple[float, ...]
     goal_pose: int | None
+    too_near: tuple[TooNear, ...] = ()
 
 
 def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> Verified:
@@ -54,6 +56,9 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, m
             verified = _fastest(planner, context.with_seed(seed).for_optimization(), problem, verified)
         if context.deadline.cancelled:
             context.deadline.check()
+    if verified.clearance < max(context.world.margin, context.scene.self_margin):
+        with context.timer.stage("verify"):
+            verified = replace(verified, too_near=too_near(context.scene, verified.trajectory))
     return verified
 
 

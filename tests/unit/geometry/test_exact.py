@@ -16,7 +16,7 @@ from support.examples import examples
 from support.planner.small_arm import small_arm
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere
-from zarm_geometry.exact import FARTHEST, ExactScene
+from zarm_geometry.exact import FARTHEST, ExactScene, robot_parts, subjects
 from zarm_geometry.frames import matrix, rotation_to
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import Shape, distance, obstacle_shape
@@ -254,7 +254,8 @@ def test_bounds_enclose_the_distance(model: RobotModel, seed: int) -> None:
     world = World([scene_object(rng, i) for i in range(4)], MARGIN)
     q = configuration(model, rng)
     frames = model.link_transforms(q)
-    bounds = ExactScene(model, world).bounds(q[None], lambda: None, True)
+    everything = subjects(model, robot_parts(model)[0])
+    bounds = ExactScene(model, world).bounds(q[None], lambda: None, everything)
     assert len(bounds)
     for lower, upper, part, other, _ in bounds.tolist():
         link, shape = model.parts[int(part)]

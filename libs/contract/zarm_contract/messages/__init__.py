@@ -61,6 +61,7 @@ from zarm_contract.messages.planner import (
     PoseGoal,
     SettingsChange,
     StartState,
+    TooNear,
     WaypointsGoal,
 )
 from zarm_contract.messages.scene import (
@@ -205,6 +206,7 @@ __all__ = [
     "StrategyInfo",
     "StrategyRequest",
     "StreamChunk",
+    "TooNear",
     "Trajectory",
     "TwistTarget",
     "Vector3",

@@ -107,7 +107,8 @@ class PlanRequest(Message):
     collision. A path constraint is then refused.
     `request_id` names the request for `planner/cancel`. `timeout` (s) is the deadline of the whole request; `max_attempts`
     bounds the number of searches. After the first plan the planner looks for faster ones for `optimize_s` (s), as long as no
-    other request waits. `margin` (m) is the distance to keep from objects. Scales are shares of the velocity and acceleration
+    other request waits. `margin` (m) is the distance to keep from objects, `self_margin` (m) that between the robot's
+    own links; left out, it is the descriptor's. Two links that are nearer in nearly all configurations keep what they can. Scales are shares of the velocity and acceleration
     limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory. A plan that is not to `publish` goes to who
     asked alone: it is not shown on `planner/plans`, and cannot be executed by its id.
     """
@@ -124,6 +125,7 @@ class PlanRequest(Message):
     velocity_scale: Scale | None = None
     acceleration_scale: Scale | None = None
     margin: Margin | None = None
+    self_margin: Margin | None = None
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     publish: bool = True
 
@@ -147,11 +149,20 @@ class PlanTimings(Message):
     total: NonNegative
 
 
+class TooNear(Message):
+    """A link comes nearer to an object or another link, `distance` m at `time` s of a trajectory, than the `margin` (m) to be kept."""
+
+    pair: tuple[str, str]
+    distance: float
+    margin: Positive
+    time: NonNegative
+
+
 class Plan(Message):
     """A verified trajectory, valid only in the scene of `scene_revision` and for the robot of `robot_hash`.
 
     `clearance` (m) is the smallest exact distance of the timed trajectory to the scene and of the robot to itself, at most
-    1 m. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
+    1 m. `too_near` names what it does not keep the margins to, as a rule because its start or goal does not. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
     passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
     It is left out where the motion ends at a joint goal.
@@ -165,6 +176,7 @@ class Plan(Message):
     tip: Pose
     selected_goal_index: Annotated[int, Field(ge=0)] | None = None
     clearance: float
+    too_near: tuple[TooNear, ...] = ()
     resolution: Positive
     waypoint_times: tuple[NonNegative, ...] = ()
     path_length: NonNegative

@@ -25,7 +25,8 @@ class RobotArrays(NamedTuple):
     `origin` (dof, 3, 4): frame of each joint in the one before, its axis along z; `revolute` (dof,).
     `link_joint` (links,): the joint that carries the link, -1 for the base; `link_first` (links + 1,): where its spheres
     start. `spheres` (n, 4): x, y, z, radius in the frame of that joint; `bounds` (links, 4): one sphere around them all.
-    `pairs` (m, 2): links that can meet, the one nearer to the base first. `reach` (dof, balls): how far (m) a ball's centre
+    `pairs` (m, 2): links that can meet, the one nearer to the base first, and `apart` (m,): how far (m) their spheres have to
+    keep from each other. `reach` (dof, balls): how far (m) a ball's centre
     moves at most when the joint moves by 1 rad (by 1 m where prismatic); the balls are the bounding spheres of the links,
     then the spheres, then zeros up to a multiple of 16.
     """
@@ -37,6 +38,7 @@ class RobotArrays(NamedTuple):
     spheres: Single
     bounds: Single
     pairs: Index
+    apart: Single
     reach: Single
 
 
@@ -77,6 +79,7 @@ class Space(NamedTuple):
     spheres: Pointer
     bounds: Pointer
     pair: Pointer
+    apart: Pointer
     reach: Pointer
     shapes: Pointer
     boxes: Pointer
@@ -124,6 +127,7 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(robot.spheres),
         pointer(robot.bounds),
         pointer(robot.pairs),
+        pointer(robot.apart),
         pointer(robot.reach),
         pointer(world.shapes),
         pointer(world.boxes),

@@ -158,16 +158,17 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
 
 
 @inlined
-def meet(space: Space, a: int, b: int, half: Lanes) -> tuple[Mask, Mask]:
-    """Lanes in which two links touch, and in which they are near enough to each other to matter."""
+def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
+    """Lanes in which two links come too near to each other, and in which they are near enough to matter."""
     zero, near = splat(0.0), np.uint32(0)
+    a, b, kept = space.pair[2 * pair], space.pair[2 * pair + 1], space.apart[pair]
     motion = (space.link_joint[a] + 1) * space.balls  # the joints up to that of `a` move both links as one
     i = a * 3 * LANES
     ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
     j = b * 3 * LANES
     bx, by, bz = load(space.centers, j), load(space.centers, j + LANES), load(space.centers, j + 2 * LANES)
     x, y, z = ax - bx, ay - by, az - bz
-    wide = _slack(half, space.motion[motion + b]) + space.bounds[4 * b + 3]
+    wide = _slack(half, space.motion[motion + b]) + (space.bounds[4 * b + 3] + kept)
     reach = wide + space.bounds[4 * a + 3]
     if below(x * x + y * y + z * z, reach * reach) == 0:
         return near, near
@@ -185,7 +186,7 @@ def meet(space: Space, a: int, b: int, half: Lanes) -> tuple[Mask, Mask]:
             y = ay - load(space.centers, j + LANES)
             z = az - load(space.centers, j + 2 * LANES)
             apart = x * x + y * y + z * z
-            radii = space.spheres[4 * first + 3] + space.spheres[4 * second + 3]
+            radii = space.spheres[4 * first + 3] + space.spheres[4 * second + 3] + kept
             slack = _slack(half, space.motion[motion + ball])
             reach = slack + radii
             close = below(apart, reach * reach)
@@ -261,7 +262,7 @@ def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
                 half = without(near, half)
             link += 1
     for pair in range(space.pairs):
-        hit, close = meet(space, space.pair[2 * pair], space.pair[2 * pair + 1], half)
+        hit, close = meet(space, pair, half)
         near |= close
         if hit != 0:
             return hit, near

@@ -1,0 +1,43 @@
+"""How far the links of a robot can keep from each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.body import Body
+
+Array = NDArray[np.float64]
+
+CONFIGURATIONS = 512
+"""Random ones in which distances are measured."""
+LOST = 0.05
+"""Part of the configurations without contact that a margin may rule out, for each pair."""
+_BELOW = 0.9
+"""Part of the distance then measured that can be kept: two links beside each other keep the same distance everywhere, but for
+rounding."""
+
+
+def pair_room(bodies: Sequence[Body], frames: Array, pairs: NDArray[np.int32]) -> Array:
+    """How far (pairs,) in m the spheres of each pair (pairs, 2) of `bodies` can be asked to keep from each other.
+
+    All but a share `LOST` of the configurations in which they do not touch keep this and more; `frames` (configurations, bodies, 4, 4)
+    are those of the bodies. 0 where they touch in all of them.
+    """
+    places = [
+        np.einsum("nij,bj->nbi", frames[:, i, :3, :3], body.balls[:, :3]) + frames[:, i, None, :3, 3]
+        for i, body in enumerate(bodies)
+    ]
+    return np.array([_room(places[i], bodies[i].balls[:, 3], places[j], bodies[j].balls[:, 3]) for i, j in pairs])
+
+
+def _room(one: Array, radii: Array, other: Array, other_radii: Array) -> float:
+    """The same for two sets of spheres with centres (configurations, n, 3) and radii (n,)."""
+    gap = np.full(len(one), np.inf)
+    for k, radius in enumerate(radii):
+        apart = np.linalg.norm(other - one[:, k, None], axis=2) - other_radii - radius
+        np.minimum(gap, apart.min(axis=1), out=gap)
+    free = gap[gap > 0.0]
+    return _BELOW * float(np.quantile(free, LOST)) if len(free) else 0.0
