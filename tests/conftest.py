@@ -14,6 +14,8 @@ from support.trajectories import KEYS
 from zarm_runtime.bus import Bus
 
 IN_PROCESS = Path(__file__).parent / "unit"
+SHARED = frozenset(("shared", "up"))
+"""What the fixtures of a package that start something are called."""
 
 settings.register_profile("quick", deadline=None, max_examples=10)  # nothing timed is asserted: machines differ
 settings.register_profile("full", deadline=None, max_examples=100)
@@ -21,8 +23,13 @@ settings.load_profile("quick")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What runs in the process of the tests is fast, but for what is marked slow."""
+    """What runs in the process of the tests is fast, but for what is marked slow. Each module runs in one process, and so do all
+    tests that share what the fixtures of a package start: it starts once."""
     for item in items:
+        shares = item.path.with_name("__init__.py").exists() and not SHARED.isdisjoint(
+            getattr(item, "fixturenames", ())
+        )
+        item.add_marker(pytest.mark.xdist_group(str(item.path.parent if shares else item.path)))
         if item.path.is_relative_to(IN_PROCESS) and item.get_closest_marker("slow") is None:
             item.add_marker("fast")
 

@@ -38,17 +38,17 @@ LATE = CATCH_UP + PARAMS.point_dt
 """What may come on top of every bound: late ticks that are caught up with, and the point that is being played."""
 LAG = 0.15
 """The drives follow with a lag of 0.03 s: from 0.2 rad/s to rest in five times that."""
-BRAKE = LATE + LAG + max(CSPACE.velocity) / min(CSPACE.acceleration)
+BRAKE = LATE + LAG + max(CSPACE.velocity) / min(CSPACE.acceleration) + max(CSPACE.acceleration) / min(CSPACE.jerk)
 OWN_BRAKE = LATE + LAG + max(CSPACE.velocity) / CEILING
 REST_OF_MOTION = LATE + LAG + rest_to_rest(FAR, HOME).duration + EXECUTION.settle_time
 
-STALE = EXECUTION.joint_state_timeout + BRAKE, "joint_state_timeout, then v/a of the executor"
-RUN_OUT = PARAMS.chunk_period + PARAMS.look_ahead + BRAKE, "the last chunk, which brakes with v/a of the executor"
+STALE = EXECUTION.joint_state_timeout + BRAKE, "joint_state_timeout, then v/a + a/j of the executor"
+RUN_OUT = PARAMS.chunk_period + PARAMS.look_ahead + BRAKE, "the last chunk, which brakes with v/a + a/j of the executor"
 AT_ONCE = OWN_BRAKE, "v/a of the driver"
-LEFT_PATH = BRAKE, "v/a of the executor, from path_tolerance on"
-LAGS = 0.5 + BRAKE, "half a second until it shows, then v/a of the executor"
+LEFT_PATH = BRAKE, "v/a + a/j of the executor, from path_tolerance on"
+LAGS = 0.5 + BRAKE, "half a second until it shows, then v/a + a/j of the executor"
 GOES_ON = REST_OF_MOTION, "the motion goes on to its end"
-HELD = BRAKE + 0.8 + REST_OF_MOTION, "0.8 s, v/a of the executor, and the motion goes on to its end"
+HELD = BRAKE + 0.8 + REST_OF_MOTION, "0.8 s, v/a + a/j of the executor, and the motion goes on to its end"
 PLAYS_ON = REST_OF_MOTION, "the driver plays what it has to the end"
 
 MUTE = DriverFault(silent=True)

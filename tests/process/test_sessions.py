@@ -143,6 +143,21 @@ def test_what_is_put_in_the_way_while_the_robot_is_led_is_kept_away_from(cell: C
     cell.assert_sound(ball)
 
 
+def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) -> None:
+    x, y, z = (TIP + (0.085, 0.0, 0.0)).tolist()
+    ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08)
+    scene = ExactScene(MODEL, World([ball], 0.0))
+    load(cell.bus, ball)
+    with cell.robot.jog() as jogging:
+        assert cell.repeat(jogging, "blocked", linear=(0.1, 0.0, 0.0)).object == "ball"
+        cell.repeat(jogging, "free", linear=(-0.1, 0.0, 0.0))
+    measured = [state.position for state in cell.client.measured[::5]]
+    distances = np.array([scene.nearest(np.array(position), itself=False).distance for position in measured])
+    assert distances[0] < 0.0
+    assert distances[-1] > MARGIN - PRECISION
+    assert np.diff(np.minimum(distances, MARGIN)).min() > -1e-4
+
+
 def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
     x, y, z = TIP.tolist()
     table = Cuboid(kind="cuboid", name="table", position=(x, y, z - 0.3), size=(0.4, 0.4, 0.1))

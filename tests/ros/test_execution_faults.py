@@ -70,9 +70,9 @@ class Zarm:
     def robot(self) -> Robot:
         return Robot(self.bus, KEYS)
 
-    def goal_under_way(self) -> Sent:
-        """A goal in the middle of its motion."""
-        self.robot.plan(speed=0.15)
+    def goal_under_way(self, speed: float = 0.15) -> Sent:
+        """A goal in the middle of its motion, at this share of the speed."""
+        self.robot.plan(speed=speed)
         goal = Actions(self.node).send()
         goal.under_way()
         return goal
@@ -184,13 +184,17 @@ def test_a_bridge_that_is_told_to_end_aborts_its_goal_and_the_robot_goes_on(zarm
 
 
 @pytest.mark.slow
-def test_a_bridge_that_is_killed_leaves_the_robot_to_its_motion_and_the_next_one_serves(zarm: Zarm) -> None:
+def test_the_goal_of_a_bridge_that_is_killed_is_taken_up_by_the_next_one(zarm: Zarm) -> None:
     _, bridge = zarm.start("executor", "ros_bridge")
-    zarm.goal_under_way()
+    goal = zarm.goal_under_way(speed=0.03)
     executor_goal = zarm.executor_goal()
     bridge.kill()
+    goal.feedback.clear()
     zarm.start("ros_bridge")
+    eventually(lambda: goal.feedback, "the client hears of its goal again")
     assert zarm.outcome(executor_goal).status == "succeeded"
+    status, result = goal.asked_again()
+    assert (status, result.success) == (SUCCEEDED, True)
     zarm.robot.plan()
     with running_node("later") as node:  # DDS tells those that knew the dead one of its end 5 s later
         assert Actions(node).send().ended()[0] == SUCCEEDED

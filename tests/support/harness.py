@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self, TypeVar
 
+from support.forks import IMPORTED_ALONE, Forked, fork
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
@@ -64,7 +65,9 @@ def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIE
 class ServiceProcess:
     """One service of zarm as a process of its own; use it in `with`. Leaving stops it with SIGTERM and waits.
 
-    `script` is run in its place; `prefix` is put before the command. `started` are those of the present test, ended ones too.
+    `script` is run in its place; `prefix` is put before the command; `environment` is added to that of the tests, and is the place for
+    what is read when a service is imported. Without these it is forked from a process that has imported it. `started` are those of the
+    present test, ended ones too.
     """
 
     started: ClassVar[list[ServiceProcess]] = []
@@ -84,10 +87,15 @@ class ServiceProcess:
         command += ["--connect", self.endpoint, "--state", str(self.state)]
         command += [*(["--name", self.name] if self.name else []), *self.arguments]
         self.log = self.state / f"{self.service}-{time.monotonic_ns()}.log"
+        environment = os.environ | self.environment
         with self.log.open("wb") as log:
-            self.process = subprocess.Popen(
-                command, stdout=log, stderr=log, start_new_session=True, env=os.environ | self.environment
-            )
+            self.process: subprocess.Popen[bytes] | Forked
+            if self.service in IMPORTED_ALONE and not (self.script or self.prefix or self.environment):
+                self.process = fork(self.service, command, environment, self.log)
+            else:
+                self.process = subprocess.Popen(
+                    command, stdout=log, stderr=log, start_new_session=True, env=environment
+                )
         self.started.append(self)
         return self
 

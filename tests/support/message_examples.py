@@ -247,9 +247,11 @@ EXAMPLES: tuple[Message, ...] = (
         hold=_HOLD,
     ),
     m.GoalTrajectory(
-        goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True
+        goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True, tip=_POSE
     ),
-    m.ReplaceTrajectory(goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION),
+    m.ReplaceTrajectory(
+        goal_id="goal-1", number=3, at=0.8, trajectory=_TRAJECTORY, scene_revision=_REVISION, until=3.0
+    ),
     _HOLD,
     m.Hold(reason="no_guard"),
     _OBSTRUCTION,

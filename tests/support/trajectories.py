@@ -11,10 +11,12 @@ import numpy as np
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Plan, PlanTimings, Pose, Trajectory
 from zarm_contract.robot import RobotDescription, find_robot, load_robot
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ROBOT = load_robot("doosan_m1013")
 """The robot that tests move."""
+RATE_LIMITS = RateLimits.of(ROBOT.descriptor)
 KEYS = Keys(ROBOT.descriptor.name)
 HOME = np.array(ROBOT.descriptor.home)
 SCENE = "1-5be0c1d2f3a4"
@@ -72,14 +74,23 @@ def curved_path(seed: int, samples: int = 200) -> TimedTrajectory:
 
 
 def trapezoid(
-    goal: np.ndarray, start: np.ndarray = HOME, *, robot: RobotDescription = ROBOT, share: float = 1.0, dt: float = 0.02
+    goal: np.ndarray,
+    start: np.ndarray = HOME,
+    *,
+    robot: RobotDescription = ROBOT,
+    share: float = 1.0,
+    dt: float = 0.02,
+    ramp: float | None = None,
 ) -> Trajectory:
     """From rest to rest on a straight line in joint space as a planner times it: at `share` of the acceleration limit after
-    milliseconds, then at the velocity limit, or half way and back where the line is too short for that."""
+    `ramp` s, else as soon as the jerk limit allows, then at the velocity limit, or half way and back where the line is too short for that."""
     distance, limits = goal - start, robot.descriptor.cspace
     way = np.maximum(np.abs(distance), 1e-9)
     acceleration, jerk = share * float(np.min(limits.acceleration / way)), float(np.min(limits.jerk / way))
-    ramp = acceleration / jerk
+    if ramp is None:
+        ramp = acceleration / jerk
+    else:
+        jerk = acceleration / ramp
     velocity = min(float(np.min(limits.velocity / way)), math.sqrt(acceleration) * 0.9)
     rising = max(velocity / acceleration - ramp, 0.0)
     cruise = 1.0 / velocity - rising - 2 * ramp

@@ -66,15 +66,17 @@ class Motion(Calls):
         *,
         preempt: bool = False,
         replan: bool = False,
+        goal_id: str | None = None,
         timeout: float = REST_SECONDS,
     ) -> str:
         """`execute` that does not wait: the id of the goal, for `follow` and `cancel`. The motion goes on without this program.
 
+        `goal_id` is the goal's name (default: a new one).
         The executor takes or refuses it within `timeout` s, else it is withdrawn.
         """
-        with self._new_goal() as goal_id:
-            self._send(what, goal_id, preempt, replan, timeout)
-        return goal_id
+        with self._new_goal(goal_id) as named:
+            self._send(what, named, preempt, replan, timeout)
+        return named
 
     def follow(
         self,
@@ -135,9 +137,9 @@ class Motion(Calls):
         return self._ask(self._keys.strategy, Strategies, made(StrategyRequest, strategy=name), timeout=REST_SECONDS)
 
     @contextmanager
-    def _new_goal(self) -> Iterator[str]:
+    def _new_goal(self, goal_id: str | None = None) -> Iterator[str]:
         """The id of a new goal; an interruption in the block brings the robot to rest, and says how it stands."""
-        goal_id = f"goal-{secrets.token_hex(8)}"
+        goal_id = goal_id or f"goal-{secrets.token_hex(8)}"
         try:
             yield goal_id
         except KeyboardInterrupt as interruption:

@@ -43,6 +43,11 @@ SETTINGS = (
     Setting(
         "ZARM_VIEW", "`127.0.0.1:8017`", "Where the page in the browser is served: `host:port`.", "--listen, --view-at"
     ),
+    Setting(
+        "ZARM_RECORDS",
+        "the viewer's --state",
+        "The executor's folder for saved state, as the viewer reads it: records of faults.",
+    ),
     Setting("ZARM_VIEW_TOKEN", "drawn at random", "The token in the page's address, where it is not on loopback."),
     Setting(
         "ZARM_METRICS", "off", "The `host:port` at which Prometheus reads the metrics of the service.", "--metrics"

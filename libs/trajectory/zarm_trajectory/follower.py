@@ -1,20 +1,25 @@
-"""Moving along a trajectory at a path speed that falls and rises as fast as the joints' acceleration limits allow.
+"""Moving along a trajectory at a path speed that falls and rises as fast as the joints' limits of acceleration and jerk allow.
 
 The commanded motion is q(s(t)) with path time s and path speed sigma = ds/dt in [0, 1], so the robot stays on the
-verified path while it brakes or its speed is scaled. Its acceleration is q''(s) sigma^2 + q'(s) dsigma/dt (chain rule; Bobrow, Dubowsky and
-Gibson 1985). A trajectory inside the limits at sigma = 1 is inside them at every constant sigma below, so holding the speed is
-always allowed, and braking as hard as possible now never leads into a state without a way on.
+verified path while it brakes or its speed is scaled. Within a step the rate of the path speed changes at a constant rate.
+
+What is held, and what goes first where not all of it can be: the robot stays on its path and never goes back on it; then jerk; then
+acceleration. `rate_bounds.py` says how the limits bound the rate; a trajectory inside the limits is inside them at every constant path speed
+below 1, so it is always allowed not to change it, and a rate is only taken up from which there is a way back to a constant speed.
 """
 
 from __future__ import annotations
 
 import copy
 import math
+from typing import Self
 
 import numpy as np
 
 from zarm_contract.errors import InternalError
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.rate_bounds import ROW, RateBounds, RateLimits
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -23,33 +28,43 @@ TICK = 0.01
 CATCH_UP = 0.1
 """A pause between ticks up to this long (s) is caught up with; after a longer one the motion goes on from rest where it
 stood, because nobody commanded the robot meanwhile."""
-_HALVINGS = 20
-"""So often at most a change of path speed is halved until it is inside the limits: to a millionth."""
 _SLOWEST = 0.01
 """What takes longer (x the duration of the trajectory) than at this path speed is no motion, but a fault of the follower."""
+_LEAST = 1e-3
+"""Least change of the rate, 1/s^2, with which it is brought back to zero where the path speed has almost come to its target."""
+_FARTHEST = 10
+"""Rows ahead at most in which it is looked for a way back to a constant speed."""
+_INSTANT = 1e-9
+"""A time, s, in which nothing happens."""
+_THERE = 1e-9
+"""A path speed this close to its target is at it."""
 
 
 class Follower:
-    """Where a robot with these acceleration limits (J,) rad/s^2 is on a trajectory, and how fast it goes along it.
+    """Where a robot with these limits is on a trajectory, and how fast it goes along it.
 
-    It begins at the path time `time` (s) with the path speed `speed` (sigma), and `target` is the path speed wanted: 1 to
-    move as planned, less to move slower, 0 to rest. `position` (rad) and `velocity` (rad/s) are the commanded joints (J,).
+    It begins at the path time `time` (s) with the path speed `speed` (sigma), which changes at `rate` (1/s), and `target` is the path
+    speed wanted: 1 to move as planned, less to move slower, 0 to rest. `position` (rad) and `velocity` (rad/s) are the commanded joints (J,).
     """
 
     def __init__(
         self,
         trajectory: TimedTrajectory,
-        acceleration_limit: Array,
+        limits: RateLimits,
         *,
         time: float = 0.0,
         speed: float = 1.0,
+        rate: float = 0.0,
         target: float = 1.0,
     ) -> None:
         self.trajectory = trajectory
         self.time = time
         self.speed = speed
+        self.rate = rate
         self.target = target
-        self._limit = acceleration_limit
+        self._limits = limits
+        self._ahead = min(2 + math.ceil(2 * limits.ramp / ROW), _FARTHEST)
+        self._bounds = RateBounds(trajectory, limits)
         self._reach()
 
     @property
@@ -67,20 +82,40 @@ class Follower:
         """Whether the passing of time changes nothing."""
         return self.finished or self.speed == self.target == 0.0
 
+    @property
+    def steady(self) -> bool:
+        """Whether the path speed is what is wanted and does not change."""
+        return self.speed == self.target and self.rate == 0.0
+
     def advance(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         if dt > CATCH_UP:
-            self.speed = 0.0
-            self._reach()
-            return
-        while dt > 1e-9 and not self.settled:
-            step = min(dt, TICK)
-            self._step(step)
-            dt -= step
+            self.speed = self.rate = 0.0
+        else:
+            self._move(dt)
+        self._reach()
+
+    @property
+    def state(self) -> PathState:
+        """Where it is."""
+        return PathState(self.time, self.speed, self.rate)
+
+    def moved_to(self, state: PathState, target: float) -> Self:
+        """Another follower of the same trajectory, there."""
+        other = copy.copy(self)
+        other.time, other.speed, other.rate = state
+        other.target = target
+        other._reach()
+        return other
+
+    def braking(self, dt: float) -> RetimedTrajectory:
+        """How the robot comes to rest when it is told to stop now, a point every `dt` s: the one answer to how a stop goes."""
+        return self.moved_to(self.state, 0.0).ahead(dt)
 
     def join(self, trajectory: TimedTrajectory) -> None:
         """Go on along `trajectory`, which is at `time` where the present one is there."""
         self.trajectory = trajectory
+        self._bounds = RateBounds(trajectory, self._limits)
         self._reach()
 
     def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
@@ -89,76 +124,120 @@ class Follower:
         Raises InternalError where that is without end.
         """
         scout = copy.copy(self)
-        rows: list[tuple[float, float, Array]] = []
+        rows: list[tuple[float, float, float]] = []
         for _ in range(math.ceil(self.trajectory.duration / (_SLOWEST * dt)) if count is None else count):
-            rows.append((scout.time, scout.speed, scout._state))
-            if count is None and (scout.settled or scout.speed == scout.target):
+            rows.append((scout.time, scout.speed, scout.rate))
+            if count is None and (scout.settled or scout.steady):
                 break
-            scout.advance(min(dt, CATCH_UP))
+            scout._move(min(dt, CATCH_UP))
         else:
             if count is None:
                 raise InternalError(f"the path speed does not come from {self.speed:g} to {self.target:g}")
-        time = np.array([row[0] for row in rows])
-        speed = np.array([row[1] for row in rows])
-        states = np.stack([row[2] for row in rows], axis=1)
+        time, speed, rate = np.array(rows).T
         if not scout.settled and count is None:  # at constant speed from here: all points at once
             rest = np.arange(scout.time, self.trajectory.duration, dt * scout.speed)[1:]
-            rest = np.append(rest, self.trajectory.duration)
-            time, states = np.concatenate((time, rest)), np.concatenate((states, self.trajectory.sample(rest)), axis=1)
-            speed = np.concatenate((speed, np.full(len(rest), scout.speed)))
-        position, slope, bend = states
-        rate = np.append(np.diff(speed), 0.0)[:, None] / dt
+            time = np.concatenate((time, rest, [self.trajectory.duration]))
+            speed = np.append(speed, np.full(len(rest) + 1, scout.speed))
+            rate = np.append(rate, np.zeros(len(rest) + 1))
         speed[time >= self.trajectory.duration] = 0.0
-        return RetimedTrajectory.of(
-            dt, time, speed, position, slope * speed[:, None], bend * speed[:, None] ** 2 + slope * rate
-        )
+        return RetimedTrajectory.along(self.trajectory, dt, time, speed, rate)
 
     def _reach(self) -> None:
         self._state = self.trajectory.at(self.time)
         self.position: Array = self._state[0]
         self.velocity: Array = self._state[1] * (0.0 if self.at_rest else self.speed)
 
+    def _move(self, dt: float) -> None:
+        while dt > _INSTANT and not self.settled:
+            step = min(dt, TICK)
+            self._step(step)
+            dt -= step
+
     def _step(self, dt: float) -> None:
-        rate = 0.0 if self.speed == self.target else self._rate(dt)
-        speed = min(max(self.speed + rate * dt, 0.0), 1.0)
-        if abs(speed - self.target) < 1e-9:
-            speed = self.target
-        self.time = min(self.time + 0.5 * (self.speed + speed) * dt, self.trajectory.duration)
-        self.speed = speed
-        self._reach()
+        while dt > _INSTANT and not self.settled:
+            if self.steady:
+                self._pass(dt, 0.0)
+                return
+            gap = self.target - self.speed
+            way = 1 if self.rate > 0.0 or (self.rate == 0.0 and gap > 0.0) else -1
+            # Slowing down is speeding up in a mirror: from here on rates and gaps are positive in the direction of `way`.
+            view = _View(self, way, dt)
+            needed = view.rate**2 / (2 * way * gap) if way * gap > 0.0 else math.inf
+            if needed > 1.01 * view.ease:
+                dt -= self._ease(view, dt)
+            else:
+                dt -= self._approach(view, way * gap, needed, dt)
 
-    def _rate(self, dt: float) -> float:
-        """The change of path speed, 1/s, nearest to what reaches the target within `dt` and inside the limits."""
-        wanted = (self.target - self.speed) / dt
-        low, high = self._bounds(self._state, self.speed)
-        wanted = rate = min(max(wanted, low), high)
-        # The path bends within the tick too, so the limits must also hold where the tick ends.
-        for low, high in self._bounds_after(rate, dt):
-            rate = min(max(rate, low), high)
-        if rate == wanted or wanted <= 0.0:
-            return rate
-        # Where the whole of it is too much a part may do: from rest, at full path speed, the trajectory alone may need every limit.
-        part = wanted / 2
-        for _ in range(_HALVINGS):
-            if part <= rate or all(part <= high for _, high in self._bounds_after(part, dt)):
-                break
-            part /= 2
-        else:
-            return rate
-        return max(rate, part)
+    def _ease(self, view: _View, dt: float) -> float:
+        """Bring the rate to zero, as the target lies the other way or will be passed; returns the time (s) that it takes of `dt`."""
+        wall = 1.0 - self.speed if view.way > 0 else self.speed
+        if wall <= 0.0:  # rounding
+            self.rate = 0.0
+            return 0.0
+        change = max(view.shrink, _LEAST, view.rate**2 / (2 * wall))
+        time = view.rate / change
+        if time >= dt:
+            self._pass(dt, -view.way * change)
+            return dt
+        self._pass(time, -view.way * change)
+        self.rate = 0.0
+        if abs(self.target - self.speed) < _THERE:
+            self.speed = self.target
+        return time
 
-    def _bounds_after(self, rate: float, dt: float) -> list[tuple[float, float]]:
-        """The bounds of the rate where `dt` at this one leads, at the path speed before and after it."""
-        speed = min(max(self.speed + rate * dt, 0.0), 1.0)
-        ahead = self.trajectory.at(self.time + 0.5 * (self.speed + speed) * dt)
-        return [self._bounds(ahead, sigma) for sigma in (self.speed, speed)]
+    def _approach(self, view: _View, gap: float, needed: float, dt: float) -> float:
+        """Go towards the target, to meet it with a rate of zero; returns the time (s) that it takes of `dt`."""
+        if 2 * gap <= view.rate * dt:
+            time = 2 * gap / view.rate
+            self._pass(time, -view.way * view.rate / time)
+            self.speed, self.rate = self.target, 0.0
+            return time
+        # With this rate a step later, `ease` ends just at the target.
+        landing = view.ease * (math.sqrt(dt * dt / 4 + (2 * gap - view.rate * dt) / view.ease) - dt / 2)
+        rate = max(min(view.most, landing), view.rate - max(view.shrink, needed) * dt)
+        self._pass(dt, view.way * (rate - view.rate) / dt)
+        if self.rate * view.way < 1e-12 or abs(self.target - self.speed) < _THERE:
+            self.rate = 0.0
+            if abs(self.target - self.speed) < _THERE:
+                self.speed = self.target
+        return dt
 
-    def _bounds(self, state: Array, speed: float) -> tuple[float, float]:
-        """The least and greatest dsigma/dt that keep every joint inside its limit at this point; 0 is always inside."""
-        velocity, needed = state[1], state[2] * speed**2
-        moving = np.abs(velocity) > 1e-9
-        if not moving.any():
-            return -np.inf, np.inf
-        slope = velocity[moving]
-        ends = np.stack(((-self._limit - needed)[moving] / slope, (self._limit - needed)[moving] / slope))
-        return min(float(ends.min(axis=0).max()), 0.0), max(float(ends.max(axis=0).min()), 0.0)
+    def _pass(self, dt: float, change: float) -> None:
+        """Let `dt` s pass in which the rate changes by `change` (1/s^3)."""
+        self.time = min(
+            self.time + dt * (self.speed + dt * (self.rate / 2 + dt * change / 6)), self.trajectory.duration
+        )
+        self.speed = min(max(self.speed + dt * (self.rate + dt * change / 2), 0.0), 1.0)
+        self.rate += dt * change
+
+
+class _View:
+    """What the limits allow a follower in one direction of change: `way` 1 speeds up, -1 slows down; all is positive in that direction."""
+
+    def __init__(self, follower: Follower, way: int, dt: float) -> None:
+        bounds, speed = follower._bounds, follower.speed
+        self.way, self.rate = way, way * follower.rate
+        row, last = int(follower.time / ROW), int(follower.trajectory.duration / ROW)
+        end = min(int((follower.time + speed * dt + max(follower.rate, 0.0) * dt * dt) / ROW), last)
+        here = [bounds.at(k, speed, way) for k in range(row, end + 1)]
+        self.most = min(each.rate_after(self.rate, dt) for each in here)
+        # The path speed is another one where the step ends.
+        speed = min(max(speed + way * (self.rate + self.most) * dt / 2, 0.0), 1.0)
+        here += [bounds.at(k, speed, way) for k in range(row, end + 1)]
+        self.most = min(each.rate_after(self.rate, dt) for each in here)
+        self.shrink = min(each.ease(self.rate) for each in here)
+        self.ease = min(each.ease(max(self.most, self.rate)) for each in here)
+        # There must be a way back to what later rows allow, from one step later on.
+        place, squared, back = follower.time + follower.speed * dt, speed * speed, self.ease
+        recovered = -back * TICK
+        for k in range(end + 1, min(end + follower._ahead, last) + 1):
+            way_there, before = max(k * ROW - place, 0.0), speed
+            place = k * ROW
+            squared = min(max(squared + (2.0 if way > 0 else -1.0) * self.most * way_there, 0.0), 1.0)
+            speed = math.sqrt(squared)
+            recovered += back * way_there / max(speed, before, 1e-3)
+            each = bounds.at(k, speed, way)
+            self.most = min(self.most, each.rate + max(recovered, 0.0))
+            back = each.ease(min(self.most, each.rate))
+            self.ease = min(self.ease, back)
+        self.ease = max(self.ease, _LEAST)

@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -16,18 +17,26 @@ class RetimedTrajectory:
     """N points along a planned trajectory, one every `dt` s.
 
     `points` is what is played, from time 0 on; `path_time` (N,) is the time (s) on the planned trajectory at which each point
-    lies, and `path_speed` (N,) in [0, 1] how fast it is passed there.
+    lies, `path_speed` (N,) in [0, 1] how fast it is passed there, and `path_rate` (N,) in 1/s how fast that changes.
     """
 
     dt: float
     path_time: Array
     path_speed: Array
+    path_rate: Array
     points: TimedTrajectory
 
     @classmethod
-    def of(cls, dt: float, path_time: Array, path_speed: Array, *states: Array) -> Self:
-        """From positions, velocities and accelerations, each (N, J), of points every `dt` s."""
-        return cls(dt, path_time, path_speed, TimedTrajectory(np.arange(float(len(path_time))) * dt, *states))
+    def along(
+        cls, trajectory: TimedTrajectory, dt: float, path_time: Array, path_speed: Array, path_rate: Array
+    ) -> Self:
+        """Points every `dt` s along `trajectory`; their acceleration is q'' sigma^2 + q' dsigma/dt (chain rule)."""
+        position, slope, bend = trajectory.sample(path_time)
+        speed, rate = path_speed[:, None], path_rate[:, None]
+        points = position, slope * speed, bend * speed**2 + slope * rate
+        return cls(
+            dt, path_time, path_speed, path_rate, TimedTrajectory(np.arange(float(len(path_time))) * dt, *points)
+        )
 
     def __len__(self) -> int:
         return len(self.path_time)
@@ -38,19 +47,27 @@ class RetimedTrajectory:
         return float(len(self) - 1)
 
     def followed_by(self, other: RetimedTrajectory) -> RetimedTrajectory:
-        """These points, then those of `other`, whose first is the last of these."""
-        mine, others = ((one.path_time, one.path_speed, *one.points.states) for one in (self, other))
-        return RetimedTrajectory.of(self.dt, *(np.concatenate((a, b[1:])) for a, b in zip(mine, others, strict=True)))
+        """These points, then those of `other`, whose first is where the last of these is."""
+        states = np.concatenate((self.points.states, other.points.states[:, 1:]), axis=1)
+        return type(self)(
+            self.dt,
+            np.append(self.path_time, other.path_time[1:]),
+            np.append(self.path_speed, other.path_speed[1:]),
+            np.append(self.path_rate, other.path_rate[1:]),
+            TimedTrajectory(np.arange(float(states.shape[1])) * self.dt, *states),
+        )
 
-    def at(self, index: float) -> tuple[float, float, Array]:
-        """Path time, path speed and position (J,) at a point, or between two; the nearest end beyond them."""
+    def at(self, index: float) -> PathState:
+        """Where on the planned trajectory a point lies, or what is between two; the nearest end beyond them."""
+        places = np.arange(float(len(self)))
+        return PathState(
+            *(float(np.interp(index, places, row)) for row in (self.path_time, self.path_speed, self.path_rate))
+        )
+
+    def position(self, index: float) -> Array:
+        """The position (J,) at a point, or on the straight line between two; the nearest end beyond them."""
         index = min(max(index, 0.0), self.last)
         before = int(index)
         after, share = min(before + 1, len(self) - 1), index - before
-        return (
-            float(self.path_time[before] + share * (self.path_time[after] - self.path_time[before])),
-            float(self.path_speed[before] + share * (self.path_speed[after] - self.path_speed[before])),
-            np.asarray(
-                self.points.position[before] + share * (self.points.position[after] - self.points.position[before])
-            ),
-        )
+        position = self.points.position
+        return np.asarray(position[before] + share * (position[after] - position[before]))

@@ -145,6 +145,12 @@ class TimedTrajectory:
         index, u, _ = self._places(times)
         return quintic.values(self.coefficients[:, index], u)
 
+    def jerks(self, times: Array) -> Array:
+        """Jerks (K, J) in rad/s^3 at `times` (K,) within the trajectory; at a sample, that after it."""
+        index, u, step = self._places(times)
+        _, _, _, c3, c4, c5 = self.coefficients[:, index]
+        return np.asarray((6 * c3 + u * (24 * c4 + 60 * u * c5)) / step**3)
+
     def nearest(self, position: Array, first: float, last: float) -> float:
         """The time from `first` to `last` s at which the trajectory is nearest to `position` (J,), to 1 ms."""
         times = np.append(np.arange(first, last, 0.001), last).clip(self.time[0], self.duration)

@@ -16,7 +16,7 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 VIEW = "127.0.0.1:8017"
 """Where the page is served unless told otherwise."""
 VIEWER = "zarm_viewer.service"
-_PACKAGES = ("viser", "trimesh", "websockets")
+_PACKAGES = ("viser", "trimesh", "collada", "websockets")
 
 
 def view(

@@ -12,6 +12,7 @@ from zarm_contract.errors import Busy, ZarmError
 from zarm_executor.goal import Goal
 from zarm_executor.machine import Machine
 from zarm_executor.reporter import Reporter
+from zarm_executor.strategies.base import Measured
 
 REST_PATIENCE = 10.0
 """Longest wait, s, for a moving robot to come to rest; a robot needs about its velocity over its acceleration limit."""
@@ -49,17 +50,23 @@ class Turn:
 
 
 class Admission:
-    """The one way to start a goal. Safe from any thread."""
+    """The one way to start a goal. Safe from any thread. Joints are fresh for `joint_state_timeout` (s)."""
 
-    def __init__(self, machine: Machine, reporter: Reporter) -> None:
+    def __init__(self, machine: Machine, reporter: Reporter, joint_state_timeout: float) -> None:
         self._machine = machine
         self._reporter = reporter
+        self._joint_state_timeout = joint_state_timeout
         self._checking = threading.Lock()
 
     def demand_presence(self) -> None:
         """Raises Busy where what is asked now may have been asked long ago, and given up since."""
         if self._machine.was_away(time.monotonic()):
             raise Busy("the executor stood still for so long that the client may have given up; try again in a moment")
+
+    def joint_state(self) -> Measured | None:
+        """The measured state of the robot: fresh, or what there is once no fresh one has come for as long as one is fresh."""
+        timeout = self._joint_state_timeout
+        return self._machine.wait_for_joint_state(time.monotonic() - timeout, timeout)
 
     @contextmanager
     def turn(self, arrival: int, *, preempt: bool = False) -> Iterator[Turn]:

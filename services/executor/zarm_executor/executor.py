@@ -79,10 +79,10 @@ class Executor:
             if request.preempt:
                 turn.preempt(goal_id)
                 scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest took a while
-            trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
+            trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
             goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
-            goal.replan = request.replan
+            goal.replan, goal.tip = request.replan, chosen.tip
             turn.start(goal)
         return Accepted(goal_id=goal_id)
 
@@ -94,12 +94,12 @@ class Executor:
         start: float | Monitor
         if request.at is None:
             trajectory = executable(request.trajectory, self._robot)
-            trajectory = startable(trajectory, self._machine.joint_state(), time.monotonic(), self._robot)
+            trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
             start = Monitor(trajectory, self._robot.descriptor)
         else:
             trajectory = continuation(request.trajectory, self._robot, np.zeros(len(self._robot.descriptor.joints)))
             start = request.at
-        goal = self._machine.replace(request.goal_id, request.number, trajectory, revision, start)
+        goal = self._machine.replace(request.goal_id, request.number, trajectory, revision, start, request.until)
         self._reporter.show(goal)
         self._reporter.publish()
         return Accepted(goal_id=request.goal_id)

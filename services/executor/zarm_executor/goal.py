@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionFailed, Problem
-from zarm_contract.messages import GoalState, GoalStatus, GoalTrajectory, Hold, SceneRevision
+from zarm_contract.messages import GoalState, GoalStatus, GoalTrajectory, Hold, Pose, SceneRevision
 from zarm_contract.robot import FaultPolicy
 from zarm_executor.monitor import Monitor, NotStopped
 from zarm_executor.strategies.base import Progress
@@ -62,7 +62,7 @@ class Goal:
     `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None where nobody had
     told one.
     `verified` is the revision in which the trajectory was verified, None where it was in none; `number` counts its trajectories.
-    With `replan` the servo may replace its trajectory.
+    With `replan` the servo may replace its trajectory, by one to other joints where the pose `tip` is the goal.
     `hold` says why it is held though nobody told it to, since the moment `hold_since`; it `waits` once the robot rests.
     `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion.
     """
@@ -81,6 +81,7 @@ class Goal:
     verified: SceneRevision | None = None
     number: int = 1
     replan: bool = False
+    tip: Pose | None = None
     hold: Hold | None = None
     hold_since: float = 0.0
     waits: bool = False
@@ -147,6 +148,7 @@ class Goal:
             trajectory=trajectory.begun_at(-start).message(joints),
             scene_revision=self.verified,
             replan=self.replan,
+            tip=self.tip,
         )
 
     def before_motion(self) -> GoalState:

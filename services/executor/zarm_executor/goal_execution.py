@@ -13,6 +13,7 @@ from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Progress, Steerable, Strategy
 from zarm_trajectory.blending import blended, continued
 from zarm_trajectory.limits import Limits
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -108,15 +109,19 @@ class GoalExecution:
             goal.steer(trajectory, chunk)
             strategy.steer(trajectory)
 
-    def replace(self, trajectory: TimedTrajectory, at: float, verified: SceneRevision) -> None:
+    def replace(
+        self, trajectory: TimedTrajectory, at: float, verified: SceneRevision, until: float | None = None
+    ) -> None:
         """Go on along `trajectory`, verified in that scene, from the path time `at` (s) on; a goal that is held is held no longer.
+
+        It may go up to the time `until` (s) of `trajectory`, None: to its end.
 
         Raises Busy for a goal that is told to pause or to end, Unavailable where the strategy cannot follow it, and ExecutionRefused
         (`start_state_mismatch`) where it is too late for `at`, and what `continued` raises.
         """
         self._demand_no_end()
         strategy = self._steerable()
-        earliest = strategy.braking_from()[0]
+        earliest = strategy.braking_from().time
         if at < earliest:
             raise ExecutionRefused(
                 f"the trajectory takes over at {at:.3f} s, and what the robot does until {earliest:.3f} s is certain; plan from a "
@@ -126,10 +131,14 @@ class GoalExecution:
         joined = continued(self.goal.trajectory, strategy.commanded(), trajectory, at)
         self.goal.replace(joined, verified)
         strategy.steer(joined)
-        self._go_on()
+        self._go_on(at, until)
 
-    def replace_at_rest(self, trajectory: TimedTrajectory, monitor: Monitor, verified: SceneRevision) -> None:
+    def replace_at_rest(
+        self, trajectory: TimedTrajectory, monitor: Monitor, verified: SceneRevision, until: float | None = None
+    ) -> None:
         """Go on along `trajectory`, verified in that scene, from where the robot rests, held by its authority; `monitor` watches it.
+
+        It may go up to the time `until` (s) of `trajectory`, None: to its end.
 
         Raises Busy where it does not rest so, and what the strategy raises.
         """
@@ -146,15 +155,16 @@ class GoalExecution:
         goal.replace(trajectory, verified)
         if goal.hold.reason == "no_guard":
             self._strategy.stop()
-        self._go_on()
+        self._go_on(time, until)
 
     def _demand_no_end(self) -> None:
         if self.goal.outcome is not None or self.goal.pausing:
             raise Busy(f"{self.goal.goal_id} is told to end or to pause; its trajectory stays as it is")
 
-    def _go_on(self) -> None:
-        """Take the new trajectory as free to its end, until the servo has looked at it."""
-        goal, self._limit = self.goal, None
+    def _go_on(self, begin: float, until: float | None) -> None:
+        """Take the new trajectory, which begins at the path time `begin` (s), as free up to its time `until` (s), None: to its end."""
+        goal = self.goal
+        self._limit = self._guard.limit(goal.trajectory, None if until is None else begin + until)
         if goal.hold is not None and goal.hold.reason == "obstruction":
             goal.hold, goal.waits = None, False
             goal.monitor.go_on()
@@ -272,18 +282,18 @@ class GoalExecution:
     def _brake_in_time(self, now: float) -> None:
         limit = self._limit
         if limit is not None:
-            time, speed = self._strategy.braking_from()
-            if self._guard.must_brake(limit, time, speed):
+            state = self._strategy.braking_from()
+            if self._guard.must_brake(limit, state):
                 self._held_at = limit.until
-                self._hold(limit.hold(time, speed), now)
+                self._hold(limit.hold(state), now)
 
     def _blocked(self, now: float) -> bool:
         """Hold a goal that rests where its authority ends; whether it does."""
-        limit, (time, _) = self._limit, self._strategy.braking_from()
+        limit, time = self._limit, self._strategy.braking_from().time
         blocked = limit is not None and limit.until < time + LEAST_WAY
         if limit is not None and blocked:
             self._held_at = time
-            self._hold(limit.hold(time, 0.0), now)
+            self._hold(limit.hold(PathState(time, 0.0)), now)
         return blocked
 
     def _free(self, progress: Progress, *, guarded: bool) -> bool:

@@ -7,41 +7,60 @@ present one only holds the goal back. One that is silent, or checks in an old sc
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-
-import numpy as np
 
 from zarm_contract.errors import Problem
 from zarm_contract.messages import Authority, Hold, Obstruction, SceneRevision
 from zarm_contract.robot import RobotDescriptor
-from zarm_trajectory.braking_curve import BrakingCurve
+from zarm_trajectory.follower import Follower
+from zarm_trajectory.path_state import PathState
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LEAST_WAY = 0.1
 """A goal that is held goes on when it may go so much (s of the path) further: not by every millimetre."""
 _TICKS = 2
 """Ticks until a stop takes effect."""
+_LOOK = 0.1
+"""How far ahead (s) it is looked whether the robot would still rest in time, so that it need not be looked at every tick."""
+_POINT = 0.1
+"""A braking is looked at in points so far (s) apart."""
 
 
-@dataclass(frozen=True)
 class Limit:
-    """The end of an authority, and the path speeds from which the robot rests before it, and before the contact itself."""
+    """The end of an authority: the robot, which is led by `follower`, rests before the path time `until` (s)."""
 
-    rest: BrakingCurve
-    contact: BrakingCurve
-    obstruction: Obstruction | None
+    def __init__(self, follower: Follower, until: float, obstruction: Obstruction | None) -> None:
+        self.until = until
+        self.obstruction = obstruction
+        self._follower = follower
+        self._free = PathState(-math.inf, 0.0)
 
-    @property
-    def until(self) -> float:
-        """The path time (s) before which the robot rests."""
-        return self.rest.end
+    def must_brake(self, state: PathState, reaction: float) -> bool:
+        """Whether a robot that could brake from there must, as `reaction` s later it would not rest in time any more.
 
-    def hold(self, time: float, speed: float) -> Hold:
-        """What holds a robot that brakes from the path time `time` (s) at this path speed."""
+        Where it would rest in time from a little further on too, it is not looked again until it comes there.
+        """
+        soon = state.after(reaction)
+        if state.speed == 0.0 or (
+            soon.time < self._free.time and state.speed <= self._free.speed and state.rate <= 0.0
+        ):
+            return False
+        further = soon.after(_LOOK)
+        if state.rate == 0.0 and self._rest(further) < self.until:
+            self._free = further
+            return False
+        return self._rest(soon) >= self.until
+
+    def hold(self, state: PathState) -> Hold:
+        """What holds a robot that brakes from there."""
         found = self.obstruction
         if found is not None:
-            found = found.model_copy(update={"avoidable": speed <= self.contact.speed(time)})
+            found = found.model_copy(update={"avoidable": self._rest(state) <= found.time})
         return Hold(reason="obstruction", obstruction=found)
+
+    def _rest(self, state: PathState) -> float:
+        """The path time (s) at which a robot comes to rest that brakes from there."""
+        return float(self._follower.moved_to(state, 0.0).ahead(_POINT).path_time[-1])
 
 
 class Guard:
@@ -53,7 +72,7 @@ class Guard:
         self.timeout = execution.guard_timeout
         self.patience = execution.obstruction_timeout
         self._reaction = _TICKS * execution.control_period
-        self._acceleration = np.array(descriptor.cspace.acceleration)
+        self._limits = RateLimits.of(descriptor)
         self._newest: Authority | None = None
         self._heard_at = self._confirmed_at = -math.inf
 
@@ -85,20 +104,17 @@ class Guard:
             and now - self._heard_at <= self.timeout
         )
 
-    def limit(self, authority: Authority, trajectory: TimedTrajectory) -> Limit | None:
-        """Where an authority over this trajectory ends; None where it reaches to its end."""
-        if authority.until is None or authority.until >= trajectory.duration:
+    def limit(
+        self, trajectory: TimedTrajectory, until: float | None, obstruction: Obstruction | None = None
+    ) -> Limit | None:
+        """The end of an authority over this trajectory up to the path time `until` (s); None where it reaches to its end."""
+        if until is None or until >= trajectory.duration:
             return None
-        contact = authority.until if authority.obstruction is None else authority.obstruction.time
-        return Limit(
-            BrakingCurve(trajectory, authority.until, self._acceleration),
-            BrakingCurve(trajectory, contact, self._acceleration),
-            authority.obstruction,
-        )
+        return Limit(Follower(trajectory, self._limits), until, obstruction)
 
-    def must_brake(self, limit: Limit, time: float, speed: float) -> bool:
-        """Whether a robot that would brake from the path time `time` (s) at this path speed must do so now."""
-        return speed > limit.rest.speed(time + self._reaction * speed)
+    def must_brake(self, limit: Limit, state: PathState) -> bool:
+        """Whether a robot that would brake from there must do so now."""
+        return limit.must_brake(state, self._reaction)
 
 
 def given_up(hold: Hold, patience: float) -> Problem:

@@ -73,6 +73,7 @@ class Machine:
         self._rested = threading.Condition(self._lock)
         self._told = threading.Condition(self._lock)
         self._begun = threading.Condition(self._lock)
+        self._ticked = threading.Condition(self._lock)
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
         # Arrivals of the newest stop, of the newest command that ends whatever moves (a stop too), and of the newest pause.
         self._stopped_by = self._cleared_by = self._held_by = 0.0
@@ -118,7 +119,8 @@ class Machine:
                 self._leave_fault()
             authority = self._guard.of(goal.goal_id)
             if authority is not None:
-                motion.permit(authority, self._guard.limit(authority, goal.trajectory), self.scene)
+                limit = self._guard.limit(goal.trajectory, authority.until, authority.obstruction)
+                motion.permit(authority, limit, self.scene)
 
     def _can_leave_fault(self) -> bool:
         """Whether the next goal leaves the fault that there is."""
@@ -188,10 +190,12 @@ class Machine:
         trajectory: TimedTrajectory,
         scene: SceneRevision,
         start: float | Monitor,
+        until: float | None = None,
     ) -> Goal:
         """Have the goal go on along `trajectory`, verified in `scene`, in place of its trajectory `number`; the goal.
 
-        From the path time `start` (s) on, or from where the robot rests, watched by the Monitor `start`. Raises ExecutionRefused (`stale_plan`) where another
+        From the path time `start` (s) on, or from where the robot rests, watched by the Monitor `start`. It may go up to the time `until` (s)
+        of `trajectory`, None: to its end, before the servo says how far. Raises ExecutionRefused (`stale_plan`) where another
         trajectory is followed, and what `GoalExecution.replace` and `replace_at_rest` raise.
         """
         with self._lock:
@@ -204,9 +208,9 @@ class Machine:
                     code="stale_plan",
                 )
             if isinstance(start, Monitor):
-                motion.replace_at_rest(trajectory, start, scene)
+                motion.replace_at_rest(trajectory, start, scene, until)
             else:
-                motion.replace(trajectory, start, scene)
+                motion.replace(trajectory, start, scene, until)
             return motion.goal
 
     def hear(self, authority: Authority, now: float) -> None:
@@ -214,7 +218,9 @@ class Machine:
         with self._lock:
             motion = None if authority.goal_id is None else self._motion_of(authority.goal_id)
             trajectory = None if motion is None else motion.goal.trajectory
-        limit = None if trajectory is None else self._guard.limit(authority, trajectory)  # no tick waits for this
+        limit = None
+        if trajectory is not None:  # no tick waits for this
+            limit = self._guard.limit(trajectory, authority.until, authority.obstruction)
         with self._lock:
             newer = self._guard.hear(authority, now)
             if newer and motion is not None and motion is self._motion and motion.goal.trajectory is trajectory:
@@ -395,6 +401,20 @@ class Machine:
         with self._lock:
             return self._strategy.joint_state()
 
+    def wait_for_joint_state(self, since: float, patience: float) -> Measured | None:
+        """The newest measured state, once that is of `since` (s, on the monotonic clock) or later, after `patience` s at most.
+
+        A robot that stands tells where it is as seldom as its executor allows, and a busy machine passes that on late.
+        """
+
+        def fresh() -> bool:
+            measured = self._strategy.joint_state()
+            return measured is not None and measured.time >= since
+
+        with self._ticked:
+            self._ticked.wait_for(fresh, patience)
+            return self._strategy.joint_state()
+
     def wait_for_rest(self, patience: float) -> bool:
         """Wait until no goal is left; whether that was so within `patience` s."""
         with self._rested:
@@ -429,6 +449,7 @@ class Machine:
                 ended = motion.advance(now, dt, guarded=self._guarded)
                 if ended is not None:
                     self._rest(motion.goal, ended)
+            self._ticked.notify_all()
             return self._strategy.joint_state()
 
     def _rest(self, goal: Goal, ended: Outcome) -> None:

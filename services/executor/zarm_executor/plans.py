@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
-from zarm_contract.messages import ExecuteRequest, Plan, SceneRevision, Trajectory
+from zarm_contract.messages import ExecuteRequest, Plan, Pose, SceneRevision, Trajectory
 
 REMEMBERED = 32
 """How many plans stay executable by their id."""
@@ -19,11 +19,15 @@ PUBLICATION_PATIENCE = 0.5
 
 @dataclass(frozen=True)
 class Chosen:
-    """What a request asks for: a plan, or a trajectory of no plan that may claim no scene."""
+    """What a request asks for: a plan, or a trajectory of no plan that may claim no scene.
+
+    `tip` is the pose that the plan's goal is, where that is one.
+    """
 
     plan_id: str | None
     trajectory: Trajectory
     scene_revision: SceneRevision | None
+    tip: Pose | None = None
 
     @property
     def name(self) -> str:
@@ -67,7 +71,8 @@ class Plans:
                 f"{self._robot_hash}); start the planner with the same descriptor and plan again",
                 code="stale_plan",
             )
-        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision)
+        tip = None if plan.selected_goal_index is None else plan.tip
+        return Chosen(plan.plan_id, plan.trajectory, plan.scene_revision, tip)
 
     def _last(self) -> Plan:
         newest = self._ask()

@@ -143,7 +143,7 @@ def start(service: Service) -> Iterator[None]:
             )
             ghost = Ghost(bus, keys, robot)
             told = bus.publisher(keys.strategy, Strategies), bus.publisher(keys.speed, Speed)
-            admission = Admission(machine, reporter)
+            admission = Admission(machine, reporter, robot.descriptor.execution.joint_state_timeout)
             streams = Streams(robot, machine, reporter, admission)
             executor = Executor(robot, machine, reporter, admission, plans, present, strategies, *told, kept_speed)
             loop = Loop("control", period, control.tick, realtime=True)

@@ -63,7 +63,7 @@ class Streams:
                 if chunk.start != 0.0:
                     raise InvalidRequest("the first chunk of a stream starts at 0 s of it", field="start")
                 planned = executable(chunk.trajectory, self._robot)
-                trajectory, at = placed(planned, self._machine.joint_state(), time.monotonic(), self._robot)
+                trajectory, at = placed(planned, self._admission.joint_state(), time.monotonic(), self._robot)
                 self._turns = trajectory.start - planned.start
                 # From where the robot stands, which may be a tolerance away, it is led over as between two chunks.
                 trajectory = blended(TimedTrajectory.standing(at.position), 0.0, trajectory, 0.0, self._limits)

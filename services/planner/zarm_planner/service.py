@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TypeVar
 
 from zarm_contract.errors import Unavailable, ZarmError
@@ -37,7 +36,7 @@ from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.publications import Encoded
-from zarm_runtime.service import Service, run_service, service_parser
+from zarm_runtime.service import Service, add_meshes, run_service, service_parser
 from zarm_runtime.state_file import owned
 
 log = logging.getLogger(__name__)
@@ -180,14 +179,7 @@ def _serve_scene(
 def main() -> int:
     """Run the planner of one robot until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("planner")
-    parser.add_argument(
-        "--meshes",
-        type=Path,
-        action="append",
-        default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
-        metavar="FOLDER",
-        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES; repeatable",
-    )
+    add_meshes(parser)
     return run_service("planner", parser, start)
 
 

@@ -88,5 +88,11 @@ def _print_line(text: str) -> None:
     sys.stdout.flush()
 
 
-if __name__ == "__main__":
+def main() -> int:
+    """Compile all kernels."""
     warm_up(RobotModel.of(load_robot("doosan_m1013")), _print_line)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

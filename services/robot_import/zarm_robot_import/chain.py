@@ -52,6 +52,13 @@ class Chain:
     fixed: tuple[tuple[str, float], ...]
     others: tuple[str, ...]
 
+    def poses(self, q: Array) -> dict[str, Array]:
+        """Of every link (n, 4, 4), in the frame of the base, at positions of the joints (n, dof)."""
+        carried = [np.tile(np.eye(4), (len(q), 1, 1))]
+        for joint, origin, values in zip(self.joints, self.origins, q.T, strict=True):
+            carried.append(carried[-1] @ origin @ joint.motions(values))
+        return {mounted.link: carried[mounted.body] @ mounted.pose for mounted in self.mounted}
+
 
 def choose_chain(
     robot: Description, base: str | None = None, tip: str | None = None, positions: Mapping[str, float] | None = None

@@ -60,12 +60,16 @@ class Joint:
 
     def moved(self, value: float) -> Array:
         """The child's pose (4, 4) in the parent at a position of the joint."""
-        motion = np.eye(4)
+        return np.asarray(self.origin @ self.motions(np.array([value]))[0])
+
+    def motions(self, values: Array) -> Array:
+        """How its positions (n,) move the child (n, 4, 4)."""
+        found = np.tile(np.eye(4), (len(values), 1, 1))
         if self.type in ("revolute", "continuous"):
-            motion[:3, :3] = Rotation.from_rotvec(self.axis * value).as_matrix()
+            found[:, :3, :3] = Rotation.from_rotvec(self.axis * values[:, None]).as_matrix()
         elif self.type == "prismatic":
-            motion[:3, 3] = self.axis * value
-        return np.asarray(self.origin @ motion)
+            found[:, :3, 3] = self.axis * values[:, None]
+        return found
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from zarm_geometry.exact import ExactScene
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
-from zarm_robot_import.self_collision import SAMPLES
+from zarm_robot_import.contacts import SAMPLES
 
 Array = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_robot_import.chain import choose_chain
+from zarm_robot_import.contacts import Contacts
 from zarm_robot_import.description import describe
 from zarm_robot_import.fitting import fit
 from zarm_robot_import.home import choose_home
@@ -26,6 +27,7 @@ from zarm_robot_import.ros_control import trajectory_controller
 from zarm_robot_import.self_collision import Pair, Pairs
 from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import BUDGET
+from zarm_robot_import.visual_meshes import without_contradictions
 from zarm_robot_import.writing import descriptor_text, urdf_text
 
 
@@ -66,6 +68,8 @@ def import_robot(
             surfaces.append(surface)
     if not surfaces:
         raise InvalidRequest(f"{file}: no link of the arm has geometry; zarm needs <collision> or <visual> elements")
+    contacts = Contacts(chain, limits, surfaces)
+    surfaces = without_contradictions(surfaces, contacts)
     fitted_links = 0
 
     def counted(link: str) -> None:
@@ -88,9 +92,7 @@ def import_robot(
 
         middle = [min(max(0.0, limit.lower), limit.upper) for limit in limits]
         progress("pairs of links", 0.7)
-        sampled = Pairs(write(middle, ()), meshes)
-        pairs = sampled.judged()
-        pairs = sampled.marked(pairs, {link.link: link.balls for link in fitted})
+        pairs = Pairs(contacts, fitted).judged()
         progress("home", 0.9)
         home = choose_home(write(middle, pairs))
         model = write(home, pairs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -29,15 +29,16 @@ LARGEST = 20.0
 """A link larger than this (m) is in millimetres."""
 CONTAINED = 0.001
 """Collision geometry that the visual one sticks out of by no more than this (m) contains it."""
-CABLE = 0.1
-"""A visual mesh that sticks further (m) out of the collision geometry shows more than the link, such as a cable that hangs from it."""
 _POINTER = b"version https://git-lfs"
 SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
 
 @dataclass
 class Surface:
-    """The triangles (n, 3, 3) of a link in its own frame, in m; where they come from and why; what is to be said of it."""
+    """The triangles (n, 3, 3) of a link in its own frame, in m; where they come from and why; what is to be said of it.
+
+    Where they are of both kinds, `collision` holds those of the collision geometry alone.
+    """
 
     link: str
     triangles: Array
@@ -47,6 +48,23 @@ class Surface:
     files: list[Path] = field(default_factory=list)
     off: float = 0.0
     """How far (m) the link's true surface may be from these triangles, because it has too many to compute with."""
+    collision: Array | None = None
+
+    def without_visual(self, why: str) -> Surface:
+        """The same of the collision geometry alone; `why` completes "the visual mesh is left out, because"."""
+        if self.collision is None:
+            return self
+        warning = (
+            f"the visual mesh is left out, because {why}; obstacles may touch what sticks out of the collision geometry"
+        )
+        return replace(
+            self,
+            triangles=self.collision,
+            kind="collision",
+            reason=why,
+            warnings=[*self.warnings, warning],
+            collision=None,
+        )
 
 
 def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | None:
@@ -94,6 +112,8 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
     surface.warnings[:0], surface.files[:0] = warnings, files
     count = len(surface.triangles)
     surface.triangles, surface.off = gathered(surface.triangles, MOST_KEPT)
+    if surface.collision is not None:
+        surface.collision, _ = gathered(surface.collision, MOST_KEPT)
     if surface.off:
         surface.warnings.append(
             f"its {count} triangles are taken as {len(surface.triangles)}, which makes its geometry up to {1e3 * surface.off:.1f} mm "
@@ -112,12 +132,9 @@ def _chosen(link: Link, found: dict[str, Array], prefer: str) -> Surface:
     out = sticks_out(found["visual"], found["collision"])
     if out <= CONTAINED:
         return Surface(link.name, found["collision"], "collision", "contains the visual mesh")
-    if out > CABLE:
-        reason = f"the visual mesh sticks {1e3 * out:.0f} mm out of it, as a cable does"
-        warning = f"{reason}, and is left out; `--geometry visual` takes the visual meshes alone"
-        return Surface(link.name, found["collision"], "collision", reason, [warning])
     both = np.concatenate([found["collision"], found["visual"]])
-    return Surface(link.name, both, "both", f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry")
+    reason = f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry"
+    return Surface(link.name, both, "both", reason, collision=found["collision"])
 
 
 def gathered(triangles: Array, most: int) -> tuple[Array, float]:

@@ -17,7 +17,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.spatial.transform import Rotation
 
 from zarm_contract.robot import (
@@ -40,18 +40,21 @@ Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
 """A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
-COUNT = 30
+COUNT = 60
 """... nor one of so many primitives."""
-_POINTS = 400
+_POINTS = 250
 """Points that stand for the surface while planes are looked for."""
 _SAMPLES = 400
 """Points on each primitive from which it is told how far it stands out."""
-_CUTS = 11
+_CUTS = 5
 """Planes that are tried along each axis."""
-_FEWEST = 40
+_FEWEST = 25
 """Points on each side of a plane, at least."""
 _SAME = math.cos(math.radians(1.0))
 """Axes whose angle has a larger cosine are one."""
+_TOUCHING = 0.001
+"""Boxes that are so near (m) to each other touch."""
+_ORDERS = ([1, 2, 0], [2, 0, 1], [0, 1, 2])
 _FLAT = 0.002
 """All volume counts as if it were so far (m) outside: between the points of the body's grid there is room for thin shapes."""
 
@@ -102,13 +105,16 @@ def triangles_of(row: Array) -> Array:
 
 @dataclass(eq=False)
 class _Cell:
-    """What is between planes: triangles, points on them, and the row of what contains them; `out` as in `_tightest`.
+    """What is between planes: triangles (n, 3, 3), the corners (k, 3) of their convex hull, points (m, 3) on them, and the row of what
+    contains them; `out` as in `_tightest`.
 
-    `final` where no plane makes it tighter.
+    `axes` (l, 3, 3) are the frames to try here. `final` where no plane makes it tighter.
     """
 
     triangles: Array
+    corners: Array
     points: Array
+    axes: Array
     row: Array
     out: float
     final: bool = False
@@ -116,9 +122,9 @@ class _Cell:
 
 def fit_primitives(body: Body) -> list[CollisionPrimitive]:
     """Primitives that contain all triangles of a link's surface."""
-    axes = _axes(body)
+    axes = _axes(body.surface.data, body.triangles, np.empty((0, 3, 3)))
     measure = Measure(body)
-    cells = [_cell(body.triangles, axes, body)]
+    cells = [_piece(body.triangles, axes, body)]
     while len(cells) < COUNT:
         outs = measure.all([cell.row for cell in cells])
         worth = [out.most for out in outs]
@@ -140,23 +146,24 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
 
 def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> list[_Cell]:
     """The same with cells made one again where that stands out no more than is wanted, or than what there is."""
-    tried: dict[tuple[_Cell, _Cell], _Cell] = {}
+    tried: dict[tuple[_Cell, _Cell], _Cell | None] = {}  # None where they had better stay two
     while len(cells) > 1:
         outs = dict(zip(cells, measure.all([cell.row for cell in cells]), strict=True))
         now = Out.together(list(outs.values()))
         best, chosen = np.inf, None
         for a, b in combinations(cells, 2):
             if (a, b) not in tried:
-                tried[a, b] = _cell(np.concatenate([a.triangles, b.triangles]), axes, body)
+                tried[a, b] = _union(a, b, axes, body) if _adjoin(a, b) else None
             union = tried[a, b]
-            added = union.out - a.out - b.out
-            if added >= best:
+            if union is None or (added := union.out - a.out - b.out) >= best:
                 continue
             rest = [cell for cell in cells if cell not in (a, b)]
             out = measure.one(union.row, np.array([cell.row for cell in rest]).reshape(-1, 17))
             allowed = max(MEAN * now.area, now.total) - now.total + outs[a].total + outs[b].total
             if out.most <= max(MOST, outs[a].most, outs[b].most) and out.total <= allowed:
                 best, chosen = added, [*rest, union]
+            else:
+                tried[a, b] = None
         if chosen is None:
             break
         cells = chosen
@@ -225,26 +232,26 @@ class _Skin:
     each: float
 
 
-def _axes(body: Body) -> Array:
-    """Frames (n, 3, 3) with z along the directions in which planes and primitives are tried.
+def _axes(points: Array, triangles: Array, known: Array) -> Array:
+    """The frames `known` (n, 3, 3) and more with z along the directions in which planes and primitives are tried.
 
-    They are the axes of the link, the main ones of the points on its surface, and those of its largest flat faces.
+    They are the axes of the link, the main ones of points (k, 3) on its surface, and those of its largest flat faces.
     """
-    points = body.surface.data
-    found = [np.eye(3)]
+    found = list(known[::3])
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
     main[:, 2] *= np.linalg.det(main)  # right-handed
-    for triple in (main, _faces(body.triangles)):
-        known = np.concatenate(found, axis=1)
-        if np.abs(triple.T @ known).max(axis=1).min() < _SAME:
+    for triple in (*(() if found else (np.eye(3),)), main, _faces(triangles)):
+        if not found or np.abs(triple.T @ np.concatenate(found, axis=1)).max(axis=1).min() < _SAME:
             found.append(triple)
-    return np.array([triple[:, order] for triple in found for order in ([1, 2, 0], [2, 0, 1], [0, 1, 2])])
+    return np.array([triple[:, order] for triple in found for order in _ORDERS])
 
 
 def _faces(triangles: Array) -> Array:
     """Axes (3, 3): the direction that the most area faces, that of the most area across it, and the one across both."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sizes = np.linalg.norm(normals, axis=1)
+    if not sizes.any():
+        return np.eye(3)
     normals, sizes = normals[sizes > 0.0] / sizes[sizes > 0.0, None], sizes[sizes > 0.0]
     normals *= np.where(normals @ (1.0, 0.1, 0.01) < 0.0, -1.0, 1.0)[:, None]
     names, group = np.unique(np.round(normals, 2), axis=0, return_inverse=True)
@@ -263,16 +270,50 @@ def _faces(triangles: Array) -> Array:
     return np.column_stack((first, second, np.cross(first, second)))
 
 
-def _cell(triangles: Array, axes: Array, body: Body) -> _Cell:
-    corners = triangles.reshape(-1, 3)
+def _piece(triangles: Array, axes: Array, body: Body) -> _Cell:
+    """Some of the triangles as a cell."""
+    corners = _hull(triangles.reshape(-1, 3))
     along = corners @ axes[:, :, 2].T
     furthest = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))
     points = np.concatenate([points_on(triangles, _POINTS)[0], corners[furthest]])
+    return _cell(triangles, corners, points, _axes(points, triangles, axes), body)
+
+
+def _union(a: _Cell, b: _Cell, axes: Array, body: Body) -> _Cell:
+    """Two cells as one."""
+    return _cell(
+        np.concatenate([a.triangles, b.triangles]),
+        np.concatenate([a.corners, b.corners]),
+        np.concatenate([a.points[::2], b.points[::2]]),
+        np.concatenate([a.axes, b.axes[len(axes) :]]),
+        body,
+    )
+
+
+def _adjoin(a: _Cell, b: _Cell) -> bool:
+    """Whether the boxes around two cells touch."""
+    return bool(
+        (a.corners.min(axis=0) <= b.corners.max(axis=0) + _TOUCHING).all()
+        and (b.corners.min(axis=0) <= a.corners.max(axis=0) + _TOUCHING).all()
+    )
+
+
+def _hull(points: Array) -> Array:
+    """The corners (k, 3) of the convex hull of points (n, 3); all of them where they are flat."""
+    found: Array
+    try:
+        found = points[ConvexHull(points).vertices]
+    except QhullError:
+        found = np.unique(points, axis=0)
+    return found
+
+
+def _cell(triangles: Array, corners: Array, points: Array, axes: Array, body: Body) -> _Cell:
     form = _form(points, axes)
     which, out = _tightest(points, form, body.around(points))
     one = [which % len(axes)]
     shapes = around(corners, form.turn[one], form.box[one], form.axis[one], form.middle)
-    return _Cell(triangles, points, _grown(shapes[which // len(axes)], body.off), out)
+    return _Cell(triangles, corners, points, axes, _grown(shapes[which // len(axes)], body.off), out)
 
 
 def _grown(row: Array, by: float) -> Array:
@@ -298,12 +339,12 @@ def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
             return np.inf
         out = 0.0
         for points in (cell.points[below], cell.points[~below]):
-            out += _tightest(points, _form(points, axes), near, best - out)[1]
+            out += _tightest(points, _form(points, cell.axes), near, best - out)[1]
             if out >= best:
                 break
         return out
 
-    for axis in axes[:, :, 2]:
+    for axis in cell.axes[:, :, 2]:
         along = cell.points @ axis
         low, high = float(along.min()), float(along.max())
         for offset in low + (high - low) * (np.arange(_CUTS) + 1) / (_CUTS + 1):
@@ -317,7 +358,7 @@ def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
         for offset in (middle - step, middle + step):
             if (out := left(axis, offset)) < best:
                 best, chosen = out, (axis, offset)
-    return [_cell(part, axes, body) for part in cut(cell.triangles, *chosen) if len(part)]
+    return [_piece(part, axes, body) for part in cut(cell.triangles, *chosen) if len(part)]
 
 
 class _Form(NamedTuple):

@@ -1,24 +1,21 @@
-"""Which pairs of links can meet, decided on the original meshes; a pair in doubt stays checked."""
+"""Which pairs of links can meet, decided on the original meshes and not on what contains them; a pair in doubt stays checked."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
-import fcl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.shapes import distance
+from zarm_geometry.shapes import distance, link_shape
+from zarm_robot_import.contacts import SAMPLES, Contacts
+from zarm_robot_import.fitting import Fitted
 
 Array = NDArray[np.float64]
 
-SAMPLES = 4000
-"""Configurations: of what none of them shows, less than 3/SAMPLES of all have it, with 95 % confidence."""
 CLEAR = 0.005
 """Meshes that come no nearer than this (m) in samples and in a search from the nearest of them are taken never to meet."""
 MOST_TAKEN = 0.3
@@ -42,127 +39,119 @@ class Pair:
 
 
 class Pairs:
-    """The links of a model, sampled all over its joint ranges."""
+    """The links of an arm with their exact geometry and covers."""
 
-    def __init__(self, model: RobotModel, meshes: Mapping[str, Array]) -> None:
-        self._model = model
-        self._meshes = {link: _bvh(triangles) for link, triangles in meshes.items()}
-        self._parts = [[shape for k, shape in model.parts if k == i] for i in range(len(model.links))]
-        self.q = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, model.dof))
-        self._poses = model.link_transforms(self.q)
+    def __init__(self, contacts: Contacts, fitted: Sequence[Fitted]) -> None:
+        self._contacts = contacts
+        self._fitted = {link.link: link for link in sorted(fitted, key=lambda link: contacts.body[link.link])}
+        self._parts = {
+            link.link: [link_shape(link.link, primitive) for primitive in link.primitives] for link in fitted
+        }
 
     def judged(self) -> list[Pair]:
         """Every pair of links on different bodies."""
-        model = self._model
         found = []
-        for (i, first), (j, second) in combinations(enumerate(model.links), 2):
-            one, other = sorted((int(model.link_joint[i]), int(model.link_joint[j])))
+        for first, second in combinations(self._fitted, 2):
+            one, other = self._contacts.body[first], self._contacts.body[second]
             if one == other:
                 continue
             if other == one + 1:
                 found.append(Pair(first, second, True, "neighbours: they touch at their joint"))
             else:
-                found.append(self._judge(i, j))
+                found.append(self._marked(self._judge(first, second)))
         return found
 
-    def marked(self, pairs: Sequence[Pair], covers: Mapping[str, Array]) -> list[Pair]:
-        """The same, with those `exact` whose covers (k, 4) take more than MOST_TAKEN of all configurations."""
-        found = []
-        for pair in pairs:
-            taken = 0.0 if pair.ignored else self._taken(pair, covers)
-            more = f"; their covers also overlap in another {taken:.0%} of all configurations, so the search leaves them out"
-            found.append(replace(pair, exact=True, reason=pair.reason + more) if taken > MOST_TAKEN else pair)
-        return found
+    def _marked(self, pair: Pair) -> Pair:
+        """The same, `exact` where its covers take more than MOST_TAKEN of all configurations."""
+        taken = 0.0 if pair.ignored else self._taken(pair)
+        if taken <= MOST_TAKEN:
+            return pair
+        more = (
+            f"; their covers also overlap in another {taken:.0%} of all configurations, so the search leaves them out"
+        )
+        return replace(pair, exact=True, reason=pair.reason + more)
 
-    def _taken(self, pair: Pair, covers: Mapping[str, Array]) -> float:
+    def _taken(self, pair: Pair) -> float:
         """The share of configurations in which the covers of two links overlap and their exact geometry does not."""
-        poses = self._poses[:_CROWD]
-        i, j = (self._model.links.index(link) for link in (pair.first, pair.second))
-        near = np.flatnonzero(_gaps(*(_placed(covers[self._model.links[k]], poses[:, k]) for k in (i, j))) < 0.0)
-        return sum(not self._overlap(i, j, poses[k]) for k in near) / _CROWD
+        covers = ((link, self._fitted[link].balls) for link in (pair.first, pair.second))
+        near = np.flatnonzero(
+            _gaps(*(_placed(balls, self._contacts.poses[link][:_CROWD]) for link, balls in covers)) < 0.0
+        )
+        return sum(not self._overlap(pair.first, pair.second, k) for k in near.tolist()) / _CROWD
 
-    def _bounds(self, i: int) -> Array:
+    def _bounds(self, link: str) -> Array:
         """Balls (k, 4) around the primitives of a link."""
-        return np.array([(*shape.pose[:3, 3], shape.radius) for shape in self._parts[i]])
+        return np.array([(*shape.pose[:3, 3], shape.radius) for shape in self._parts[link]])
 
-    def _overlap(self, i: int, j: int, poses: Array) -> bool:
+    def _overlap(self, first: str, second: str, k: int) -> bool:
         """Whether the exact geometry of two links does."""
-        balls = [_placed(self._bounds(k), poses[None, k])[0] for k in (i, j)]
-        apart = cdist(balls[0][:, :3], balls[1][:, :3]) - balls[0][:, None, 3] - balls[1][:, 3]
+        poses = [self._contacts.poses[link][k] for link in (first, second)]
+        one, other = (
+            _placed(self._bounds(link), pose[None])[0] for link, pose in zip((first, second), poses, strict=True)
+        )
+        apart = cdist(one[:, :3], other[:, :3]) - one[:, None, 3] - other[:, 3]
         return any(
-            distance(
-                self._parts[i][a],
-                poses[i] @ self._parts[i][a].pose,
-                self._parts[j][b],
-                poses[j] @ self._parts[j][b].pose,
-            )
-            <= 0.0
-            for a, b in np.argwhere(apart < 0.0).tolist()
+            distance(a, poses[0] @ a.pose, b, poses[1] @ b.pose) <= 0.0
+            for i, j in np.argwhere(apart < 0.0).tolist()
+            for a, b in [(self._parts[first][i], self._parts[second][j])]
         )
 
-    def _judge(self, i: int, j: int) -> Pair:
-        first, second = self._model.links[i], self._model.links[j]
-        gaps = _gaps(*(_placed(self._bounds(k), self._poses[:, k]) for k in (i, j)))
+    def _judge(self, first: str, second: str) -> Pair:
+        gaps = _gaps(*(_placed(self._bounds(link), self._contacts.poses[link]) for link in (first, second)))
         near = np.flatnonzero(gaps < 0.0)
         if not len(near):
             return Pair(
                 first, second, False, f"they came near in none of {SAMPLES} configurations; checking it costs nothing"
             )
         near = near[np.argsort(gaps[near])]
-        touching = [self._touch(i, j, self._poses[k]) for k in (near if len(near) == SAMPLES else ())]
-        if touching and all(touching):
-            return Pair(first, second, True, f"they touch in all of {SAMPLES} configurations")
-        if any(touching) or any(self._touch(i, j, self._poses[k]) for k in near):
+        bare = self._contacts.mixed(first, second)
+        if self._always(first, second, near):
+            if not bare or self._always(first, second, near, bare):
+                return Pair(first, second, True, f"they touch in all of {SAMPLES} configurations")
+            if any(self._contacts.touch(first, second, k, bare) for k in near.tolist()):
+                return Pair(
+                    first, second, False, "their collision geometry parts, though what is seen of them does not"
+                )
+            return self._never(first, second, near, "collision geometry", bare)
+        if any(self._contacts.touch(first, second, k) for k in near.tolist()):
             return Pair(first, second, False, "their meshes can collide")
-        least = self._nearest(i, j, near)
-        share = f"their meshes met in none of {SAMPLES} configurations (less than {300 / SAMPLES:.2g} % of all, with 95 % confidence)"
+        return self._never(first, second, near, "meshes")
+
+    def _always(self, first: str, second: str, near: NDArray[np.intp], bare: Sequence[str] = ()) -> bool:
+        """Whether they touch in all configurations."""
+        return len(near) == SAMPLES and all(self._contacts.touch(first, second, k, bare) for k in near[::-1].tolist())
+
+    def _never(self, first: str, second: str, near: NDArray[np.intp], what: str, bare: Sequence[str] = ()) -> Pair:
+        """What becomes of two links that touched in none."""
+        least = self._nearest(first, second, near, bare)
+        share = f"their {what} met in none of {SAMPLES} configurations (less than {300 / SAMPLES:.2g} % of all, with 95 % confidence)"
         if least > CLEAR:
             return Pair(first, second, True, f"{share}, and come no nearer than {1e3 * least:.0f} mm")
-        if least > 0.0 and all(self._overlap(i, j, poses) for poses in self._poses[:_CROWD]):
-            return Pair(
-                first,
-                second,
-                True,
-                f"{share}; they come as near as {1e3 * least:.1f} mm, but what contains them always overlaps",
-            )
-        return Pair(first, second, False, f"{share}, but come as near as {1e3 * max(least, 0.0):.1f} mm")
+        if least > 0.0 and all(self._overlap(first, second, k) for k in range(_CROWD)):
+            contained = f"they come as near as {1e3 * least:.1f} mm, but what contains them always overlaps"
+            return Pair(first, second, True, f"{share}; {contained}")
+        return Pair(first, second, False, f"{share}, but come as near as {1e3 * least:.1f} mm")
 
-    def _touch(self, i: int, j: int, poses: Array) -> bool:
-        return bool(fcl.collide(*self._objects(i, j, poses), fcl.CollisionRequest(), fcl.CollisionResult()))
-
-    def _distance(self, i: int, j: int, q: Array) -> float:
-        """Of the meshes (m), 0 where they touch."""
-        poses = self._model.link_transforms(q)
-        if self._touch(i, j, poses):
-            return 0.0
-        return max(0.0, float(fcl.distance(*self._objects(i, j, poses), fcl.DistanceRequest(), fcl.DistanceResult())))
-
-    def _nearest(self, i: int, j: int, near: NDArray[np.intp]) -> float:
+    def _nearest(self, first: str, second: str, near: NDArray[np.intp], bare: Sequence[str]) -> float:
         """The smallest distance (m) found by walking from the samples whose covers overlap most."""
         rng = np.random.default_rng(1)
-        model = self._model
-        between = np.arange(model.dof) > min(model.link_joint[i], model.link_joint[j])
-        between &= np.arange(model.dof) <= max(model.link_joint[i], model.link_joint[j])
+        lower, upper = self._contacts.lower, self._contacts.upper
+        moves = np.arange(len(lower))
+        between = (moves >= self._contacts.body[first]) & (moves < self._contacts.body[second])
         least = np.inf
         for k in near[:_SEARCHES]:
-            q = self.q[k]
-            best = self._distance(i, j, q)
+            q = self._contacts.q[k]
+            best = self._contacts.distance(first, second, q, bare)
             width = 0.3
             for _ in range(_STEPS):
-                tried = np.clip(q + between * rng.normal(scale=width, size=model.dof), model.lower, model.upper)
-                found = self._distance(i, j, tried)
+                tried = np.clip(q + between * rng.normal(scale=width, size=len(q)), lower, upper)
+                found = self._contacts.distance(first, second, tried, bare)
                 if found < best:
                     q, best = tried, found
                 else:
                     width *= 0.93
             least = min(least, best)
         return least
-
-    def _objects(self, i: int, j: int, poses: Array) -> list[Any]:
-        return [
-            fcl.CollisionObject(self._meshes[self._model.links[k]], fcl.Transform(poses[k, :3, :3], poses[k, :3, 3]))
-            for k in (i, j)
-        ]
 
 
 def _gaps(one: Array, other: Array) -> Array:
@@ -176,11 +165,3 @@ def _placed(balls: Array, poses: Array) -> Array:
     """Balls (k, 4) at poses (n, 4, 4), as (n, k, 4)."""
     centers = np.einsum("nij,kj->nki", poses[:, :3, :3], balls[:, :3]) + poses[:, None, :3, 3]
     return np.concatenate([centers, np.broadcast_to(balls[:, 3:], (*centers.shape[:2], 1))], axis=2)
-
-
-def _bvh(triangles: Array) -> Any:
-    mesh = fcl.BVHModel()
-    mesh.beginModel(len(triangles), 3 * len(triangles))
-    mesh.addSubModel(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-    mesh.endModel()
-    return mesh

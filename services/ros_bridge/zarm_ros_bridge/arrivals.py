@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.action import ActionServer
 from rclpy.action.server import ServerGoalHandle
 
-from zarm_ros_bridge.rclpy_parts import goal_asked_for
+from zarm_ros_bridge.rclpy_parts import goal_asked_for, goal_taken_up
 
 _arrivals = itertools.count()
 
@@ -37,6 +37,12 @@ class OrderedActionServer(ActionServer):  # type: ignore[misc] # rclpy is not fo
         finally:
             if (goal := goal_asked_for(taken_data)) is not None:
                 del self._coming[id(goal)]
+
+    def take_up(self, goal: bytes) -> None:
+        """Go on with a goal that an earlier server of this name had accepted, unless it is known here. Its handle has no request."""
+        if (handle := goal_taken_up(self, goal)) is not None:
+            handle.arrival = next(_arrivals)
+            handle.execute()
 
     def _accepted(self, handle: ServerGoalHandle) -> None:
         handle.arrival = self._coming[id(handle.request)]

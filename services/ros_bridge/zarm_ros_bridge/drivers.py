@@ -50,6 +50,7 @@ class Drivers:
         self._progress = ProgressReader()
         self._expiry = Expiry()
         self._standing = Standing(engine.robot.descriptor.execution.joint_state_timeout)
+        self._hurry = ros.hurry
         self._turn = threading.Lock()  # commands come in a thread of the bus, progress in one of ROS
         self._states = engine.bus.publisher(keys.driver_joint_states, JointState, realtime=True)
         self._played = engine.bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)
@@ -72,21 +73,24 @@ class Drivers:
         with self._turn:
             self._progress.sent(command.sequence, len(command.time))
             self._commands.publish(message)
+        self._hurry()
 
     def _matched(self, listeners: Any) -> None:
         change = "come" if listeners.current_count_change > 0 else "gone"
         log.info("a driver has %s topic=%s listeners=%d", change, self._commands.topic_name, listeners.current_count)
 
-    def _joint_states(self, message: bytes) -> None:
+    def _joint_states(self, message: bytes) -> float | None:
+        """For how long (s) the next ones may wait."""
         try:
             state = self._told.read(message)
         except InvalidRequest as error:
             self._complain(f"{error.problem.field}: {error.problem.message}")
-            return
+            return None
         now = time.monotonic()
         self._expiry.told(state.stamp, now)
         if self._standing.passes(state, now):
             self._states.put(state)
+        return self._standing.pause
 
     def _state(self, message: Float32) -> None:
         if not math.isfinite(message.data):

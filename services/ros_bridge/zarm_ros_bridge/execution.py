@@ -15,20 +15,20 @@ from sensor_msgs.msg import JointState
 
 from zarm.connection import ANSWER_SECONDS
 from zarm_contract.errors import Busy, ExecutionRefused, InternalError, ZarmError, from_problem
-from zarm_contract.messages import ExecuteRequest, GoalState
+from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState
 from zarm_ros_bridge.arrivals import OrderedActionServer
 from zarm_ros_bridge.closed_loop import CLOSED_LOOP, FEEDBACK_UNIT, ClosedLoop
 from zarm_ros_bridge.convert.joints import ros_positions
 from zarm_ros_bridge.convert.times import ros_time
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.generations.generation import Generation
-from zarm_ros_bridge.goals import ASK_SECONDS, Run, states_of
+from zarm_ros_bridge.goals import ASK_SECONDS, GOAL, Run, states_of
 from zarm_ros_bridge.motions import Motions
 from zarm_ros_bridge.parameters import Parameters
 from zarm_ros_bridge.ros import REQUESTS, Ros
 
 if TYPE_CHECKING:
-    from curobo_msgs.action import MpcMove, SendTrajectory
+    from curobo_msgs.action import SendTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -54,11 +54,12 @@ class ExecutionActions:
         self._turn = threading.Condition()
         self._running: Run | None = None
         self._newest: Run | None = None  # the one that came last
+        self._servers: dict[str, OrderedActionServer] = {}
         self._closed_loop = ClosedLoop(ros, engine, parameters, generation)
         engine.client.connection.goals.listen()
-        self._serve("SendTrajectory", "execute_trajectory", self._execute, self._admit)
-        self._serve("SendTrajectory", "send_trajectory", self._execute, self._admit)
-        self._serve("MpcMove", "mpc_move", self._move_closed, self._admit)
+        self._serve("SendTrajectory", "execute_trajectory", self._move)
+        self._serve("SendTrajectory", "send_trajectory", self._move)
+        self._serve("MpcMove", "mpc_move", self._closed_loop.move)
 
     def __enter__(self) -> Self:
         return self
@@ -71,15 +72,25 @@ class ExecutionActions:
             run.leave()
             run.ended.wait(_END_SECONDS)
 
-    def _serve(self, kind: str, name: str, execute: Any, admit: Any) -> None:
+    def take_up_goals(self) -> None:
+        """From now on go on with a goal of a bridge that was killed: its client hears of it again, and can cancel it."""
+        self._engine.bus.watch(self._engine.keys.executor_state, ExecutorState, self._take_up)
+
+    def _take_up(self, _: str, state: ExecutorState) -> None:
+        found = GOAL.fullmatch(state.goal_id or "")
+        if found is not None and (server := self._servers.get(found["action"])) is not None:
+            server.take_up(bytes.fromhex(found["id"]))
+
+    def _serve(self, kind: str, name: str, move: Callable[[Run], str]) -> None:
+        """`move` moves the robot for a goal of this action; it returns the message of a success."""
         if (action := self._generation.types.get(f"action/{kind}")) is None:
             return
-        OrderedActionServer(  # which the node keeps
+        self._servers[name] = OrderedActionServer(
             self._ros.node,
             action,
             f"~/{name}",
-            execute,
-            goal_callback=admit,
+            lambda handle: self._carry_out(action.Result, Run(handle, self._engine, name), move),
+            goal_callback=self._admit,
             cancel_callback=self._cancel,
             callback_group=self._ros.group,
             goal_service_qos_profile=REQUESTS,
@@ -102,16 +113,8 @@ class ExecutionActions:
             run.cancel()
         return CancelResponse.ACCEPT
 
-    def _execute(self, handle: ServerGoalHandle) -> SendTrajectory.Result:
-        return self._carry_out("SendTrajectory", handle, self._move)
-
-    def _move_closed(self, handle: ServerGoalHandle) -> MpcMove.Result:
-        return self._carry_out("MpcMove", handle, self._closed_loop.move)
-
-    def _carry_out(self, kind: str, handle: ServerGoalHandle, move: Callable[[Run], str]) -> Any:
-        """The result of a goal, for which `move` moves the robot; it returns the message of a success."""
-        run = Run(handle, self._engine)
-        result = self._generation.types[f"action/{kind}"].Result
+    def _carry_out(self, result: type[Any], run: Run, move: Callable[[Run], str]) -> Any:
+        """The result of a goal."""
         try:
             self._take_turn(run)
             message = move(run)
@@ -122,7 +125,7 @@ class ExecutionActions:
             fault = InternalError("the ROS bridge failed on this goal; its log has the trace")
             return result(success=False, message=self._failed(run, fault))
         else:
-            handle.succeed()
+            run.handle.succeed()
             return result(success=True, message=message)
         finally:
             self._pass_turn(run)
@@ -160,7 +163,7 @@ class ExecutionActions:
             other.preempt()
             self._wait_for_turn(run)
         client = self._engine.client
-        if preempt and (goal_id := client.state().goal_id) is not None:  # of a client elsewhere
+        if preempt and (goal_id := client.state().goal_id) not in (None, run.name):  # of a client elsewhere
             client.cancel(goal_id, timeout=ASK_SECONDS)
             for _ in states_of(self._engine, goal_id):
                 run.go_on()
@@ -182,7 +185,7 @@ class ExecutionActions:
 
     def _move(self, run: Run) -> str:
         """Plan where there is a target, and execute; or follow it, as the active planner does. Raises what the services answer."""
-        if (planner := self._motions.planner) in CLOSED_LOOP:
+        if (planner := self._motions.planner) in CLOSED_LOOP and not run.taken_up:
             return self._closed_loop.execute(run, planner)
         feedback = _Feedback(
             run.handle, self._engine.joints, self._parameters.value("time_dilation_factor"), self._generation
@@ -195,6 +198,8 @@ class ExecutionActions:
 
     def _start(self, run: Run, feedback: _Feedback) -> str:
         """The goal of the executor that a client's goal becomes; where it has a target, that is planned to."""
+        if run.taken_up:
+            return run.name
         goal, motions = run.handle.request, self._motions
         asked = self._generation.goal(goal, motions.planner, self._engine.joints)
         if asked is None:
@@ -211,7 +216,10 @@ class ExecutionActions:
     def _started(self, run: Run, request: ExecuteRequest) -> str:
         run.go_on()
         return self._engine.client.start(
-            request, replan=self._parameters.value("replan_in_motion"), timeout=ANSWER_SECONDS
+            request,
+            goal_id=run.name,
+            replan=self._parameters.value("replan_in_motion"),
+            timeout=ANSWER_SECONDS,
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import secrets
 import threading
 import time
@@ -21,6 +22,8 @@ SILENCE = 5.0
 """Seconds without a word about a goal after which its executor is taken for gone."""
 ASK_SECONDS = 1.0
 """Longest wait for the answer to a cancel."""
+GOAL = re.compile("(?P<action>[a-z_]+)-(?P<id>[0-9a-f]{32})")
+"""The goal of the executor that a goal of this action becomes, which has this id on ROS."""
 _AGAIN = 1.0  # s after which a cancel that has had no effect is sent again
 _NOTED = 5.0  # s from being told of a cancel to rclpy's note of it, at most: two questions are asked in between
 
@@ -51,11 +54,14 @@ class _Ending(CtrlC):
 class Run:
     """One goal of a client, from its turn to its result. Safe from any thread.
 
-    `ended` is set when its outcome is certain; `preempted` says that another goal ended it.
+    `ended` is set when its outcome is certain; `preempted` says that another goal ended it. By its `name` for
+    the executor, as `GOAL` has it, the next bridge takes it up where this one is killed: then it was `taken_up`.
     """
 
-    def __init__(self, handle: ServerGoalHandle, engine: Engine) -> None:
+    def __init__(self, handle: ServerGoalHandle, engine: Engine, action: str) -> None:
         self.handle = handle
+        self.name = f"{action}-{bytes(handle.goal_id.uuid).hex()}"
+        self.taken_up = handle.request is None
         self.ended = threading.Event()
         self.preempted = False
         self._engine = engine

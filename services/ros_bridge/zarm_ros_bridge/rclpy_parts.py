@@ -5,14 +5,20 @@ Tried with rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy). tests/ros/test_rclpy_parts.py sa
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import threading
+import time
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.action import ActionServer
+from rclpy.action.server import GoalInfo, ServerGoalHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
+from rclpy.subscription import Subscription
+from rclpy.task import Future
 
 RCLError = rclpy_implementation.RCLError
 WaitSet = rclpy_implementation.WaitSet
@@ -25,10 +31,29 @@ SENDERS = (
 """Where rclpy sends replies: class and name of the method. Where there is no way yet to the client it warns `UNSENT`."""
 UNSENT = "failed to send response"
 
+MOST = 16
+"""So many messages of one topic are taken before it is looked at the others."""
+CALM = 1.0
+"""For so long (s) nothing but what may wait has come to a `Reception` before anything waits."""
+
 
 def goal_asked_for(taken: dict[str, Any]) -> Any | None:
     """The goal among what `ActionServer.take_data` has taken, if there is one; the goal's handle has the same as `request`."""
     return taken["goal"][1].goal if "goal" in taken else None
+
+
+def goal_taken_up(server: ActionServer, goal: bytes) -> ServerGoalHandle | None:
+    """The handle of a goal that an earlier server had accepted, without its request; None where this server knows it already."""
+    info = GoalInfo()
+    info.goal_id.uuid = list(goal)
+    with server._lock:
+        if server._handle.goal_exists(info):
+            return None
+        handle = ServerGoalHandle(server, info, None)
+        server._goal_handles[goal] = handle
+        server._result_futures[goal] = Future()
+    server.add_future(server._result_futures[goal])
+    return handle
 
 
 class Reception:
@@ -42,9 +67,15 @@ class Reception:
         self._node = node
         self._end = node.create_guard_condition(None)
         self._ended = False
+        self._hurried = threading.Event()
+        self._calm_at = 0.0
 
     def run(self) -> None:
-        """Call the callback of each message, and of each event of a subscription, until `end`. Raises what a callback raises."""
+        """Call the callback of each message, and of each event of a subscription, until `end`. Raises what a callback raises.
+
+        Where all of them return seconds, and have for `CALM` s, nothing is taken for so long, or until `hurry`; then what has come
+        meanwhile is.
+        """
         subscriptions = list(self._node.subscriptions)
         events = [event for subscription in subscriptions for event in subscription.event_handlers]
         wait_set = WaitSet(len(subscriptions), 1, 0, 0, 0, len(events), self._node.context.handle)
@@ -55,19 +86,42 @@ class Reception:
             for event in events:
                 event.add_to_wait_set(wait_set)
             wait_set.wait(-1)
-            for subscription, place in zip(subscriptions, places, strict=True):
-                if wait_set.is_ready("subscription", place) and (
-                    taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
-                ):
-                    subscription.callback(taken[0])
+            pauses = [
+                subscription.callback(message) or 0.0
+                for subscription, place in zip(subscriptions, places, strict=True)
+                if wait_set.is_ready("subscription", place)
+                for message in _taken(subscription)
+            ]
             for event in events:
                 if event.is_ready(wait_set) and (status := event.take_data()):
                     event.callback(status)
+            self._pause(min(pauses, default=0.0))
+
+    def _pause(self, seconds: float) -> None:
+        now = time.monotonic()
+        if not seconds or self._hurried.is_set():
+            self._hurried.clear()
+            self._calm_at = now + CALM
+        elif now > self._calm_at:
+            self._hurried.wait(seconds)
+
+    def hurry(self) -> None:
+        """End a pause, and have none for `CALM` s, from any thread."""
+        self._hurried.set()
 
     def end(self) -> None:
         """Have `run` return, from any thread."""
         self._ended = True
+        self._hurried.set()
         self._end.trigger()
+
+
+def _taken(subscription: Subscription) -> Iterator[Any]:
+    """What has come on a subscription, `MOST` messages of it."""
+    for _ in range(MOST):
+        if (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is None:
+            return
+        yield taken[0]
 
 
 class CheckedParameterService(ParameterService):  # type: ignore[misc] # rclpy is not followed

@@ -66,13 +66,20 @@ class Ros:
         self,
         kind: type[Any],
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[[Any], float | None],
         qos: QoSProfile | int,
         *,
         raw: bool = False,
     ) -> None:
-        """Call `callback(message)` for each message on `topic`, as bytes if `raw`, one at a time. Before `spin`."""
+        """Call `callback(message)` for each message on `topic`, as bytes if `raw`, one at a time. Before `spin`.
+
+        Where it returns seconds, and nothing else comes, what comes on any of these topics may wait for so long, until `hurry`.
+        """
         self._listener.create_subscription(kind, topic, callback, qos, raw=raw)
+
+    def hurry(self) -> None:
+        """What comes to who listens may not wait any more."""
+        self._reception.hurry()
 
     def spin(self) -> None:
         """Serve from now on."""

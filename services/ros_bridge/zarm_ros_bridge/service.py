@@ -73,13 +73,14 @@ def start(service: Service) -> Iterator[None]:
         with (
             topics,
             StrategyServices(ros, first, engine, parameters, generation),
-            ExecutionActions(ros, engine, parameters, motions, generation),
+            ExecutionActions(ros, engine, parameters, motions, generation) as actions,
             ServoCommands(ros, engine),
             Availability(engine, parameters),
             Diagnostics(ros, engine),
         ):
             ros.spin()
             first.spin()
+            actions.take_up_goals()
             service.ready()
             yield
 

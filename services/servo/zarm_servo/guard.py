@@ -8,8 +8,6 @@ import threading
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from zarm_contract.errors import Problem, ZarmError
 from zarm_contract.messages import (
     Authority,
@@ -31,6 +29,7 @@ from zarm_servo.replanning import Replanner
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_servo.session import Session
 from zarm_servo.stopping import StoppingTime, reaction
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -66,7 +65,7 @@ class Guard:
         self.session: Session | None = None
         self.replanner: Replanner | None = None
         self._goals = GoalMonitor(descriptor.joints, measured)
-        self._acceleration, self._reaction = np.array(descriptor.cspace.acceleration), reaction(descriptor)
+        self._limits, self._reaction = RateLimits.of(descriptor), reaction(descriptor)
         self._checker = checker
         self._authorities = authorities
         self._states = states
@@ -200,7 +199,7 @@ class Guard:
             return self._validity
         before, reached = time.perf_counter(), self._goals.reached(followed, time.monotonic())
         if self._stopping is None or self._stopping[0] is not followed.trajectory:
-            stopping = StoppingTime(followed.trajectory, self._acceleration, self._reaction)
+            stopping = StoppingTime(followed.trajectory, self._limits, self._reaction)
             self._stopping = followed.trajectory, stopping
         try:
             found = self._checker.validity_among(

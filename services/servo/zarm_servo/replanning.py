@@ -19,24 +19,25 @@ from zarm_contract.messages import (
     JointState,
     Plan,
     PlanRequest,
+    PoseGoal,
     ReplaceTrajectory,
     StartState,
 )
 from zarm_contract.robot import RobotDescription
 from zarm_runtime.bus import Latest
 from zarm_runtime.metrics import Metrics
-from zarm_servo.check import Checker
+from zarm_servo.check import AHEAD, Checker
+from zarm_servo.lead import Lead
 from zarm_servo.moving_objects import MovingObjects
 from zarm_servo.scene_monitor import SceneMonitor
 from zarm_servo.stopping import StoppingTime, reaction
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
-SHORTEST_LEAD, LONGEST_LEAD = 0.04, 0.4
-"""A new trajectory takes over this long (s) after it was asked for: the planner and two messages need so much."""
-_LATER, _EARLIER = 2.0, 0.9
-"""The lead is so many times as long after a plan that came too late, and after one that came in time."""
+_LEAST_TIME = 0.001
+"""The planner is given so long (s) at least."""
 _ATTEMPTS = 4
 """So often a blocked trajectory is planned anew in motion; then the robot stops first."""
 REST_DEADLINE = 1.0
@@ -78,12 +79,10 @@ class Replanner:
         metrics: Metrics,
     ) -> None:
         self._joints = robot.descriptor.joints
-        self._velocity, self._acceleration = (
-            np.array(limit) for limit in (robot.descriptor.cspace.velocity, robot.descriptor.cspace.acceleration)
-        )
+        self._strategy_params = robot.descriptor.strategy_params
+        self._velocity, self._limits = np.array(robot.descriptor.cspace.velocity), RateLimits.of(robot.descriptor)
         self._reaction = reaction(robot.descriptor)
-        params = robot.descriptor.strategy_params
-        self._delay = 0.0 if params is None else params.delay + params.point_dt
+        self._ahead = 0.0
         self._checker = checker
         self._monitor, self._moving = monitor, moving
         self._measured = measured
@@ -94,7 +93,7 @@ class Replanner:
         self._goal: tuple[GoalState, float] | None = None
         self._speed_scale = 1.0
         self._pace: tuple[str, float, float] = ("", 1.0, 1.0)
-        self._lead = SHORTEST_LEAD
+        self._lead = Lead()
         self._stops: GoalTrajectory | None = None  # of which there is no plan in motion
         self._replaced: GoalTrajectory | None = None  # which the executor follows no longer
         self._asked_at_rest = -np.inf
@@ -114,8 +113,9 @@ class Replanner:
     # -- what is heard, from any thread --
 
     def hear_state(self, _key: str, state: ExecutorState) -> None:
-        """At which share of the planned speed the robot moves."""
-        self._speed_scale = state.speed_scale
+        """At which share of the planned speed the robot moves, and how far (s) ahead of what it tells it is commanded."""
+        self._speed_scale, params = state.speed_scale, self._strategy_params
+        self._ahead = 0.0 if params is None or state.strategy == "emulator" else params.delay + params.point_dt
 
     def hear_goal(self, _key: str, goal: GoalState) -> None:
         """How far a goal is."""
@@ -159,35 +159,33 @@ class Replanner:
     def _replan_in_motion(self, blocked: Blocked) -> None:
         """Plan from a state ahead. Raises the ZarmError for which there is no plan in motion."""
         for _ in range(_ATTEMPTS):
-            asked = time.monotonic()
-            at = self._commanded(asked) + self._lead * self._speed_scale + self._delay
+            asked, lead = time.monotonic(), self._lead.seconds
+            at = self._commanded(asked) + (lead + self._ahead) * self._speed_scale
             if self._blocked is None or at >= min(blocked.until, blocked.trajectory.duration):
                 break
             position, velocity, acceleration = (tuple(row.tolist()) for row in blocked.trajectory.at(at))
             start = StartState(position=position, velocity=velocity, acceleration=acceleration)
             try:
-                plan = self._ask(self._request(blocked, self._lead, start), self._lead)
-                if self._free(plan):
-                    self._put(blocked, plan, at)
-                    self._lead = max(SHORTEST_LEAD, _EARLIER * self._lead)
-                    self._note(blocked, "motion", time.monotonic() - asked)
+                plan = self._plan(blocked, asked + lead, start)
+                if self._follow(blocked, plan, at):
+                    took = time.monotonic() - asked
+                    self._lead.in_time(took)
+                    self._note(blocked, "motion", took)
                     return
             except (DeadlineExceeded, ExecutionRefused) as error:
-                log.info(
-                    "replanned too late goal_id=%s lead=%.3f reason=%s", blocked.message.goal_id, self._lead, error
-                )
-                self._lead = min(_LATER * self._lead, LONGEST_LEAD)
-            except ZarmError:
-                self._stops = blocked.message
-                raise
+                log.info("replanned too late goal_id=%s lead=%.3f reason=%s", blocked.message.goal_id, lead, error)
+                self._lead.too_late()
+            except ZarmError as error:
+                if error.problem.code != "no_path":
+                    self._stops = blocked.message
+                    raise
         self._stops = blocked.message
 
     def _replan_at_rest(self, blocked: Blocked) -> None:
         asked = time.monotonic()
         try:
-            plan = self._ask(self._request(blocked, REST_DEADLINE), REST_DEADLINE)
-            if self._free(plan):
-                self._put(blocked, plan, None)
+            plan = self._plan(blocked, asked + REST_DEADLINE)
+            if self._follow(blocked, plan, None):
                 self._note(blocked, "rest", time.monotonic() - asked)
         except Busy:  # it has not quite come to rest
             raise
@@ -199,35 +197,50 @@ class Replanner:
         measured = self._measured.get(max_age=_FRESH)
         return measured is not None and max(map(abs, measured.velocity)) <= self._stopped
 
-    def _request(self, blocked: Blocked, deadline: float, start: StartState | None = None) -> PlanRequest:
-        """To the end of the trajectory, no faster than the goal was at first; from where the robot is, or from `start`."""
+    def _plan(self, blocked: Blocked, deadline: float, start: StartState | None = None) -> Plan:
+        """To the end of the trajectory before the moment `deadline` (s, monotonic), from where the robot is, or from `start`.
+
+        Where something stands at those joints and the goal is a pose, to any joints that bring the tip there.
+        """
+        joints, tip = JointGoal(kind="joints", position=tuple(blocked.trajectory.end.tolist())), blocked.message.tip
+        try:
+            return self._ask_for(joints, deadline, start)
+        except ZarmError as error:
+            if tip is None or error.problem.code != "goal_in_collision":
+                raise
+        return self._ask_for(PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation), deadline, start)
+
+    def _ask_for(self, goal: JointGoal | PoseGoal, deadline: float, start: StartState | None) -> Plan:
+        """A plan that is no faster than the goal was at first. Raises DeadlineExceeded at the moment `deadline` (s, monotonic)."""
         _, velocity, acceleration = self._pace
-        return PlanRequest(
-            goal=JointGoal(kind="joints", position=tuple(blocked.trajectory.end.tolist())),
-            start_state=start,
-            timeout=deadline,
-            optimize_s=0.0,
-            velocity_scale=velocity,
-            acceleration_scale=acceleration,
-            publish=False,
+        left = max(deadline - time.monotonic(), _LEAST_TIME)
+        return self._ask(
+            PlanRequest(
+                goal=goal,
+                start_state=start,
+                timeout=left,
+                optimize_s=0.0,
+                velocity_scale=velocity,
+                acceleration_scale=acceleration,
+                publish=False,
+            ),
+            left,
         )
 
-    def _free(self, plan: Plan) -> bool:
-        """Whether a plan is free in the scene as it is known here by now, and of what moves: the executor follows it to its end until the
-        guard has looked at it.
-        """
+    def _follow(self, blocked: Blocked, plan: Plan, at: float | None) -> bool:
+        """Have the executor follow a plan that is free in the scene as it is known here by now, and of what moves; whether it is."""
         now = time.monotonic()
         scene, verified = self._monitor.snapshot(now), self._monitor.at(plan.scene_revision)
         trajectory, movers = TimedTrajectory.of(plan.trajectory, self._joints), self._moving.of(scene)
         moving = [mover.item.name for mover in movers]
         if self._checker.validity(trajectory, 0.0, scene, verified, moving).until is not None:
             return False
-        if not movers:
-            return True
-        stopping = StoppingTime(trajectory, self._acceleration, self._reaction).after(0.0)
-        return self._checker.validity_among(trajectory, 0.0, scene, movers, now, stopping).until is None
-
-    def _put(self, blocked: Blocked, plan: Plan, at: float | None) -> None:
+        until = None
+        if movers:
+            stopping = StoppingTime(trajectory, self._limits, self._reaction).after(0.0)
+            if self._checker.validity_among(trajectory, 0.0, scene, movers, now, stopping).until is not None:
+                return False
+            until = AHEAD
         message = blocked.message
         self._replace(
             ReplaceTrajectory(
@@ -236,9 +249,11 @@ class Replanner:
                 at=at,
                 trajectory=plan.trajectory,
                 scene_revision=plan.scene_revision,
+                until=until,
             )
         )
         self._replaced = message
+        return True
 
     def _commanded(self, now: float) -> float:
         """The path time (s) that is commanded at the moment `now`, or somewhat later. Raises Unavailable where the goal has ended."""
@@ -251,7 +266,7 @@ class Replanner:
     def _used(self, trajectory: TimedTrajectory) -> tuple[float, float]:
         """The shares of the velocity and acceleration limits that a trajectory may take that replaces this one."""
         velocity = float((np.abs(trajectory.velocity) / self._velocity).max())
-        acceleration = float((np.abs(trajectory.acceleration) / self._acceleration).max())
+        acceleration = float((np.abs(trajectory.acceleration) / self._limits.acceleration).max())
         return min(max(_PACE * velocity, _LEAST_PACE), 1.0), min(max(_PACE * acceleration, _LEAST_PACE), 1.0)
 
     def _note(self, blocked: Blocked, kind: str, took: float) -> None:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import gc
 import logging
-import os
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -34,7 +32,7 @@ from zarm_contract.messages import (
 )
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
-from zarm_runtime.service import Service, run_service, service_parser
+from zarm_runtime.service import Service, add_meshes, run_service, service_parser
 from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.global_plan import TIMEOUT
 from zarm_servo.guard import Guard
@@ -135,14 +133,7 @@ def start(service: Service) -> Iterator[None]:
 def main() -> int:
     """Run the servo of one robot until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("servo")
-    parser.add_argument(
-        "--meshes",
-        type=Path,
-        action="append",
-        default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
-        metavar="FOLDER",
-        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES: those of the planner; repeatable",
-    )
+    add_meshes(parser)
     return run_service("servo", parser, start)
 
 

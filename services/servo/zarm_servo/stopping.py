@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from zarm_contract.robot import RobotDescriptor
-from zarm_trajectory.braking import braking
-from zarm_trajectory.quintic import Array
+from zarm_trajectory.follower import Follower
+from zarm_trajectory.path_state import PathState
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.05
@@ -34,10 +35,10 @@ def reaction(descriptor: RobotDescriptor) -> float:
 
 
 class StoppingTime:
-    """Times to rest from the full speed of one trajectory, with acceleration limits (J,) in rad/s^2 and a `reaction` (s) before."""
+    """Times to rest from the full speed of one trajectory, inside `limits`, with a `reaction` (s) before."""
 
-    def __init__(self, trajectory: TimedTrajectory, limit: Array, reaction: float) -> None:
-        self._trajectory, self._limit, self._reaction = trajectory, limit, reaction
+    def __init__(self, trajectory: TimedTrajectory, limits: RateLimits, reaction: float) -> None:
+        self._follower, self._reaction = Follower(trajectory, limits), reaction
         self._known: dict[int, float] = {}
 
     def after(self, time: float) -> float:
@@ -47,7 +48,7 @@ class StoppingTime:
 
     def _braking(self, k: int) -> float:
         if k not in self._known:
-            time = min(max(k * _STEP, float(self._trajectory.time[0])), self._trajectory.duration)
-            way = braking(self._trajectory, time, 1.0, self._limit, _POINT)
-            self._known[k] = _POINT * (len(way) - 1)
+            trajectory = self._follower.trajectory
+            time = min(max(k * _STEP, trajectory.begin), trajectory.duration)
+            self._known[k] = _POINT * self._follower.moved_to(PathState(time, 1.0), 0.0).ahead(_POINT).last
         return self._known[k]

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from viser import ClientHandle, TransformControlsEvent
-from viser.transforms import SE3, SO3
+from viser.transforms import SE3
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest
 from zarm_viewer.arm import Arm
 from zarm_viewer.desk import Desk
-from zarm_viewer.kinematics import Array, message_of
+from zarm_viewer.kinematics import Array, message_of, pose_at
 
 FREE, COLLIDING, UNREACHABLE = (64, 192, 87), (240, 62, 62), (134, 142, 150)
 BRANCHES = 8
@@ -89,7 +89,7 @@ class Goal:
 
         @self.gizmo.on_update
         async def _(event: TransformControlsEvent) -> None:
-            pose = SE3.from_rotation_and_translation(SO3(np.array(event.target.wxyz)), np.array(event.target.position))
+            pose = pose_at(event.target)
             self.dragged(pose, event.client)
             self.reach(pose)
 

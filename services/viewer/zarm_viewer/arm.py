@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,10 @@ from zarm_contract.robot import RobotDescription
 from zarm_viewer.drawing import Brush, Colour, file_mesh, link_mesh
 from zarm_viewer.kinematics import Array, motion, origin
 
+log = logging.getLogger(__name__)
+
 SPHERES = (250, 176, 5)
+_FORMATS = (".stl", ".obj", ".dae")
 STILL = 1e-4
 """A joint that has moved less (rad or m) is not drawn anew."""
 
@@ -32,7 +36,7 @@ class _Visual:
 class Arm:
     """One drawing of a robot under the node `root`; the browser places each link in its parent, so that only joints are sent.
 
-    Links look like their visual meshes where the URDF names STL or OBJ files that are there, else like their exact geometry.
+    Links look like their visual meshes where the URDF names STL, OBJ or COLLADA files that are there, else like their exact geometry.
     """
 
     def __init__(self, api: viser.SceneApi, root: str, robot: RobotDescription, colour: Colour, opacity: float) -> None:
@@ -67,10 +71,14 @@ class Arm:
     def _draw_link(
         self, brush: Brush, node: str, robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]
     ) -> None:
-        for index, visual in enumerate(visuals):
-            mesh = file_mesh(visual.file, visual.scale)
-            self._shapes.append(brush.mesh(f"{node}/visual_{index}", mesh, visual.at))
-        if not visuals and (primitives := robot.descriptor.collision.get(link)):
+        try:
+            meshes = [(file_mesh(visual.file, visual.scale), visual.at) for visual in visuals]
+        except (ValueError, OSError) as error:
+            log.warning("visual mesh not drawn link=%s reason=%s", link, error)
+            meshes = []
+        for index, (mesh, at) in enumerate(meshes):
+            self._shapes.append(brush.mesh(f"{node}/visual_{index}", mesh, at))
+        if not meshes and (primitives := robot.descriptor.collision.get(link)):
             self._shapes.append(brush.mesh(f"{node}/shape", link_mesh(primitives), SE3.identity()))
 
     def move(self, joints: Array) -> bool:
@@ -142,7 +150,7 @@ def _visual(element: ET.Element, folder: Path) -> _Visual | None:
     if mesh is None:
         return None
     file = folder / mesh.get("filename", "").removeprefix("file://")
-    if file.suffix.lower() not in (".stl", ".obj") or not file.is_file():
+    if file.suffix.lower() not in _FORMATS or not file.is_file():
         return None
     x, y, z = _numbers(mesh.get("scale", "1 1 1"))
     place = SE3.identity()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+import collada
 import numpy as np
 import trimesh
 import viser
@@ -70,10 +71,24 @@ def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
 
 
 def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
-    """The triangles of a file, times `scale`. Raises ValueError and OSError for one that cannot be read."""
-    mesh: Any = trimesh.load_mesh(file, process=False, skip_materials=True)
-    mesh.apply_scale(scale)
+    """The triangles of a file in m, times `scale`. Raises ValueError and OSError for one that cannot be read."""
+    try:
+        mesh: Any = trimesh.load_mesh(file, process=False, skip_materials=True)
+        unit = _metres(file) if file.suffix.lower() == ".dae" else 1.0
+    except (ValueError, OSError):
+        raise
+    except Exception as error:  # parsers of broken files raise whatever they stumble over
+        raise ValueError(f"{file} cannot be read: {error}") from error
+    if not len(mesh.faces):
+        raise ValueError(f"{file} cannot be read: it holds no triangles")
+    mesh.apply_scale(unit * np.array(scale))
     return _edged(mesh)
+
+
+def _metres(file: Path) -> float:
+    """Metres per unit of a COLLADA file, as RViz takes it; trimesh leaves it out."""
+    unit = collada.Collada(str(file), ignore=[collada.common.DaeError]).assetInfo.unitmeter
+    return float(unit) if unit else 1.0
 
 
 def draw_object(brush: Brush, name: str, item: SceneObject, meshes: tuple[Path, ...]) -> SceneNodeHandle | None:

@@ -70,7 +70,7 @@ class Gate:
             serve = websockets.asyncio.server.serve
             setattr(websockets.asyncio.server, "serve", partial(_gated, serve, self))  # noqa: B010 - no such attribute, to mypy
             try:
-                return viser.ViserServer(host=self.host, port=self.port, label=title, verbose=False)
+                return _Server(host=self.host, port=self.port, label=title, verbose=False)
             finally:
                 setattr(websockets.asyncio.server, "serve", serve)  # noqa: B010
 
@@ -102,6 +102,13 @@ class Gate:
             raise Unavailable(
                 f"the page cannot be served at {self.host}:{self.port}: {error.strerror}; choose another with --listen"
             ) from error
+
+
+class _Server(viser.ViserServer):
+    """viser's, less its share: any page could ask for a tunnel from a server of viser's makers, past this gate."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Open no tunnel."""
 
 
 def _gated(serve: Callable[..., Any], gate: Gate, *arguments: Any, process_request: _Handler, **options: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from viser import SceneNodeHandle
 from viser.transforms import SE3, SO3
 
 from zarm_contract.messages import Pose
@@ -49,6 +50,11 @@ def message_of(pose: SE3) -> Pose:
     w, x, y, z = pose.rotation().wxyz.tolist()
     px, py, pz = pose.translation().tolist()
     return Pose(position=(px, py, pz), orientation=(x, y, z, w))
+
+
+def pose_at(handle: SceneNodeHandle) -> SE3:
+    """Where something in the picture is, in the frame of its parent."""
+    return SE3.from_rotation_and_translation(SO3(np.array(handle.wxyz)), np.array(handle.position))
 
 
 def pose_of(position: tuple[float, ...], orientation: tuple[float, ...]) -> SE3:

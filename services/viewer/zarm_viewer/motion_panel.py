@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from viser import Icon
 from viser.transforms import SE3, SO3
 
-from zarm.values import AXES, Axis, PathConstraint, Waypoints, invalid, pose_of
 from zarm.values import Goal as Target
+from zarm.values import Waypoints, invalid, pose_of
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.aim import Goal
@@ -20,7 +20,9 @@ from zarm_viewer.controls import button, changed, put
 from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import message_of
 from zarm_viewer.named_poses import NamedPoses
+from zarm_viewer.plan_options import PlanOptions
 from zarm_viewer.watching import News
+from zarm_viewer.waypoints import WaypointHandles
 
 
 class MotionPanel:
@@ -30,7 +32,7 @@ class MotionPanel:
         self._desk, self._goal, self._poses = desk, goal, poses
         self._plan: Plan | None = None
         self._timed: TimedTrajectory | None = None
-        self._waypoints: list[Any] = []
+        self._waypoints = WaypointHandles(desk)
         self._shown = 0
         gui = desk.server.gui
         self._say = gui.add_markdown("Drag the handle at the tip, or choose a pose.")
@@ -56,7 +58,7 @@ class MotionPanel:
         with gui.add_folder("Waypoints", expand_by_default=False):
             self._add_waypoints()
         with gui.add_folder("Options", expand_by_default=False):
-            self._add_options()
+            self._options = PlanOptions(desk)
 
     def draw(self, news: News) -> None:
         """Show what is new."""
@@ -69,6 +71,11 @@ class MotionPanel:
             self._shown = self._goal.revision
             self._draw_goal()
         self._goal.follow()
+
+    def chosen(self, yes: bool) -> None:
+        """Show the handles in the picture, or not."""
+        self._goal.show(gizmo=yes)
+        self._waypoints.show(yes)
 
     # -- what is on it --
 
@@ -122,29 +129,11 @@ class MotionPanel:
             changed(self._desk, numbers, "tip", aim)
 
     def _add_waypoints(self) -> None:
-        self._through = self._desk.server.gui.add_markdown("none: straight to the goal")
-
-        def add() -> None:
-            self._waypoints.append(pose_of(message_of(self._goal.now.pose)))
-            self._through.content = f"{len(self._waypoints)} before the goal"
-
-        def clear() -> None:
-            self._waypoints.clear()
-            self._through.content = "none: straight to the goal"
-
-        button(self._desk, "Pass through here", Icon.MAP_PIN_PLUS, add)
-        button(self._desk, "Forget them", Icon.MAP_PIN_OFF, clear)
-
-    def _add_options(self) -> None:
-        gui = self._desk.server.gui
-        self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, 1.0)
-        self._acceleration = gui.add_slider("acceleration", 0.05, 1.0, 0.05, 1.0)
-        self._margin = gui.add_number("margin (m)", 0.005, min=0.0, max=0.2, step=0.001)
-        self._timeout = gui.add_number("timeout (s)", 5.0, min=0.1, max=60.0, step=0.5)
-        self._attempts = gui.add_number("attempts", 100, min=1, max=1000, step=1)
-        self._optimize = gui.add_number("optimise (s)", 0.02, min=0.0, max=30.0, step=0.1)
-        self._held = [gui.add_checkbox(f"hold {axis}", False) for axis in AXES]
-        self._frame = gui.add_dropdown("hold in", ["base", "tool"])
+        self._desk.server.gui.add_markdown(
+            "The tip passes them on its way to the goal. Drag each to where it is wanted."
+        )
+        button(self._desk, "Add one here", Icon.MAP_PIN_PLUS, lambda: self._waypoints.add(self._goal.now.pose))
+        button(self._desk, "Forget them", Icon.MAP_PIN_OFF, self._waypoints.clear)
 
     def _group(self, label: str, actions: dict[str, Callable[[], object]]) -> None:
         group = self._desk.server.gui.add_button_group(label, list(actions))
@@ -160,33 +149,23 @@ class MotionPanel:
 
     def _target(self, constrained: bool) -> Target:
         aim = self._goal.now
-        if self._waypoints:
-            return Waypoints(*self._waypoints, pose_of(message_of(aim.pose)))
+        if through := self._waypoints.poses:
+            return Waypoints(*through, pose_of(message_of(aim.pose)))
         if constrained or aim.branch is None:
             return pose_of(message_of(aim.pose))
         return tuple(aim.branch.joints.tolist())
 
     def _plan_it(self) -> None:
-        held: list[Axis] = [axis for axis, box in zip(AXES, self._held, strict=True) if box.value]  # type: ignore[misc]
-        plan = self._desk.robot.plan(
-            self._target(bool(held)),
-            path_constraint=PathConstraint(held, frame="tool" if self._frame.value == "tool" else "base")
-            if held
-            else None,
-            velocity_scale=self._velocity.value,
-            acceleration_scale=self._acceleration.value,
-            margin=self._margin.value,
-            timeout=self._timeout.value,
-            max_attempts=int(self._attempts.value),
-            optimize_s=self._optimize.value,
-        )
+        held = self._options.path_constraint
+        target = self._target(constrained=held is not None)
+        plan = self._desk.robot.plan(target, path_constraint=held, **self._options.settings)
         self._plan = plan
         self._timed = TimedTrajectory.of(plan.trajectory, self._desk.description.descriptor.joints)
         self._scrub.max, self._scrub.disabled = round(self._timed.duration, 2), False
         put(self._scrub, 0.0)
 
     def _execute(self) -> None:
-        self._desk.robot.start(self._plan)
+        self._desk.robot.start(self._plan, replan=self._options.replan)
         self._goal.forget()
 
     def _plan_and_execute(self) -> None:

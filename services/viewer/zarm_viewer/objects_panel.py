@@ -15,14 +15,15 @@ from viser import (
     TransformControlsEvent,
     TransformControlsHandle,
 )
-from viser.transforms import SE3, SO3
+from viser.transforms import SE3
 
 from zarm.values import Capsule, Cuboid, Cylinder, Sphere
+from zarm_contract import messages
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Scene, SceneObject
 from zarm_viewer.controls import button, put
 from zarm_viewer.desk import Desk
-from zarm_viewer.kinematics import message_of, pose_of
+from zarm_viewer.kinematics import message_of, pose_at, pose_of
 from zarm_viewer.scene_view import SceneView
 
 KINDS = ("cuboid", "sphere", "cylinder", "capsule")
@@ -37,6 +38,7 @@ class ObjectsPanel:
         self._scene: Scene | None = None
         self._gizmo: TransformControlsHandle | None = None
         self._added = ""
+        self._chosen: SceneObject | None = None
         gui = desk.server.gui
         self._choice = gui.add_dropdown("object", [_NOTHING])
         self._choice.on_update(lambda _: self._choose())
@@ -102,7 +104,9 @@ class ObjectsPanel:
                 self._gizmo = None
             return
         at = _pose(item)
-        put(self._size, _size(item))
+        if item != self._chosen:
+            put(self._size, _size(item))
+        self._chosen = item
         if self._gizmo is None:
             self._gizmo = self._desk.server.scene.add_transform_controls(
                 f"{self._desk.root}/object", scale=0.2, depth_test=False
@@ -114,15 +118,18 @@ class ObjectsPanel:
         item = self._object()
         if item is None:
             return
-        at = SE3.from_rotation_and_translation(SO3(np.array(event.target.wxyz)), np.array(event.target.position))
+        at = pose_at(event.target)
         if event.phase == "end":
             self._desk.attempt(f"move {item.name}", lambda: self._replace(_placed(item, at)), event.client)
         else:
             self._view.place(item.name, at)
 
     def _resize(self) -> None:
-        if (item := self._object()) is not None:
-            self._replace(_made(item.kind, item.name, self._size.value, _pose(item)))
+        if (item := self._object()) is None:
+            raise InvalidRequest(
+                "what is carried keeps its size; detach it first, or choose an object that stands in the scene"
+            )
+        self._replace(_resized(item, self._size.value))
 
     def _replace(self, item: SceneObject) -> None:
         self._desk.robot.scene.add(item, replace=True)
@@ -146,11 +153,11 @@ class ObjectsPanel:
             client.send_file_download("scene.yaml", file.read_bytes())
 
 
-_SIZES = "cuboid: edges; sphere: radius first; cylinder and capsule: radius, -, length"
+_SIZES = "cuboid: edges; sphere: radius first; cylinder and capsule: radius, -, length; mesh: scale"
 
 
 def _made(kind: str, name: str, size: tuple[float, float, float], at: SE3) -> SceneObject:
-    """An object of a kind, sized as `_SIZES` says. Raises InvalidRequest."""
+    """An object of one of `KINDS`, sized as `_SIZES` says. Raises InvalidRequest."""
     pose = message_of(at)
     match kind:
         case "cuboid":
@@ -159,17 +166,38 @@ def _made(kind: str, name: str, size: tuple[float, float, float], at: SE3) -> Sc
             return Sphere(name, radius=size[0], position=pose.position)
         case "cylinder":
             return Cylinder(name, radius=size[0], length=size[2], position=pose.position, orientation=pose.orientation)
-        case "capsule":
-            return Capsule(name, radius=size[0], length=size[2], position=pose.position, orientation=pose.orientation)
         case _:
-            raise InvalidRequest(f"a {kind} cannot be resized here; add it anew with another scale", field="kind")
+            return Capsule(name, radius=size[0], length=size[2], position=pose.position, orientation=pose.orientation)
+
+
+def _resized(item: SceneObject, size: tuple[float, float, float]) -> SceneObject:
+    """The object in another size, as `_SIZES` says. Raises InvalidRequest for voxels."""
+    match item.kind:
+        case "cuboid":
+            return item.model_copy(update={"size": size})
+        case "mesh":
+            return item.model_copy(update={"scale": size})
+        case "voxels":
+            raise InvalidRequest(
+                "voxels come in one size; remove them, and add those of another resolution", field="size"
+            )
+        case _:
+            return item.model_copy(update={"radius": size[0]} | ({"length": size[2]} if item.kind != "sphere" else {}))
 
 
 def _size(item: SceneObject) -> tuple[float, float, float]:
-    """The size of an object, as `_SIZES` says; of a mesh or voxels none."""
-    size: tuple[float, float, float] | None = getattr(item, "size", None)
-    radius = getattr(item, "radius", 0.1)
-    return size or (radius, radius, getattr(item, "length", radius))
+    """The size of an object, as `_SIZES` says; of voxels that of one."""
+    match item:
+        case messages.Cuboid():
+            return item.size
+        case messages.Mesh():
+            return item.scale
+        case messages.Voxels():
+            return (item.resolution,) * 3
+        case messages.Sphere():
+            return (item.radius,) * 3
+        case _:
+            return item.radius, item.radius, item.length
 
 
 def _pose(item: SceneObject) -> SE3:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import viser
 from viser import GuiButtonHandle, GuiEvent, GuiTabGroupHandle, Icon
 
@@ -41,6 +42,9 @@ BESIDE = 2.5
 """Robots stand so many m apart in the picture, along y: the bus does not say where their bases are."""
 
 
+BACKGROUND = (226, 232, 240)
+
+
 @dataclass(frozen=True)
 class Shown:
     """A robot on the bus or in a record, and what it looks like."""
@@ -54,18 +58,27 @@ class Shown:
         return self.source.story.robot if isinstance(self.source, Playback) else self.source.name
 
 
+@dataclass(frozen=True)
+class Folders:
+    """Where files are: meshes of the scene, the viewer's state, and the executor's, in which records of faults lie."""
+
+    meshes: tuple[Path, ...]
+    state: Path
+    records: Path
+
+
 class Page:
     """The page of these robots, served behind a gate until `close`."""
 
-    def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, meshes: tuple[Path, ...], state: Path) -> None:
+    def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, folders: Folders) -> None:
         self.server = gate.serve("zarm")
         self.address = gate.address(self.server.get_port())
-        self._furnish()
+        self._furnish(len(robots))
         moves = role != "viewer"
         self._stops: list[Stop] = []
         if any(isinstance(shown.source, Robot) for shown in robots):
             self._add_stop()
-        self._parts = [_Part(self.server, shown, moves, meshes, state, BESIDE * at) for at, shown in enumerate(robots)]
+        self._parts = [_Part(self.server, shown, moves, folders, BESIDE * at) for at, shown in enumerate(robots)]
         self._choose_between(self._parts)
         for shown, part in zip(robots, self._parts, strict=True):
             if isinstance(shown.source, Robot):
@@ -83,17 +96,28 @@ class Page:
             stop.close()
         self.server.stop()
 
-    def _furnish(self) -> None:
+    def _furnish(self, robots: int) -> None:
         scene, gui = self.server.scene, self.server.gui
         scene.set_up_direction("+z")
         scene.configure_environment_map(
             hdri=None
         )  # reflections would cost a machine without a GPU a second for each frame
         scene.configure_default_lights(cast_shadow=False)
-        scene.add_light_ambient("/light", intensity=1.2)
-        scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.5, section_size=1.0, plane="xy")
-        self.server.initial_camera.position = (1.65, -1.0, 1.2)
-        self.server.initial_camera.look_at = (0.35, 0.15, 0.45)
+        scene.add_light_ambient("/light", intensity=0.7)
+        scene.set_background_image(np.full((1, 1, 3), BACKGROUND, dtype=np.uint8), format="png")
+        across = BESIDE * (robots - 1)
+        scene.add_grid(
+            "/floor",
+            width=4.0,
+            height=4.0 + across,
+            position=(0.0, across / 2, 0.0),
+            cell_size=0.5,
+            section_size=1.0,
+            plane="xy",
+        )
+        camera, away = self.server.initial_camera, 1.3 * across
+        camera.position = (1.65 + away, -1.0 - across / 4, 1.2 + away / 2)
+        camera.look_at = (0.35, 0.15 + across / 2, 0.45)
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
 
     def _add_stop(self) -> None:
@@ -143,14 +167,12 @@ class Page:
 class _Part:
     """One robot's share of the page."""
 
-    def __init__(
-        self, server: viser.ViserServer, shown: Shown, moves: bool, meshes: tuple[Path, ...], state: Path, aside: float
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, shown: Shown, moves: bool, folders: Folders, aside: float) -> None:
         client = shown.source if isinstance(shown.source, Robot) else None
         moves = moves and client is not None
         self.desk = Desk(server, shown.name, shown.description, client, moves)
         server.scene.add_frame(self.desk.root, show_axes=False, position=(0.0, aside, 0.0))
-        self._picture = Picture(self.desk, meshes)
+        self._picture = Picture(self.desk, folders.meshes)
         self._folder = server.gui.add_folder(shown.name)
         self._record: RecordPanel | None = None
         self._events: EventsPanel | None = None
@@ -161,7 +183,7 @@ class _Part:
                 self._add_reset()
             tabs = server.gui.add_tab_group()
             if moves:
-                self._controls = _Controls(self.desk, self._picture, tabs, state)
+                self._controls = _Controls(self.desk, self._picture, tabs, folders.state)
             if isinstance(shown.source, Playback):
                 with tabs.add_tab("Record"):
                     self._record = RecordPanel(self.desk, shown.source)
@@ -170,8 +192,8 @@ class _Part:
             with tabs.add_tab("Plots"):
                 self._plots = PlotsPanel(self.desk)
             if client is not None:
-                with tabs.add_tab("Events"):
-                    self._events = EventsPanel(self.desk, state / shown.name / "records")
+                with tabs.add_tab("Log"):
+                    self._events = EventsPanel(self.desk, folders.records / shown.name / "records")
         self._source = Watching(shown.source) if isinstance(shown.source, Robot) else shown.source
 
     def chosen(self, yes: bool) -> None:
@@ -225,8 +247,8 @@ class _Controls:
             self._jog = JogPanel(desk, self._goal)
 
     def chosen(self, yes: bool) -> None:
-        """Show the gizmo, or not."""
-        self._goal.show(gizmo=yes)
+        """Show the handles, or not."""
+        self._motion.chosen(yes)
 
     def draw(self, news: News) -> None:
         """Show what is new."""

@@ -19,10 +19,10 @@ from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 from zarm_runtime import signals
 from zarm_runtime.logs import setup_logging
 from zarm_runtime.security import client_role, security_on
-from zarm_runtime.service import default_state
+from zarm_runtime.service import add_meshes, default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT
 from zarm_viewer.gate import Gate
-from zarm_viewer.page import Page, Shown
+from zarm_viewer.page import Folders, Page, Shown
 from zarm_viewer.playback import Playback
 
 log = logging.getLogger(__name__)
@@ -55,14 +55,7 @@ def parser() -> argparse.ArgumentParser:
         choices=("viewer", "operator"),
         help="a viewer sees everything and moves nothing, but stops (default: $ZARM_ROLE, else operator)",
     )
-    parser.add_argument(
-        "--meshes",
-        type=Path,
-        action="append",
-        default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
-        metavar="FOLDER",
-        help="a folder with meshes of the scene, besides those in $ZARM_MESHES: those of the planner; repeatable",
-    )
+    add_meshes(parser)
     parser.add_argument(
         "--record",
         type=Path,
@@ -73,7 +66,15 @@ def parser() -> argparse.ArgumentParser:
         "--state",
         type=Path,
         default=default_state(),
-        help="the folder for saved state: named poses; records of faults are found there, where the executor keeps its state there too",
+        help="the folder for saved state: named poses",
+    )
+    parser.add_argument(
+        "--records",
+        type=Path,
+        default=Path(folder) if (folder := os.environ.get("ZARM_RECORDS")) else None,
+        metavar="FOLDER",
+        help="the executor's folder for saved state, where it can be read from here: records of faults are downloaded from it (default: "
+        "$ZARM_RECORDS, else --state)",
     )
     return parser
 
@@ -94,7 +95,8 @@ def main() -> int:
                 for name, description in _described(options.robot or _own(), options.connect, role):
                     bus = stack.enter_context(opened(options.connect, role, timeout=10.0))
                     shown.append(Shown(Robot(Connection.of(bus, keys_of(name))), description))
-            page = Page(shown, gate, role, tuple(options.meshes), options.state)
+            folders = Folders(tuple(options.meshes), options.state, options.records or options.state)
+            page = Page(shown, gate, role, folders)
             stack.callback(page.close)
             log.info("ready page=%s role=%s robots=%s", page.address, role, ",".join(one.name for one in shown))
             print(page.address, flush=True)  # noqa: T201 - what is opened in the browser

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from support.arrivals import arrival
-from support.executor.bench import Bench
+from support.executor.bench import EXECUTION, Bench
 from support.trajectories import KEYS, ROBOT, SCENE, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, Unavailable
 from zarm_contract.messages import ExecuteRequest, GoalState, Nothing, Plan, SceneEdited, Speed, Strategies
@@ -41,7 +41,7 @@ def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneE
         ROBOT,
         bench.machine,
         reporter,
-        Admission(bench.machine, reporter),
+        Admission(bench.machine, reporter, EXECUTION.joint_state_timeout),
         Plans(ROBOT.hash, unanswered),
         PresentScene(bench.machine, scene),
         {},

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from support.arrivals import arrival
-from support.executor.bench import Bench
+from support.executor.bench import EXECUTION, Bench
 from support.harness import PATIENCE
 from support.trajectories import KEYS, ROBOT, SCENE, moved, plan, rest_to_rest
 from zarm_contract.errors import Busy, Cancelled, Unavailable
@@ -51,7 +51,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         ROBOT,
         bench.machine,
         reporter,
-        Admission(bench.machine, reporter),
+        Admission(bench.machine, reporter, EXECUTION.joint_state_timeout),
         plans,
         PresentScene(bench.machine, unanswered),
         {},

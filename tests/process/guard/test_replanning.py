@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from support.cell import Cell
-from support.planner.client import BEHIND_POST, POST, load
+from support.cell import SLOWLY, Cell
+from support.planner.client import BEHIND_POST, HOME, POST, load, plan
+from support.planner.second_opinion import link_pose
+from support.trajectories import ROBOT
+from zarm_contract.messages import PlanRequest, PoseGoal, Sphere
+from zarm_geometry.frames import pose_of
+from zarm_geometry.robot_model import RobotModel
+
+MODEL = RobotModel.of(ROBOT)
+TURNED = 0.9, -0.2, 1.6, 0.0, 1.4, 0.5
 
 
 def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) -> None:
@@ -18,3 +26,22 @@ def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) 
     assert {state.status for state in states} == {"accepted", "running", "succeeded"}
     cell.assert_free_of(POST)
     assert cell.client.greatest_acceleration() < 1.05
+
+
+def test_a_pose_is_reached_with_other_joints_where_something_stands_at_those_of_the_plan(cell: Cell) -> None:
+    tip = pose_of(MODEL.fk_tip(np.array(TURNED)))
+    made = plan(
+        cell.bus,
+        PlanRequest(
+            start=HOME,
+            goal=PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation),
+            velocity_scale=SLOWLY,
+        ),
+    )
+    elbow = link_pose(ROBOT, "link_3", made.trajectory.position[-1])[:3, 3].tolist()
+    goal = cell.client.execute(plan_id=made.plan_id, replan=True)
+    cell.client.under_way(goal, 0.05)
+    load(cell.bus, Sphere(kind="sphere", name="ball", position=tuple(elbow), radius=0.05))
+    assert cell.client.ended(goal).status == "succeeded"
+    np.testing.assert_allclose(MODEL.fk_tip(cell.client.position())[:3, 3], tip.position, atol=1e-3)
+    assert np.abs(np.array(cell.client.position()) - made.trajectory.position[-1]).max() > 0.5

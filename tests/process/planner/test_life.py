@@ -229,10 +229,10 @@ def test_a_second_planner_of_one_robot_is_refused_and_one_of_another_name_is_not
 
 
 def test_health_answers_while_kernels_are_compiled_and_plans_are_refused_with_the_reason(
-    endpoint: str, bus: Bus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "nothing_compiled_yet"))
-    with ServiceProcess("planner", endpoint, tmp_path) as process:
+    nothing_compiled_yet = {"NUMBA_CACHE_DIR": str(tmp_path / "nothing_compiled_yet")}
+    with ServiceProcess("planner", endpoint, tmp_path, environment=nothing_compiled_yet) as process:
 
         def busy() -> Health | None:
             try:

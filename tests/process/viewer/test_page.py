@@ -4,111 +4,56 @@ from __future__ import annotations
 
 import io
 import re
-import socket
-import urllib.error
-import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
-import zarm
-from support.browser import CHROMIUM, browser, pixel
-from support.harness import PATIENCE, ServiceProcess, eventually, router
-from support.trajectories import HOME, KEYS
-from zarm_runtime.bus import Bus
+from support.harness import PATIENCE, eventually
+from support.trajectories import HOME, KEYS, ROBOT, moved
+from support.viewer import SIZE, Cell, cell_of, drawn_tip, opened
+from zarm_contract.messages import Plan
+from zarm_contract.robot import load_robot
+from zarm_trajectory.trajectory import TimedTrajectory
+from zarm_viewer.kinematics import Chain
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium here; `apt-get install chromium` brings it")
-
-SIZE = (1280, 800)
-expect.set_options(timeout=PATIENCE * 1e3)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-class Cell:
-    """One robot with its processes, and a page that shows it."""
-
-    def __init__(self, stack: ExitStack, folder: Path) -> None:
-        self.stack, self.folder = stack, folder
-        self.endpoint = stack.enter_context(router())
-        self.bus = stack.enter_context(Bus(self.endpoint))
-        self.services = {
-            service: stack.enter_context(ServiceProcess(service, self.endpoint, folder))
-            for service in ("planner", "executor", "servo")
-        }
-        for process in self.services.values():
-            process.wait_ready(self.bus, KEYS)
-        self.robot = stack.enter_context(zarm.connect(self.endpoint))
-        self.address = self.serve()
-
-    def serve(self, *arguments: str) -> str:
-        """The address of a viewer that is started with these arguments."""
-        address = f"127.0.0.1:{free_port()}"
-        viewer = ServiceProcess("viewer", self.endpoint, self.folder, arguments=("--listen", address, *arguments))
-        self.stack.enter_context(viewer)
-
-        def answers() -> bool:
-            assert viewer.process.poll() is None, viewer.output()
-            try:
-                with urllib.request.urlopen(f"http://{address}/", timeout=5):
-                    return True
-            except urllib.error.URLError:
-                return False
-
-        eventually(answers, "the page is served")
-        return f"http://{address}/"
-
-    def rests(self) -> bool:
-        return self.robot.state().mode == "idle" and max(map(abs, self.robot.joint_state().velocity)) < 1e-4
+PHONE = (390, 844)
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    with ExitStack() as stack:
-        yield Cell(stack, tmp_path_factory.mktemp("cell"))
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with browser() as started:
+def cell(chromium: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with cell_of(tmp_path_factory.mktemp("cell"), "planner", "executor", "servo") as started:
         yield started
 
 
 @pytest.fixture(scope="module")
-def shared(cell: Cell, chromium: Browser) -> Page:
-    return opened(chromium, cell.address)
+def address(cell: Cell) -> str:
+    return cell.serve()
+
+
+@pytest.fixture(scope="module")
+def shared(chromium: Browser, address: str) -> Iterator[Page]:
+    page = opened(chromium, address)
+    yield page
+    page.close()
 
 
 @pytest.fixture
 def page(shared: Page, cell: Cell) -> Page:
     """The page, with the robot at rest at home in an empty scene."""
-    cell.robot.stop()
-    eventually(cell.rests, "the robot rests")
-    cell.robot.scene.clear()
-    if not np.allclose(cell.robot.joint_state().position, HOME, atol=1e-3):
-        cell.robot.execute(cell.robot.plan(HOME))
+    cell.home()
     shared.get_by_role("tab", name="Move").click()
     return shared
 
 
-def opened(chromium: Browser, address: str, size: tuple[int, int] = SIZE) -> Page:
-    page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
-    page.goto(address)
-    expect(page.get_by_text("STOP").first).to_be_visible()
-    return page
-
-
-def tip_pixel(cell: Cell) -> tuple[float, float]:
-    return pixel(cell.robot.tip().position, *SIZE)
+@pytest.fixture(scope="module")
+def second(chromium: Browser, address: str) -> Iterator[Page]:
+    """Somebody else's page."""
+    page = opened(chromium, address)
+    yield page
+    page.close()
 
 
 def looks(page: Page, at: tuple[float, float], half: int = 12) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -118,95 +63,153 @@ def looks(page: Page, at: tuple[float, float], half: int = 12) -> np.ndarray[tup
     return np.asarray(picture, dtype=np.float64)
 
 
+def drawn_where_measured(page: Page, cell: Cell) -> bool:
+    """Whether the scene graph of the page has the tip where the bus says that it is."""
+    tip = drawn_tip(page)
+    return tip is not None and bool(np.allclose(tip, cell.robot.tip().position, atol=1e-3))
+
+
+def drag(page: Page, at: tuple[float, float], down: int) -> None:
+    """Drag a handle by its arrow down the page."""
+    page.mouse.move(*at)
+    page.mouse.down()
+    for step in range(1, 11):
+        page.mouse.move(at[0], at[1] + down * step / 10)
+    page.mouse.up()
+
+
 def hold(page: Page, label: str) -> None:
     """Press a button of the page and keep it pressed."""
-    box = page.get_by_role("button", name=label).bounding_box()
+    button = page.get_by_role("button", name=label)
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.mouse.down()
 
 
 def test_the_robot_is_drawn_where_the_bus_says_that_it_is(page: Page, cell: Cell) -> None:
-    before = tip_pixel(cell)
-    eventually(lambda: looks(page, before).std() > 20, "the tip is drawn")
-    cell.robot.execute(cell.robot.plan((0.6, *HOME[1:])))
-    after = tip_pixel(cell)
-    eventually(lambda: looks(page, after).std() > 20, "the tip is drawn where it has gone")
-    eventually(lambda: page.get_by_text("idle").first.is_visible(), "the status says that it rests")
+    for joints in (HOME, moved(0.6)):
+        cell.robot.execute(cell.robot.plan(joints))
+        eventually(lambda: drawn_where_measured(page, cell), "the scene graph has the tip where it is")
+        eventually(lambda: looks(page, cell.tip_pixel()).std() > 20, "the pixels show the tip there")
+    expect(page.get_by_text("idle").first).to_be_visible()
 
 
 def test_dragging_the_handle_shows_a_ghost_and_the_robot_goes_there(page: Page, cell: Cell) -> None:
-    tip = cell.robot.tip()
-    x, y = pixel(
-        (tip.position[0], tip.position[1], tip.position[2] - 0.12), *SIZE
-    )  # the arrow of the tip's z, which looks down
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for step in range(1, 11):
-        page.mouse.move(x, y + 4 * step)
-    page.mouse.up()
+    tip = cell.robot.tip().position
+    drag(page, cell.pixel((tip[0], tip[1], tip[2] - 0.12)), 32)  # by the arrow of the tip's z, which looks down
     expect(page.get_by_text("reachable, free")).to_be_visible()
     page.get_by_role("button", name="Plan and execute").click()
-    eventually(lambda: cell.robot.tip().position[2] < tip.position[2] - 0.03, "the robot has gone down")
+    eventually(lambda: cell.robot.tip().position[2] < tip[2] - 0.03, "the robot has gone down")
     eventually(cell.rests, "it rests")
 
 
+def test_a_plan_passes_through_a_waypoint(page: Page, cell: Cell) -> None:
+    page.get_by_text("Waypoints").click()
+    cell.robot.execute(cell.robot.plan(moved(0.8)))
+    eventually(lambda: drawn_where_measured(page, cell), "the page shows the robot there")
+    page.get_by_role("button", name="Add one here").click()
+    page.wait_for_function("() => '/doosan_m1013/waypoint_1' in window.__viserMutable.nodeRefFromName")
+    waypoint = cell.robot.tip().position
+    cell.robot.execute(cell.robot.plan(HOME))
+    page.get_by_text("Poses").click()
+    page.get_by_role("button", name="Home").click()
+    expect(page.get_by_text("reachable, free")).to_be_visible()
+    page.get_by_role("button", name="Plan", exact=True).click()
+
+    def through() -> Plan | None:
+        made = cell.bus.read(KEYS.plans, Plan, timeout=5)
+        return made if made.waypoint_times else None
+
+    plan = eventually(through, "a plan with waypoints is made")
+    at = TimedTrajectory.of(plan.trajectory, ROBOT.descriptor.joints).at(plan.waypoint_times[0])[0]
+    passed = Chain(ROBOT).tip(at).translation()
+    assert np.allclose(passed, waypoint, atol=0.02)
+    for label in ("Forget them", "Back to the robot"):
+        page.get_by_role("button", name=label).click()
+    for folder in ("Waypoints", "Poses"):
+        page.get_by_text(folder).click()
+
+
 def test_stop_brings_the_robot_to_rest_before_its_goal(page: Page, cell: Cell) -> None:
-    goal = cell.robot.start(cell.robot.plan((1.5, *HOME[1:]), velocity_scale=0.1))
+    goal = cell.robot.start(cell.robot.plan(moved(1.5), velocity_scale=0.1))
     eventually(lambda: cell.robot.state().mode == "running", "it moves")
     page.get_by_role("button", name="STOP").first.click()
     assert cell.robot.follow(goal, timeout=PATIENCE).status == "cancelled"
     eventually(cell.rests, "it rests")
 
 
-def test_an_object_added_on_one_page_is_on_the_bus_and_on_the_other_page(
-    page: Page, cell: Cell, chromium: Browser
-) -> None:
-    other = opened(chromium, cell.address)
-    for each in (page, other):
+def test_an_object_added_on_one_page_is_on_the_bus_and_on_the_other_page(page: Page, cell: Cell, second: Page) -> None:
+    for each in (page, second):
         each.get_by_role("tab", name="Scene").click()
     page.get_by_role("button", name="Add", exact=True).click()
     eventually(lambda: "box" in cell.robot.scene.objects(), "the box is in the scene")
-    expect(other.locator("input[value='box']").first).to_be_visible()
+    expect(second.locator("input[value='box']").first).to_be_visible()
     page.get_by_role("button", name="Remove").click()
     eventually(lambda: not cell.robot.scene.objects(), "it is gone")
-    other.close()
 
 
-def test_a_page_that_is_lost_while_jogging_lets_the_robot_rest(page: Page, cell: Cell, chromium: Browser) -> None:
-    other = opened(chromium, cell.address)
-    other.get_by_role("tab", name="Jog").click()
+def test_on_a_phone_the_stop_is_in_reach(page: Page, second: Page) -> None:
+    second.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
+    expect(second.get_by_text("STOP").first).to_be_in_viewport()
+    second.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+
+
+def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
+    page: Page, cell: Cell, chromium: Browser, address: str, second: Page
+) -> None:
+    for each in (page, second):
+        each.get_by_role("tab", name="Jog").click()
     start = cell.robot.tip().position
-    hold(other, "+ hold")
-    eventually(
-        lambda: abs(cell.robot.tip().position[0] - start[0]) > 0.01, "the robot moves as long as the button is held"
-    )
-    other.close()
+    hold(second, "+ hold")
+    eventually(lambda: abs(cell.robot.tip().position[0] - start[0]) > 0.01, "it moves as long as the button is held")
+    hold(page, "− hold")
+    told = [each.get_by_text("Somebody else jogs") for each in (page, second)]
+    eventually(lambda: any(each.is_visible() for each in told), "who does not have the robot is told")
+    page.mouse.up()
+    second.goto("about:blank")
     eventually(cell.rests, "the robot rests")
-    assert cell.robot.tip().position[0] < start[0] + 0.3
+    assert abs(cell.robot.tip().position[0] - start[0]) < 0.3
 
 
-def test_a_viewer_sees_everything_and_can_only_stop(page: Page, cell: Cell, chromium: Browser) -> None:
-    watching = opened(chromium, cell.serve("--role", "viewer"))
+def test_a_viewer_sees_two_robots_and_can_only_stop(page: Page, cell: Cell, chromium: Browser) -> None:
+    other = load_robot("ur5e")
+    cell.begin("executor", "ur5e", "other")
+    watching = opened(chromium, cell.serve("--role", "viewer", "--robot", "other=ur5e"))
     expect(watching.get_by_text("idle").first).to_be_visible()
-    assert set(watching.get_by_role("tab").all_inner_texts()) == {"Look", "Plots", "Events", "Stop"}
+    eventually(lambda: drawn_where_measured(watching, cell), "the one is where the bus says that it is")
+    home = Chain(other).tip(np.array(other.descriptor.home)).translation()
+    eventually(lambda: np.allclose(drawn_tip(watching, "other") or (), home, atol=1e-3), "and so is the other")
+    assert set(watching.get_by_role("tab").all_inner_texts()) == {"Look", "Plots", "Log", "Stop"}
     assert {button for button in watching.get_by_role("button").all_inner_texts() if button} == {"STOP"}
     watching.get_by_role("tab", name="Look").click()
     for box in ("collision spheres", "clearance"):
         watching.get_by_role("checkbox", name=box).click()
     expect(watching.get_by_text(re.compile(r"clearance \d+ mm"))).to_be_visible()
+    watching.get_by_role("combobox", name="robot").click()
+    watching.get_by_role("option", name="other").click()
+    expect(watching.get_by_text(re.compile(r"clearance \d+ mm"))).to_be_hidden()
     watching.close()
 
 
 def test_the_page_goes_on_when_the_executor_is_started_again(page: Page, cell: Cell) -> None:
     cell.services["executor"].kill()
     expect(page.get_by_text("no joint states")).to_be_visible()
-    again = ServiceProcess("executor", cell.endpoint, cell.folder)
-    cell.stack.enter_context(again).wait_ready(cell.bus, KEYS)
+    cell.services["executor"] = cell.begin("executor")
+    cell.services["executor"].wait_ready(cell.bus, KEYS)
     expect(page.get_by_text("no joint states")).to_be_hidden()
 
 
-def test_on_a_phone_the_stop_is_in_reach(page: Page, cell: Cell, chromium: Browser) -> None:
-    phone = opened(chromium, cell.address, (390, 844))
-    expect(phone.get_by_text("STOP").first).to_be_in_viewport()
-    phone.close()
+def test_the_page_goes_on_when_the_router_is_started_again(page: Page, cell: Cell) -> None:
+    cell.router.close()
+    expect(page.get_by_text("no joint states")).to_be_visible()
+    cell.open_router()
+    expect(page.get_by_text("no joint states")).to_be_hidden()
+    for process in cell.services.values():
+        process.wait_ready(cell.bus, KEYS)
+    page.get_by_text("Poses").click()
+    page.get_by_role("button", name="Home").click()
+    expect(page.get_by_text("reachable, free")).to_be_visible()
+    cell.robot.execute(cell.robot.plan(moved(0.3)))
+    eventually(lambda: drawn_where_measured(page, cell), "the page shows where it has gone")

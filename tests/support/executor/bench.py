@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from support.arrivals import arrival
-from support.trajectories import HOME, ROBOT, moved, rest_to_rest
+from support.trajectories import HOME, RATE_LIMITS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import GoalState
 from zarm_contract.robot import RobotDescriptor
@@ -20,6 +20,7 @@ from zarm_executor.strategies.base import Measured, Progress, Steerable
 from zarm_trajectory.blending import blended
 from zarm_trajectory.follower import TICK, Follower
 from zarm_trajectory.limits import Limits
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -37,7 +38,7 @@ class Arm(Steerable):
 
     def __init__(self) -> None:
         self.calls: list[str] = []
-        self.follower = Follower(TimedTrajectory.standing(HOME), LIMIT)
+        self.follower = Follower(TimedTrajectory.standing(HOME), RATE_LIMITS)
         self.exact = Measured(HOME, np.zeros(6), 0.0)
         self.disturb: Disturbance = lambda measured: measured
         self.played = 1.0
@@ -59,7 +60,7 @@ class Arm(Steerable):
         pass
 
     def start(self, path: TimedTrajectory, speed: float) -> None:
-        self.follower = Follower(path, LIMIT, speed=speed, target=speed)
+        self.follower = Follower(path, RATE_LIMITS, speed=speed, target=speed)
 
     def stop(self) -> None:
         self.calls.append("stop")
@@ -85,8 +86,8 @@ class Arm(Steerable):
     def joint_state(self) -> Measured | None:
         return self.disturb(self.exact)
 
-    def braking_from(self) -> tuple[float, float]:
-        return self.follower.time, self.follower.speed
+    def braking_from(self) -> PathState:
+        return self.follower.state
 
     def progress(self) -> Progress:
         return Progress(self.follower.time, self.follower.speed, self.follower.position, self.follower.finished)

@@ -55,6 +55,11 @@ class Sent:
         response = answer(self._ask_for_result(), "the goal ends")
         return response.status, response.result
 
+    def asked_again(self) -> tuple[int, Any]:
+        """The same from who serves the action now, where another did before."""
+        self._result = None
+        return self.ended()
+
     def _ask_for_result(self) -> Any:
         assert self.accepted
         if self._result is None:

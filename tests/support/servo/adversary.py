@@ -66,6 +66,10 @@ _TOWARDS = 2e-5
 """A step of 10 ms that brings robot and object nearer by less (m), where the object stood, is none towards it: 2 mm/s."""
 _FASTEST = 6.0
 """Nothing here is faster (m/s): what is far away is looked at again when it may have come near."""
+_RESTS = 0.5
+"""A run ends where the robot has stood for so long (s)."""
+_MOVES = 0.002
+"""A robot whose joints are slower (rad/s) stands."""
 _UNIX = 1.75e9
 MODEL, MESHES = RobotModel.of(ROBOT), Meshes()
 
@@ -133,6 +137,7 @@ class _Run:
         self._killed_at = clock.now + rng.uniform(0.1, 2.5) if dies else np.inf
         self._due = clock.now
         self._tell_pose(at_once=True)
+        self._longest = 6.0 if mode == "goal" else 3.0
         self._session: Session | None = None
         self._sequence = itertools.count(1)
         if mode == "session":
@@ -262,7 +267,7 @@ class _Run:
         """Let it happen."""
         bench, clock, arm = self._bench, self._time, self._bench.arm
         before, place = arm.exact.position, self._at
-        nearest, held, moved, told, skipped = np.inf, False, False, None, 0
+        nearest, held, moved, told, skipped, rested = np.inf, False, False, None, 0, 0
         outcome: Outcome = "free"
         for step in itertools.count(1):
             clock.now += STEP
@@ -288,7 +293,9 @@ class _Run:
                     self._tell_goal(bench.machine.goal_state() or goal)
             now = arm.exact.position
             moved = moved or bool(np.abs(now - self._start).max() > 0.05)
-            if skipped > 0:
+            rested = 0 if np.abs(arm.exact.velocity).max() > _MOVES else rested + 1
+            over = rested * _TICK * STEP > _RESTS or step * STEP > self._longest or (goal is not None and goal.done)
+            if skipped > 0 and not over:
                 skipped -= 1
                 continue
             apart = self._clearance.at(now, self._at)
@@ -299,7 +306,7 @@ class _Run:
                 outcome = "contact" if closer > _TOWARDS else "hit"
                 break
             before, place = now, self._at
-            if step * STEP > (6.0 if self._session is None else 3.0) or (goal is not None and goal.done):
+            if over:
                 break
         if self._session is not None:
             self._session._pool.shutdown()

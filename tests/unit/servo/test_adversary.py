@@ -14,12 +14,12 @@ def cell() -> Cell:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_robot_never_moves_into_what_comes_at_it(cell: Cell, mode: Mode) -> None:
-    _attack(cell, mode, range(2))
+    _attack(cell, mode, range(8))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("first", range(2, 102, 25))
+@pytest.mark.parametrize("first", range(8, 108, 25))
 def test_however_it_comes(cell: Cell, mode: Mode, first: int) -> None:
     _attack(cell, mode, range(first, first + 25))
 

@@ -5,7 +5,7 @@ import pytest
 
 from support.planner.client import BEHIND_POST, POST
 from support.planner.second_opinion import Collisions
-from support.trajectories import HOME, ROBOT, rest_to_rest
+from support.trajectories import HOME, RATE_LIMITS, ROBOT, rest_to_rest
 from zarm_contract.messages import Attached, Cuboid, SceneObject
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
@@ -104,10 +104,9 @@ def test_a_robot_rests_before_where_a_moving_object_can_be_while_it_stops(checke
 
 
 def test_the_time_to_rest_holds_for_an_executor_that_brakes_then() -> None:
-    limit = np.array(ROBOT.descriptor.cspace.acceleration)
-    stopping = StoppingTime(WAY, limit, reaction=0.1)
+    stopping = StoppingTime(WAY, RATE_LIMITS, reaction=0.1)
     for time in np.linspace(0.0, WAY.duration - 0.1, 7):
-        follower = Follower(WAY, limit, time=time + 0.1, target=0.0)
+        follower = Follower(WAY, RATE_LIMITS, time=time + 0.1, target=0.0)
         ticks = 0
         while not follower.at_rest:
             follower.advance(0.01)

@@ -23,6 +23,7 @@ from zarm_contract.messages import (
     PlanRequest,
     PlanTimings,
     Pose,
+    PoseGoal,
     ReplaceTrajectory,
     Scene,
     Sphere,
@@ -31,8 +32,9 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.metrics import Metrics
 from zarm_servo.check import Checker
+from zarm_servo.lead import LONGEST, SHORTEST
 from zarm_servo.moving_objects import MovingObjects
-from zarm_servo.replanning import LONGEST_LEAD, SHORTEST_LEAD, Replanner
+from zarm_servo.replanning import Replanner
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -135,12 +137,29 @@ def test_a_blocked_goal_is_planned_from_a_state_ahead_to_its_end_no_faster_than_
     (request,) = desk.asked
     assert replaced.at is not None
     assert (replaced.goal_id, replaced.number, replaced.scene_revision) == ("goal-1", 1, SCENE)
-    assert replaced.at >= 0.2 * PATH.duration + SHORTEST_LEAD
+    assert replaced.at >= 0.2 * PATH.duration + SHORTEST
     assert request.start_state is not None
     np.testing.assert_allclose(request.start_state.position, PATH.at(replaced.at)[0])
     np.testing.assert_allclose(request.goal.position, PATH.end)
     assert request.velocity_scale is not None
     assert request.velocity_scale < 0.6
+
+
+def test_a_pose_that_other_joints_reach_is_gone_to_where_something_stands_at_the_joints(
+    desk: Desk, replanner: Replanner
+) -> None:
+    def planner() -> Plan:
+        if desk.asked[-1].goal.kind == "joints":
+            raise PlanningFailed("something stands there", code="goal_in_collision")
+        return PLAN
+
+    desk.planner = planner
+    tip = Pose(position=(0.4, 0.0, 0.6))
+    replanner.see(FOLLOWED.model_copy(update={"tip": tip}), PATH, PATH.duration - 0.1)
+    eventually(lambda: desk.replaced, "the trajectory is replaced")
+    goal = desk.asked[-1].goal
+    assert isinstance(goal, PoseGoal)
+    assert goal.poses == (tip,)
 
 
 def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_robot_stops_first(
@@ -151,7 +170,7 @@ def test_what_comes_too_late_is_planned_again_from_a_later_state_and_then_the_ro
     eventually(lambda: len(desk.asked) == 4, "it was tried four times")
     leads = [request.timeout for request in desk.asked]
     assert leads == sorted(leads)
-    assert leads[-1] <= LONGEST_LEAD
+    assert leads[-1] <= LONGEST
     desk.executor = lambda: None
     desk.measured.rests = True
     replanner.hear_goal("", goal(0.5, held=True))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from support.examples import examples
 from support.executor.waves import chunk
-from support.trajectories import HOME, ROBOT, moved, rest_to_rest
+from support.trajectories import HOME, RATE_LIMITS, ROBOT, moved, rest_to_rest
 from zarm_contract.errors import ExecutionRefused, InvalidRequest
 from zarm_trajectory.blending import PAST, blended
 from zarm_trajectory.follower import TICK, Follower
@@ -42,7 +42,7 @@ def test_wherever_two_motions_are_joined_the_robot_neither_jumps_nor_breaks_a_li
     old = swing(*first)
     now = when * old.duration
     new = swing(*second, start=old.at(now)[0])
-    follower = Follower(old, LIMIT)
+    follower = Follower(old, RATE_LIMITS)
     positions = [follower.position, follower.position]
     while follower.time < now and not follower.finished:
         follower.advance(TICK)

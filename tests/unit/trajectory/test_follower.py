@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 
 import numpy as np
@@ -9,12 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.examples import examples
-from support.trajectories import HOME, ROBOT, curved_path, moved, rest_to_rest, trapezoid
+from support.trajectories import HOME, RATE_LIMITS, ROBOT, curved_path, moved, rest_to_rest, trapezoid
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT = np.array(ROBOT.descriptor.cspace.acceleration)
+VELOCITY = np.array(ROBOT.descriptor.cspace.velocity)
 ROUNDING = 1.005
 """The path bends within a tick; what the follower looks ahead leaves this much at most."""
 
@@ -32,6 +35,29 @@ def accelerations(positions: Array) -> Array:
     return np.diff(positions, 2, axis=0) / TICK**2
 
 
+class Recorded(Follower):
+    """A follower that keeps what it did: spans of time in which the rate changes evenly."""
+
+    spans: list[tuple[float, ...]]
+
+    def _pass(self, dt: float, change: float) -> None:
+        self.spans.append((*self.state, change, dt))
+        super()._pass(dt, change)
+
+
+def commanded(follower: Recorded, looks: int = 6) -> tuple[Array, Array]:
+    """Acceleration and jerk (N, J) of all that was commanded, by the chain rule, at so many moments of each span."""
+    time, speed, rate, change, dt = np.array(follower.spans).T[:, :, None]
+    h = dt * np.linspace(0.0, 1.0, looks)
+    path = follower.trajectory
+    s = (time + h * (speed + h * (rate / 2 + h * change / 6))).clip(path.begin, path.duration).ravel()
+    x = (speed + h * (rate + h * change / 2)).ravel()[:, None]
+    a = (rate + h * change).ravel()[:, None]
+    u = np.broadcast_to(change, h.shape).ravel()[:, None]
+    _, slope, bend = path.sample(s)
+    return bend * x**2 + slope * a, path.jerks(s) * x**3 + 3 * bend * x * a + slope * u
+
+
 def distance_from(path: TimedTrajectory, positions: Array) -> float:
     """Greatest distance (rad, any joint) of positions from the path, found on a fine grid of it."""
     grid = np.array([path.at(time)[0] for time in np.arange(0.0, path.duration, TICK / 10)])
@@ -40,7 +66,7 @@ def distance_from(path: TimedTrajectory, positions: Array) -> float:
 
 def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
     path = curved_path(1)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     for tick in range(1, 50):
         follower.advance(TICK)
         np.testing.assert_allclose(follower.position, path.at(tick * TICK)[0], atol=1e-12)
@@ -51,7 +77,7 @@ def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
 @given(seed=st.integers(0, 2**32 - 1), when=st.floats(0.0, 1.0))
 def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_path(seed: int, when: float) -> None:
     path = curved_path(seed)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     while follower.time < when * path.duration:
         follower.advance(TICK)
     before = follower.position - follower.velocity * TICK
@@ -69,7 +95,7 @@ def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_pat
 
 def test_braking_is_as_strong_as_the_limits_allow() -> None:
     path = TimedTrajectory.of(rest_to_rest(moved(2.0)), ROBOT.descriptor.joints)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     while follower.time < path.duration / 2:
         follower.advance(TICK)
     speed = follower.velocity[0]
@@ -80,7 +106,7 @@ def test_braking_is_as_strong_as_the_limits_allow() -> None:
 
 def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
     path = curved_path(3)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     positions = [follower.position]
     for tick in range(400):
         follower.target = 0.0 if tick % 20 < 7 else 1.0
@@ -100,7 +126,7 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
     seed: int, targets: list[tuple[float, int]]
 ) -> None:
     path = curved_path(seed)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     positions = [follower.position, follower.position]
     for target, ticks in targets:
         follower.target = target
@@ -116,13 +142,49 @@ def test_whatever_speed_is_asked_for_on_the_way_the_acceleration_limits_hold_and
     np.testing.assert_allclose(positions[-1], path.end, atol=1e-9)
 
 
-def planned_path(seed: int) -> TimedTrajectory:
-    """A motion as a planner times it, at the limits from the first milliseconds on."""
+@examples(0.3)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    planned=st.booleans(),
+    ramp=st.sampled_from([0.002, 0.01, 0.05]),
+    commands=st.lists(
+        st.tuples(st.sampled_from([0.0, 0.05, 0.3, 0.7, 1.0]), st.integers(1, 40)), min_size=1, max_size=12
+    ),
+    ticks=st.lists(st.sampled_from([0.002, 0.004, 0.0081, 0.01, 0.013, 0.05]), min_size=1, max_size=7),
+)
+def test_whatever_is_asked_for_and_however_ticks_come_jerk_and_acceleration_hold_and_a_stop_comes_to_rest_in_time(
+    seed: int, planned: bool, ramp: float, commands: list[tuple[float, int]], ticks: list[float]
+) -> None:
+    """`ramp` is the time from no acceleration to its limit, of the M1013, of a UR and of a slower arm."""
+    limits = RateLimits(RATE_LIMITS.acceleration, RATE_LIMITS.acceleration / ramp)
+    follower = Recorded(planned_path(seed, ramp) if planned else curved_path(seed), limits)
+    follower.spans = []
+    tick = itertools.cycle(ticks)
+    for target, count in (*commands, (0.0, 0)):
+        follower.target = target
+        for _ in range(count):
+            before = follower.time
+            follower.advance(next(tick))
+            assert follower.time >= before
+            assert 0.0 <= follower.speed <= 1.0
+    took = 0.0
+    while not follower.settled:
+        dt = next(tick)
+        follower.advance(dt)
+        took += dt
+    assert took <= 1.3 * np.max(VELOCITY / limits.acceleration) + limits.ramp + 3 * TICK + max(ticks)
+    acceleration, jerk = commanded(follower)
+    assert np.all(np.abs(acceleration) <= limits.acceleration * 1.01 * ROUNDING)
+    assert np.all(np.abs(jerk) <= limits.jerk * 1.01)
+
+
+def planned_path(seed: int, ramp: float | None = None) -> TimedTrajectory:
+    """A motion as a planner times it, at the limits from the first milliseconds, or after `ramp` s."""
     random = np.random.default_rng(seed)
     goal = HOME + random.uniform(-0.2, 0.2, len(HOME))
     share = float(random.uniform(0.98, 1.01))  # checks let a hundredth pass
     return TimedTrajectory.of(
-        trapezoid(goal, share=share, dt=float(random.uniform(0.01, 0.05))), ROBOT.descriptor.joints
+        trapezoid(goal, share=share, dt=float(random.uniform(0.01, 0.05)), ramp=ramp), ROBOT.descriptor.joints
     )
 
 
@@ -131,7 +193,7 @@ def planned_path(seed: int) -> TimedTrajectory:
 def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_comes_to_the_end(
     seed: int, speed: float
 ) -> None:
-    follower = Follower(planned_path(seed), LIMIT)
+    follower = Follower(planned_path(seed), RATE_LIMITS)
     while not follower.finished:
         other = copy.copy(follower)
         for target in (0.0, speed):
@@ -149,7 +211,7 @@ def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_co
 def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_no_longer_than_from_the_start(
     seed: int, tick: int
 ) -> None:
-    follower = Follower(planned_path(seed), LIMIT)
+    follower = Follower(planned_path(seed), RATE_LIMITS)
     for _ in range(tick):
         follower.advance(0.004)
     follower.target = 0.0
@@ -163,7 +225,7 @@ def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_n
 @pytest.mark.parametrize("speed", [0.05, 0.5])
 def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) -> None:
     path = curved_path(6)
-    follower = Follower(path, LIMIT, speed=speed, target=speed)
+    follower = Follower(path, RATE_LIMITS, speed=speed, target=speed)
     ticks = len(followed(follower)) - 3
     assert ticks * TICK == pytest.approx(path.duration / speed, rel=0.01)
 
@@ -171,7 +233,7 @@ def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) 
 @pytest.mark.parametrize("target", [0.05, 0.4])
 def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float) -> None:
     path = curved_path(7)
-    follower = Follower(path, LIMIT, time=path.duration / 3, target=target)
+    follower = Follower(path, RATE_LIMITS, time=path.duration / 3, target=target)
     ahead = follower.ahead(TICK)
     for position in ahead.points.position[:200]:
         np.testing.assert_allclose(follower.position, position, atol=1e-9)
@@ -181,7 +243,7 @@ def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float)
 
 def test_a_short_pause_between_ticks_is_caught_up_with() -> None:
     path = curved_path(4)
-    late, on_time = Follower(path, LIMIT), Follower(path, LIMIT)
+    late, on_time = Follower(path, RATE_LIMITS), Follower(path, RATE_LIMITS)
     late.advance(CATCH_UP)
     for _ in range(round(CATCH_UP / TICK)):
         on_time.advance(TICK)
@@ -190,7 +252,7 @@ def test_a_short_pause_between_ticks_is_caught_up_with() -> None:
 
 def test_after_a_long_pause_between_ticks_the_robot_goes_on_from_rest_where_it_stood() -> None:
     path = curved_path(5)
-    follower = Follower(path, LIMIT)
+    follower = Follower(path, RATE_LIMITS)
     while follower.time < path.duration / 2:
         follower.advance(TICK)
     stood = follower.position.copy()

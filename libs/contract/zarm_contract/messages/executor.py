@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Trajectory
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Positive, Trajectory
 from zarm_contract.messages.scene import SceneRevision
 
 RobotMode = Literal["idle", "running", "stopping", "paused", "fault"]
@@ -63,7 +63,8 @@ class GoalTrajectory(Message):
     """What the executor follows for a goal; `number` is 1 at its start and increases with every change, as of a stream.
 
     Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: in none.
-    With `replan` the servo replaces it when something is in its way.
+    With `replan` the servo replaces it when something is in its way. `tip` is the pose of a pose goal: any joints that bring the tip
+    there will do. Left out: the joints at the end are the goal.
     """
 
     goal_id: Name
@@ -72,6 +73,7 @@ class GoalTrajectory(Message):
     trajectory: Trajectory
     scene_revision: SceneRevision | None = None
     replan: bool = False
+    tip: Pose | None = None
 
 
 class ReplaceTrajectory(Message):
@@ -79,7 +81,8 @@ class ReplaceTrajectory(Message):
 
     `number` is that of the `GoalTrajectory` that is replaced. The new trajectory begins exactly where that one is at `at`, in position,
     velocity and acceleration, and ends at rest. Without `at` it begins where the robot rests, held by its authority. It was
-    verified in the scene `scene_revision`. The executor refuses what comes when the robot has passed `at`, is not held
+    verified in the scene `scene_revision`, and is free of what moves up to its time `until` (s), left out: to its end; the robot goes
+    no further before the servo says so. The executor refuses what comes when the robot has passed `at`, is not held
     (without `at`), or is told to pause or to end.
     """
 
@@ -88,6 +91,7 @@ class ReplaceTrajectory(Message):
     at: NonNegative | None = None
     trajectory: Trajectory
     scene_revision: SceneRevision
+    until: NonNegative | None = None
 
 
 class Obstruction(Message):

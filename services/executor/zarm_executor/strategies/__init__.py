@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
-
 from zarm_contract.keys import Keys
 from zarm_contract.messages import JointState
 from zarm_contract.robot import RobotDescription
@@ -18,6 +16,7 @@ from zarm_executor.strategies.ghost import GhostOnly
 from zarm_executor.strategies.registry import StrategyRegistry
 from zarm_runtime.bus import Bus
 from zarm_runtime.state_file import StateFile
+from zarm_trajectory.rate_bounds import RateLimits
 
 
 def build_strategies(robot: RobotDescription, folder: Path, bus: Bus, keys: Keys) -> StrategyRegistry:
@@ -25,7 +24,7 @@ def build_strategies(robot: RobotDescription, folder: Path, bus: Bus, keys: Keys
     descriptor = robot.descriptor
     emulated = EmulatedRobot(descriptor, StateFile(folder / "emulated_robot.json", JointState))
     registry = StrategyRegistry()
-    registry.add(Emulator(emulated, np.array(descriptor.cspace.acceleration)))
+    registry.add(Emulator(emulated, RateLimits.of(descriptor)))
     registry.add(GhostOnly(emulated))
     params = descriptor.strategy_params
     link = None if params is None else DriverLink(bus, keys, descriptor, params)

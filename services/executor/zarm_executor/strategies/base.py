@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -72,13 +73,13 @@ class Strategy(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Decelerate to rest along the path, inside the acceleration limits. Idempotent."""
+        """Decelerate to rest along the path, inside the limits of acceleration and jerk. Idempotent."""
 
     @abstractmethod
     def move(self, speed: float) -> None:
         """Go on along the same path at this path speed in (0, 1]: after `stop`, or in motion to become slower or faster.
 
-        The path speed rises or falls to it inside the acceleration limits.
+        The path speed rises or falls to it inside the limits of acceleration and jerk.
         """
 
     @abstractmethod
@@ -94,8 +95,8 @@ class Strategy(ABC):
         """The newest measured state of the robot, also while nothing moves; None before the first."""
 
     @abstractmethod
-    def braking_from(self) -> tuple[float, float]:
-        """The path time (s) and the path speed at which the robot would begin to brake if `stop` came now."""
+    def braking_from(self) -> PathState:
+        """From where the robot would brake if `stop` came now."""
 
     @abstractmethod
     def progress(self) -> Progress:

@@ -14,6 +14,7 @@ from zarm_contract.robot import RobotDescriptor, StrategyParams
 from zarm_executor.strategies.base import Measured
 from zarm_runtime.bus import Bus
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -38,8 +39,7 @@ class DriverLink:
         self.params = params
         self.execution = descriptor.execution
         self.joints = descriptor.joints
-        self.acceleration_limit = np.array(descriptor.cspace.acceleration)
-        self.jerk_limit = np.array(descriptor.cspace.jerk)
+        self.limits = RateLimits.of(descriptor)
         self.velocity_clamp = np.array(params.velocity or descriptor.cspace.velocity)
         self.acceleration_clamp = np.array(params.acceleration or descriptor.cspace.acceleration)
         self._names = params.joint_order or self.joints

@@ -14,7 +14,9 @@ from zarm_executor.loop import Loop
 from zarm_executor.strategies.base import Measured, Progress, Steerable
 from zarm_runtime.state_file import StateFile
 from zarm_trajectory.follower import Follower
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -67,10 +69,10 @@ class Emulator(Steerable):
 
     name = "emulator"
 
-    def __init__(self, robot: EmulatedRobot, acceleration_limit: Array) -> None:
+    def __init__(self, robot: EmulatedRobot, limits: RateLimits) -> None:
         self._robot = robot
-        self._limit = acceleration_limit
-        self._follower = Follower(TimedTrajectory.standing(robot.measured.position), acceleration_limit)
+        self._limits = limits
+        self._follower = Follower(TimedTrajectory.standing(robot.measured.position), limits)
         self._saver = Loop("emulated robot", SAVE_PERIOD, self._save)
         self._saving_fails = False
 
@@ -90,7 +92,7 @@ class Emulator(Steerable):
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `trajectory`."""
-        self._follower = Follower(trajectory, self._limit, time=trajectory.begin, speed=speed, target=speed)
+        self._follower = Follower(trajectory, self._limits, time=trajectory.begin, speed=speed, target=speed)
 
     def stop(self) -> None:
         """Let the path speed fall to 0."""
@@ -120,9 +122,9 @@ class Emulator(Steerable):
         """Where the emulated robot is."""
         return self._robot.measured
 
-    def braking_from(self) -> tuple[float, float]:
+    def braking_from(self) -> PathState:
         """Where it is commanded to be."""
-        return self._follower.time, self._follower.speed
+        return self._follower.state
 
     def progress(self) -> Progress:
         """How far the path is followed."""

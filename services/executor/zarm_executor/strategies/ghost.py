@@ -7,6 +7,7 @@ import time
 from zarm_contract.errors import Unavailable
 from zarm_executor.strategies.base import Measured, Progress, Strategy
 from zarm_executor.strategies.emulator import EmulatedRobot
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.trajectory import TimedTrajectory
 
 
@@ -50,9 +51,9 @@ class GhostOnly(Strategy):
         """Where the robot stands."""
         return self._robot.measured
 
-    def braking_from(self) -> tuple[float, float]:
+    def braking_from(self) -> PathState:
         """It stands."""
-        return 0.0, 0.0
+        return PathState(0.0, 0.0)
 
     def progress(self) -> Progress:
         """No motion: at its end from the beginning."""

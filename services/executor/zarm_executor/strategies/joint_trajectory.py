@@ -8,6 +8,7 @@ from zarm_executor.strategies.base import Measured, Progress
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_trajectory.follower import CATCH_UP, Follower
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -68,7 +69,7 @@ class JointTrajectory(DriverStrategy):
         self._trajectory, self._speed = trajectory, speed
         self._braking = self._stopping = self._resuming = False
         self._lost_at = None
-        self._play(self._along(trajectory, trajectory.begin, speed))
+        self._play(self._along(trajectory, PathState(trajectory.begin, speed), speed))
 
     def stop(self) -> None:
         """Have the robot brake along the path, from the next tick on."""
@@ -122,19 +123,19 @@ class JointTrajectory(DriverStrategy):
         elif self._braking and self._index == command.last:
             self.hold(now)
 
-    def braking_from(self) -> tuple[float, float]:
+    def braking_from(self) -> PathState:
         """Where the driver will be when it learns of it, which takes a point or two."""
         command = self._command
-        return (0.0, 0.0) if command is None else command.at(self._playing(command) + _LEARNS)[:2]
+        return PathState(0.0, 0.0) if command is None else command.at(self._playing(command) + _LEARNS)
 
     def progress(self) -> Progress:
         """How far the robot is."""
         trajectory, command = self._trajectory, self._command
         if trajectory is None or command is None:
             return Progress(time=0.0, speed=0.0, command=np.zeros(len(self.link.joints)), finished=True)
-        time, speed, position = command.at(self._index)
+        time, speed, _ = command.at(self._index)
         over = self._lost_at is None and not self._resuming
-        return Progress(time, speed, position, finished=over and time >= trajectory.duration)
+        return Progress(time, speed, command.position(self._index), finished=over and time >= trajectory.duration)
 
     def _brake_unheard(self, now: float) -> None:
         """Where the driver is not heard it is told to stop, by its own means, until it is heard again and the robot stands.
@@ -160,8 +161,7 @@ class JointTrajectory(DriverStrategy):
         """Put the motion where the robot is, which brakes by itself, on its path; it was not seen for `unseen` s."""
         time, speed = self.progress().time, 0.0 if self.link.standing() else 1.0
         time = trajectory.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + unseen)
-        follower = Follower(trajectory, self.link.acceleration_limit, time=time, speed=speed, target=speed)
-        self._command = follower.ahead(self.link.params.point_dt, 1)
+        self._command = self._along(trajectory, PathState(time, speed), speed).ahead(self.link.params.point_dt, 1)
         self._index = self._clock = 0.0
 
     def _untaken(self, now: float) -> bool:
@@ -183,9 +183,8 @@ class JointTrajectory(DriverStrategy):
             return
         self._stopping = False
         self._braking = True
-        time, speed, _ = command.at(min(index, command.last))
         if self._trajectory is not None:
-            self._play(Follower(self._trajectory, self.link.acceleration_limit, time=time, speed=speed, target=0.0))
+            self._play(self._along(self._trajectory, command.at(min(index, command.last)), 0.0))
 
     def _brakes_from(self, command: RetimedTrajectory, now: float, dt: float) -> float | None:
         """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
@@ -206,7 +205,7 @@ class JointTrajectory(DriverStrategy):
             measured, time = self.link.measured(), float(command.path_time[-1])
             if measured is not None:
                 time = trajectory.nearest(measured.position, command.path_time[0] - _OVERRUN, time + _OVERRUN)
-            self._play(self._along(trajectory, time, 0.0))
+            self._play(self._along(trajectory, PathState(time, 0.0), self._speed))
             self._lead_back()
         elif self.link.params.stop == "empty":
             return  # nobody knows what the driver is braking through
@@ -214,8 +213,7 @@ class JointTrajectory(DriverStrategy):
             index = self._next(command, dt, encoded=(trajectory.duration - float(command.path_time[-1])) / command.dt)
             if index is None:
                 return
-            time, speed, _ = command.at(index)
-            self._play(self._along(trajectory, time, speed))
+            self._play(self._along(trajectory, command.at(index), self._speed))
         self._braking = self._resuming = False
 
     def _repace(self, command: RetimedTrajectory, now: float, dt: float) -> None:
@@ -225,10 +223,12 @@ class JointTrajectory(DriverStrategy):
         index = self._index if self._unsent else self._next(command, dt, encoded=command.last - self._index)
         if index is None:
             return
-        time, speed, _ = command.at(index)
+        state = command.at(index)
         self._repacing = False
-        if time < self._trajectory.duration:
-            self._play(self._along(self._trajectory, time, self._speed if self._unsent else speed))
+        if state.time < self._trajectory.duration:
+            if self._unsent:
+                state = PathState(state.time, self._speed)
+            self._play(self._along(self._trajectory, state, self._speed))
 
     def _next(self, command: RetimedTrajectory, dt: float, encoded: float = 0.0) -> float | None:
         """The index of the point that comes next when the driver has what is sent in this tick; None where that is not known.
@@ -261,8 +261,9 @@ class JointTrajectory(DriverStrategy):
         behind = (self._clock - self._index) * command.dt
         return self.link.params.state_topic is None and behind > self.link.params.delay + _ON_TIME
 
-    def _along(self, trajectory: TimedTrajectory, time: float, speed: float) -> Follower:
-        return Follower(trajectory, self.link.acceleration_limit, time=time, speed=speed, target=self._speed)
+    def _along(self, trajectory: TimedTrajectory, state: PathState, target: float) -> Follower:
+        time, speed, rate = state
+        return Follower(trajectory, self.link.limits, time=time, speed=speed, rate=rate, target=target)
 
     def _transmit(self, now: float) -> None:
         if self._command is None:
@@ -327,16 +328,15 @@ class JointTrajectory(DriverStrategy):
         measured, command = self.link.measured(), self._command
         if measured is None or command is None:
             return
-        limits = self.link.velocity_clamp, self.link.acceleration_limit, self.link.jerk_limit
+        limits = self.link.velocity_clamp, self.link.limits.acceleration, self.link.limits.jerk
         way = TimedTrajectory.standing(command.points.position[0]).approached_from(measured.position, *limits)
         times = np.arange(0.0, way.duration - 1.0, command.dt)  # without the second of rest
-        position, velocity, acceleration = way.sample(times)
         held = np.zeros_like(times)
-        self._command = RetimedTrajectory.of(
+        states = np.concatenate((way.sample(times), command.points.states), axis=1)
+        self._command = RetimedTrajectory(
             command.dt,
             np.concatenate((held + command.path_time[0], command.path_time)),
             np.concatenate((held, command.path_speed)),
-            np.vstack((position, command.points.position)),
-            np.vstack((velocity, command.points.velocity)),
-            np.vstack((acceleration, command.points.acceleration)),
+            np.concatenate((held, command.path_rate)),
+            TimedTrajectory(np.arange(float(states.shape[1])) * command.dt, *states),
         )

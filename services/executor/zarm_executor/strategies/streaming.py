@@ -16,8 +16,8 @@ from zarm_executor.strategies.base import Progress, Steerable
 from zarm_executor.strategies.driver import DriverStrategy
 from zarm_executor.strategies.driver_link import DriverLink
 from zarm_executor.strategies.reference import Commanded, Reference
-from zarm_trajectory.braking import braking
 from zarm_trajectory.follower import CATCH_UP, TICK, Follower
+from zarm_trajectory.path_state import PathState
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -78,7 +78,7 @@ class Streaming(DriverStrategy, Steerable):
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `trajectory`."""
         begin = trajectory.begin
-        self._follower = Follower(trajectory, self.link.acceleration_limit, time=begin, speed=speed, target=speed)
+        self._follower = Follower(trajectory, self.link.limits, time=begin, speed=speed, target=speed)
         self._reference = Reference(self._memory)
         self._expected = Commanded(0.0, begin, 0.0, trajectory.start)
         self._sent_at, self._over, self._away, self._lost_at, self._chunk = None, False, None, None, None
@@ -148,10 +148,10 @@ class Streaming(DriverStrategy, Steerable):
             self.sent(now)
             self._over = rests and follower.settled and self._caught_up() and self._may_end()
 
-    def braking_from(self) -> tuple[float, float]:
+    def braking_from(self) -> PathState:
         """What is commanded at the next point of the driver: a chunk that cannot wait begins there."""
         follower = self._follower
-        return (0.0, 0.0) if follower is None else (follower.time + self._dt * follower.speed, follower.speed)
+        return PathState(0.0, 0.0) if follower is None else follower.state.after(self._dt)
 
     def progress(self) -> Progress:
         """Where the robot should be by now."""
@@ -200,16 +200,15 @@ class Streaming(DriverStrategy, Steerable):
 
         A robot that is elsewhere has not had it: then from where, and as fast as, the robot moves by now.
         """
-        trajectory, limit = follower.trajectory, self.link.acceleration_limit
         self._reference = Reference(self._memory)
         if self._chunk is not None and self._sent_at is not None:
             index = (now - self._sent_at) / self._dt
-            before, speed_before, expected = self._chunk.at(index - self._delay / self._dt)
+            before = index - self._delay / self._dt
+            expected = self._chunk.position(before)
             measured = self.link.measured()
             if measured is not None and np.all(np.abs(measured.position - expected) <= _ON_CHUNK):
-                self._reference.note(now - self._delay, Follower(trajectory, limit, time=before, speed=speed_before))
-                time, speed, _ = self._chunk.at(index)
-                self._follower = Follower(trajectory, limit, time=time, speed=speed, target=self._wanted)
+                self._reference.note(now - self._delay, follower.moved_to(self._chunk.at(before), self._wanted))
+                self._follower = follower.moved_to(self._chunk.at(index), self._wanted)
                 return self._follower
         self._forget_sent()
         self._follower = self._found(follower, now, dt)
@@ -224,7 +223,7 @@ class Streaming(DriverStrategy, Steerable):
         slope = trajectory.at(time)[1]
         length = float(slope @ slope)
         speed = min(max(float(slope @ self.link.velocity()) / length, 0.0), 1.0) if length > _SLOPE else 0.0
-        follower = Follower(trajectory, self.link.acceleration_limit, time=time, speed=speed, target=self._wanted)
+        follower = follower.moved_to(PathState(time, speed), self._wanted)
         self._reference.note(now - self._delay, follower)
         for _ in range(round(self._delay / TICK)):
             follower.advance(TICK)
@@ -238,7 +237,7 @@ class Streaming(DriverStrategy, Steerable):
         measured, time = self.link.measured(), follower.time
         if measured is not None:
             time = follower.trajectory.nearest(measured.position, time - _BEHIND, time + ahead)
-        self._follower = Follower(follower.trajectory, self.link.acceleration_limit, time=time, speed=0.0, target=0.0)
+        self._follower = follower.moved_to(PathState(time, 0.0), 0.0)
         self._stands()
         return self._follower
 
@@ -263,8 +262,7 @@ class Streaming(DriverStrategy, Steerable):
         scout.advance(seconds)
         scout.target = self._wanted
         ahead = scout.ahead(self._dt, self._count)
-        time, speed = float(ahead.path_time[-1]), float(ahead.path_speed[-1])
-        return ahead.followed_by(braking(follower.trajectory, time, speed, self.link.acceleration_limit, self._dt))
+        return ahead.followed_by(scout.moved_to(ahead.at(ahead.last), 0.0).ahead(self._dt))
 
     def _caught_up(self) -> bool:
         """Whether the robot has had the time to come to rest as well."""

@@ -1,0 +1,156 @@
+"""How fast the path speed may change along a trajectory, so that the joints' limits of acceleration and jerk hold.
+
+The commanded motion is q(s(t)) with path time s, path speed sigma = ds/dt, its rate a = dsigma/dt and u = da/dt. By the chain rule
+
+    acceleration  q'' sigma^2 + q' a
+    jerk          q''' sigma^3 + 3 q'' sigma a + q' u
+
+(Bobrow, Dubowsky and Gibson 1985; Tarkiainen and Shiller 1993). Both are linear in a and u, so at one point of the trajectory and one path
+speed the limits of all joints are an interval of a, and one of u for each a. Zero is in both: a trajectory inside the limits is inside them
+at every constant path speed below 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from zarm_contract.robot import RobotDescriptor
+from zarm_trajectory.quintic import Array
+from zarm_trajectory.trajectory import TimedTrajectory
+
+ROW = 0.01
+"""Path time, s, over which the bounds are one."""
+_ROWS = 20
+"""So many rows are looked up at once."""
+_SAMPLES = 8
+"""The trajectory is looked at so often in each row."""
+_NODES = 6
+"""Between so many squared path speeds from 0 to 1 the bounds are interpolated. They are concave in them, so that is conservative."""
+_SLACK = 0.001
+"""Share of a limit that a change of path speed may use where the trajectory alone needs all of it: less than anybody can measure."""
+_BEYOND = 1.01
+"""A trajectory whose jerk is above the limit by more than this factor comes from somebody who does not hold it."""
+_STANDING = 1e-9
+"""Slope of a trajectory, rad/s, below which a joint says nothing about the path speed."""
+_MOST = 1e6
+"""Bound where no joint says anything."""
+
+_Table = list[list[list[float]]]
+"""By row and node: what the rate may be by the accelerations, what it may be times the path speed by the jerks, how fast it may grow and
+fall at a rate of zero, and by how much less for each unit of the rate times the path speed."""
+
+
+@dataclass(frozen=True, eq=False)
+class RateLimits:
+    """What bounds the rate of a path speed: the joints' limits (J,) of `acceleration` (rad/s^2) and `jerk` (rad/s^3)."""
+
+    acceleration: Array
+    jerk: Array
+
+    @classmethod
+    def of(cls, descriptor: RobotDescriptor) -> Self:
+        """Those of the descriptor."""
+        return cls(np.array(descriptor.cspace.acceleration), np.array(descriptor.cspace.jerk))
+
+    @property
+    def ramp(self) -> float:
+        """The longest time (s) that a joint takes from no acceleration to its limit."""
+        return float((self.acceleration / self.jerk).max())
+
+
+class Bounds(NamedTuple):
+    """In one direction of change: the greatest `rate` (1/s); how fast it may `grow` and `shrink` near zero (1/s^2), and by how much less for
+    each unit of it."""
+
+    rate: float
+    grow: float
+    shrink: float
+    grow_loss: float
+    shrink_loss: float
+
+    def rate_after(self, rate: float, dt: float) -> float:
+        """The greatest rate that one of `rate` may have become `dt` s later."""
+        grown = rate + (self.grow - self.grow_loss * rate) * dt, (rate + self.grow * dt) / (1.0 + self.grow_loss * dt)
+        return min(*grown, self.rate)
+
+    def ease(self, rate: float) -> float:
+        """How fast this rate, and any lower one, may fall towards zero."""
+        return max(self.shrink - self.shrink_loss * rate, 0.0)
+
+
+class RateBounds:
+    """The bounds along `trajectory` inside these limits.
+
+    What the trajectory itself has beyond a limit is granted to it; where its jerk is, a change of path speed may add up to the limit.
+    """
+
+    def __init__(self, trajectory: TimedTrajectory, limits: RateLimits) -> None:
+        self._trajectory, self._limits = trajectory, limits
+        self._tables: dict[int, tuple[_Table, _Table]] = {}
+
+    def at(self, row: int, speed: float, way: int) -> Bounds:
+        """The bounds in a row, that from the path time `row` x ROW (s) on, for slowing down (`way` -1) or speeding up (1)."""
+        block, index = divmod(row, _ROWS)
+        tables = self._tables.get(block)
+        if tables is None:
+            tables = self._tables[block] = self._look_up(block * _ROWS)
+        node = speed * speed * _NODES
+        low = min(int(node), _NODES - 1)
+        high = node - low
+        cells = tables[way > 0][index]
+        a, b = cells[low], cells[low + 1]
+        return Bounds(
+            min(a[0] + high * (b[0] - a[0]), (a[1] + high * (b[1] - a[1])) / max(speed, 1e-6)),
+            a[2] + high * (b[2] - a[2]),
+            a[3] + high * (b[3] - a[3]),
+            (a[4] + high * (b[4] - a[4])) * speed,
+            (a[5] + high * (b[5] - a[5])) * speed,
+        )
+
+    def _look_up(self, first: int) -> tuple[_Table, _Table]:
+        trajectory, limit, jerk = self._trajectory, self._limits.acceleration, self._limits.jerk
+        times = ROW * (first + np.arange(_ROWS * _SAMPLES + 1) / _SAMPLES)
+        times = times.clip(trajectory.begin, trajectory.duration)
+        samples = np.arange(_ROWS)[:, None] * _SAMPLES + np.arange(
+            _SAMPLES + 1
+        )  # of each row, both its ends among them
+        _, slope, bend = trajectory.sample(times)[:, samples]
+        twist = trajectory.jerks(times)[samples]
+        least_jerk = np.where(np.abs(twist) > _BEYOND * jerk, jerk, _SLACK * jerk)
+        most_jerk = (1 + _SLACK) * jerk
+        turn = 3 * bend
+        by_slope, by_turn = 1.0 / np.maximum(np.abs(slope), _STANDING), 1.0 / np.maximum(np.abs(turn), _STANDING)
+        leaning, turning = np.sign(slope) * by_slope, np.sign(turn) * by_turn
+        tables = []
+        for way in (-1, 1):
+            rate = _room((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, (way * bend * leaning, _SQUARED))
+            product = _room(most_jerk * by_turn, least_jerk * by_turn, (way * twist * turning, _CUBED))
+            reach = np.minimum(rate * np.sqrt(np.maximum(_SQUARED, _SQUARED[1])), product)
+            columns, losses = [rate, product], []
+            for sign in (way, -way):
+                of_trajectory, of_rate = (sign * twist * leaning, _CUBED), (sign * way * turn * leaning, reach)
+                near = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
+                far = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
+                columns.append(near)
+                losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING))
+            tables.append(np.stack(columns + losses, axis=-1).tolist())
+        return tables[0], tables[1]
+
+
+_SQUARED = np.arange(_NODES + 1.0) / _NODES
+_CUBED = _SQUARED**1.5
+
+
+def _room(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
+    """What every joint of every sample has left of `most` at the nodes (rows, nodes), and `least` at least.
+
+    Of what is used (rows, samples, J) so much for each node, (nodes,) or (rows, nodes); `most` and `least` are (rows, samples, J) too.
+    """
+    flat = (len(most), 1, -1)
+    left = most.reshape(flat)
+    for used, share in uses:
+        left = left - used.reshape(flat) * share[..., None]
+    return np.asarray(np.maximum(left, least.reshape(flat)).min(axis=2).clip(0.0, _MOST))

@@ -1,0 +1,43 @@
+"""Which visual meshes are taken beside the collision geometry: all but those that hold two links together that part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from zarm_robot_import.contacts import Contacts
+from zarm_robot_import.meshes import Surface
+
+MOST_TAKEN = 0.3
+"""Share of all configurations that visual meshes may take from a pair of links."""
+_CROWD = 300
+"""Configurations that are looked at."""
+
+
+def without_contradictions(surfaces: Sequence[Surface], contacts: Contacts) -> list[Surface]:
+    """The surfaces, some by their collision geometry alone.
+
+    Where two links touch with their visual meshes in many more configurations than with their collision geometry alone, the arm
+    could hardly move: the visual mesh that does it is left out, with that reason. Where the collision geometry never touches and what
+    is seen always does, as a cable does that runs along the arm, nothing is lost: the pair is ignored later.
+    """
+    bare: dict[str, str] = {}
+    for first, second in combinations([surface.link for surface in surfaces], 2):
+        mixed = contacts.mixed(first, second)
+        if not mixed or abs(contacts.body[first] - contacts.body[second]) < 2:
+            continue
+        whole = contacts.share(first, second, _CROWD)
+        if whole <= MOST_TAKEN:
+            continue
+        alone = contacts.share(first, second, _CROWD, mixed)
+        if whole - alone <= MOST_TAKEN or (whole == 1.0 and alone == 0.0):
+            continue
+        left = {link: contacts.share(first, second, _CROWD, [link]) - alone for link in mixed}
+        least = min(left, key=lambda link: left[link])
+        for link in [least] if left[least] <= MOST_TAKEN else mixed:
+            other = second if link == first else first
+            bare[link] = (
+                f"with it {link} and {other} touch in {whole:.0%} of all configurations, and without it in {alone:.0%}"
+            )
+            contacts.drop_visual(link)
+    return [surface.without_visual(bare[surface.link]) if surface.link in bare else surface for surface in surfaces]

@@ -1,0 +1,34 @@
+"""How far ahead on a running trajectory a new one is to take over: as soon as it can be there."""
+
+from __future__ import annotations
+
+from collections import deque
+
+SHORTEST, LONGEST = 0.04, 0.4
+"""Bounds of the lead (s)."""
+_SPARE = 1.25
+"""The lead is so many times the longest of the last times."""
+_LATER = 1.5
+"""What came too late would have taken so many times as long as it was given, at a guess."""
+_REMEMBERED = 4
+"""So many times are remembered."""
+
+
+class Lead:
+    """Learns from how long it took to plan and hand over a trajectory."""
+
+    def __init__(self) -> None:
+        self._took: deque[float] = deque(maxlen=_REMEMBERED)
+
+    @property
+    def seconds(self) -> float:
+        """A new trajectory takes over so long (s) after it was asked for."""
+        return min(max(_SPARE * max(self._took, default=0.0), SHORTEST), LONGEST)
+
+    def in_time(self, took: float) -> None:
+        """A trajectory was there after so long (s)."""
+        self._took.append(took)
+
+    def too_late(self) -> None:
+        """A trajectory was not there in time."""
+        self._took.append(_LATER * self.seconds)

@@ -1,0 +1,54 @@
+"""The options of a plan request, as its panel has them."""
+
+from __future__ import annotations
+
+from typing import Literal, cast
+
+from zarm.planning import Settings
+from zarm.values import AXES, Axis, PathConstraint
+from zarm_contract.messages import PlannerSettings
+from zarm_viewer.desk import Desk
+
+_DEFAULT = PlannerSettings()
+_HOLD = "What is ticked stays as it is at the start, all the way"
+_REPLAN = "When something is put in the way, plan anew in motion and swerve; else the robot waits until the way is free"
+
+
+class PlanOptions:
+    """Inputs for what a plan is made with, and how it is executed."""
+
+    def __init__(self, desk: Desk) -> None:
+        gui, default = desk.server.gui, _DEFAULT
+        self._replan = gui.add_checkbox("replan on the way", False, hint=_REPLAN)
+        self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, default.velocity_scale)
+        self._acceleration = gui.add_slider("acceleration", 0.05, 1.0, 0.05, default.acceleration_scale)
+        self._margin = gui.add_number("margin (m)", default.margin, min=0.0, max=0.2, step=0.001)
+        self._timeout = gui.add_number("timeout (s)", default.timeout, min=0.1, max=60.0, step=0.5)
+        self._attempts = gui.add_number("attempts", default.max_attempts, min=1, max=1000, step=1)
+        self._optimize = gui.add_number("optimise (s)", default.optimize_s, min=0.0, max=30.0, step=0.01)
+        self._held = {axis: gui.add_checkbox(f"hold {axis}", False, hint=_HOLD) for axis in AXES}
+        self._frame = gui.add_dropdown("hold in", ["base", "tool"])
+
+    @property
+    def replan(self) -> bool:
+        """Whether the servo may plan anew in motion."""
+        return self._replan.value
+
+    @property
+    def settings(self) -> Settings:
+        """What is set for the plan."""
+        return Settings(
+            velocity_scale=self._velocity.value,
+            acceleration_scale=self._acceleration.value,
+            margin=self._margin.value,
+            timeout=self._timeout.value,
+            max_attempts=int(self._attempts.value),
+            optimize_s=self._optimize.value,
+        )
+
+    @property
+    def path_constraint(self) -> PathConstraint | None:
+        """The axes of the tip that are held, if any."""
+        held = [cast(Axis, axis) for axis, box in self._held.items() if box.value]
+        frame = cast(Literal["base", "tool"], self._frame.value)
+        return PathConstraint(held, frame=frame) if held else None

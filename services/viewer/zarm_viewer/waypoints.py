@@ -1,0 +1,55 @@
+"""Waypoints of the next plan: handles in the picture that people drag."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from viser import LabelHandle, TransformControlsHandle
+from viser.transforms import SE3
+
+from zarm.values import Pose, pose_of
+from zarm_viewer.desk import Desk
+from zarm_viewer.kinematics import message_of, pose_at
+
+
+class _Handle(NamedTuple):
+    gizmo: TransformControlsHandle
+    label: LabelHandle
+
+
+class WaypointHandles:
+    """Poses of the tip, passed in the order of their numbers before the goal is reached."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._handles: list[_Handle] = []
+
+    def add(self, pose: SE3) -> None:
+        """One more, after the others."""
+        scene, number = self._desk.server.scene, len(self._handles) + 1
+        node = f"{self._desk.root}/waypoint_{number}"
+        gizmo = scene.add_transform_controls(
+            node,
+            scale=0.22,
+            line_width=3.0,
+            depth_test=False,
+            position=pose.translation(),
+            wxyz=pose.rotation().wxyz,
+        )
+        self._handles.append(_Handle(gizmo, scene.add_label(f"{node}/label", f"{number}")))
+
+    def clear(self) -> None:
+        """None."""
+        while self._handles:
+            for handle in reversed(self._handles.pop()):
+                handle.remove()
+
+    def show(self, seen: bool) -> None:
+        """Show the handles, or not."""
+        for handle in self._handles:
+            handle.gizmo.visible = seen
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """Where they are now, in the base frame."""
+        return tuple(pose_of(message_of(pose_at(handle.gizmo))) for handle in self._handles)

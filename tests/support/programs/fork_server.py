@@ -1,0 +1,73 @@
+"""Imports a service and loads its kernels, then forks for each request on a socket: `fork_server.py zarm_planner FD`.
+
+A request is a line of JSON; the answer is the pid of a process that is the service with these arguments, in this environment and
+folder, in a session of its own, writing to this log. The requester must be a subreaper: it becomes the parent.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import socket
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from zarm_runtime import signals
+
+_ONE_THREAD = (
+    "a fork has only the thread that forks; {} is not for this server, for it starts others when it is imported"
+)
+
+
+def serve(requests: socket.socket) -> bool:
+    """Fork for each request. Returns True in each fork, which has become what was asked for, and False when nobody asks any more."""
+    with requests, requests.makefile("rw") as lines:
+        for line in lines:
+            ready, tell = os.pipe()
+            if (parent := os.fork()) == 0:
+                if os.fork():
+                    os._exit(0)
+                become(**json.loads(line))
+                os.write(tell, str(os.getpid()).encode())
+                for end in (ready, tell):
+                    os.close(end)
+                return True
+            os.close(tell)
+            os.waitpid(parent, 0)  # from now on the requester is the parent of the fork
+            lines.write(os.read(ready, 16).decode() + "\n")
+            lines.flush()
+            os.close(ready)
+    return False
+
+
+def become(command: list[str], environment: dict[str, str], folder: str, log: str, scheduling: tuple[int, int]) -> None:
+    """Make this fork the process that `command` would have started. `scheduling`: policy and priority."""
+    os.setsid()
+    policy, priority = scheduling
+    os.sched_setscheduler(0, policy, os.sched_param(priority))
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    output = os.open(log, os.O_WRONLY | os.O_APPEND)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    os.close(output)
+    sys.orig_argv = command  # with which a service starts itself anew
+    sys.argv = command[2:]
+    importlib.reload(signals)  # its pipe is one for each process
+
+
+def main() -> int:
+    """Serve; the exit code of the service, in each fork."""
+    service = importlib.import_module(f"{sys.argv[1]}.service")
+    if find_spec(f"{sys.argv[1]}.warm_up"):
+        importlib.import_module(f"{sys.argv[1]}.warm_up").main()
+    if len(list(Path("/proc/self/task").iterdir())) > 1:
+        sys.exit(_ONE_THREAD.format(sys.argv[1]))
+    return int(service.main()) if serve(socket.socket(fileno=int(sys.argv[2]))) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
