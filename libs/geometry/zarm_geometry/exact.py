@@ -85,14 +85,22 @@ class ExactScene:
         """
         model, links = self.model, len(self.model.links)
         room = {tuple(pair): room for pair, room in zip(model.arrays.pairs.tolist(), model.pair_room, strict=True)}
-        kept = [margin] * links + [min(self_margin, room.get(tuple(pair), np.inf)) for pair in model.pairs.tolist()]
-        found = []
-        for subject in np.flatnonzero(self._asked & (np.array(kept) > 0.0)).tolist():
-            alone = np.arange(len(self._asked)) == subject
-            nearest = self._nearest(q, check, alone, kept[subject])
-            if nearest.pair is not None:
-                found.append((nearest, kept[subject]))
+        of_pairs = [min(self_margin, room.get(tuple(pair), np.inf)) for pair in model.pairs.tolist()]
+        kept, found = np.array([margin] * links + of_pairs), []
+        for within in np.unique(kept[kept > 0.0]).tolist():
+            asked = self._asked & (kept == within)
+            while (nearest := self._nearest(q, check, asked, within)).shapes is not None:
+                found.append((nearest, within))
+                asked[self._subject(*nearest.shapes)] = False
         return found
+
+    def _subject(self, part: int, other: int) -> int:
+        """The subject in which `clearance.look` finds these two."""
+        link = self.model.parts[part][0]
+        if other >= 0:
+            return link
+        pair = sorted((link, self.model.parts[-1 - other][0]))
+        return len(self.model.links) + int(np.flatnonzero((self.model.pairs == pair).all(axis=1))[0])
 
     def _nearest(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float) -> Nearest:
         """The smallest distance below `within` (m) of the subjects that are `asked` for; without a pair if there is none."""
