@@ -109,10 +109,12 @@ def run(model: RobotModel, problem: motion_bench.Problem, self_margin: float) ->
     _, q = followed(motion.time, motion.position, motion.velocity, motion.acceleration, scene.exact.reach, RESOLUTION)
     wanted = max(SELF_MARGINS)
     ends = {
-        near.pair: near.distance for end in (q[0], q[-1]) for near, _ in scene.exact.too_near(end[None], 0.0, wanted)
+        near.pair: near.distance
+        for end in (q[0], q[-1])
+        for near, _ in scene.exact.too_near(end[None], 0.0, 0.0, wanted)
     }
     short = [
-        min(kept, ends.get(near.pair, kept)) - near.distance for near, kept in scene.exact.too_near(q, 0.0, wanted)
+        min(kept, ends.get(near.pair, kept)) - near.distance for near, kept in scene.exact.too_near(q, 0.0, 0.0, wanted)
     ]
     return Planned(timings.search + timings.shortcut, total, motion.duration, max(short, default=0.0))
 

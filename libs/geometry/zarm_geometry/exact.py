@@ -76,9 +76,16 @@ class ExactScene:
         return self._nearest(q, check, self._asked if itself else self._asked_of_world, FARTHEST)
 
     def too_near(
-        self, q: Array, margin: float, self_margin: float, check: Callable[[], None] = lambda: None
+        self,
+        q: Array,
+        clearance: float,
+        margin: float,
+        self_margin: float,
+        check: Callable[[], None] = lambda: None,
     ) -> list[tuple[Nearest, float]]:
         """What is nearer over configurations `q` (n, dof) than it is to be, with the distance (m) that it was to keep.
+
+        Nothing is nearer than `clearance` (m), so what may come that near is not looked for.
 
         For each link what is nearest in the world, if nearer than `margin` (m), and each two links that are nearer to each other than
         `self_margin` (m), or than what the search keeps of that: where `RobotModel.pair_room` is less, it is that.
@@ -87,7 +94,7 @@ class ExactScene:
         room = {tuple(pair): room for pair, room in zip(model.arrays.pairs.tolist(), model.pair_room, strict=True)}
         of_pairs = [min(self_margin, room.get(tuple(pair), np.inf)) for pair in model.pairs.tolist()]
         kept, found = np.array([margin] * links + of_pairs), []
-        for within in np.unique(kept[kept > 0.0]).tolist():
+        for within in np.unique(kept[kept > max(clearance, 0.0)]).tolist():
             asked = self._asked & (kept == within)
             while (nearest := self._nearest(q, check, asked, within)).shapes is not None:
                 found.append((nearest, within))

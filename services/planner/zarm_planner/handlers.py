@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import (
+    Attached,
     AttachObject,
     CancelledPlan,
     CancelPlan,
@@ -98,6 +99,8 @@ class Handlers:
         self.moved = MovedObjects(lambda: store.scene)
         self._ready_for: SceneRevision | None = None
         self._objects: tuple[SceneObject, ...] = ()
+        self._carried: tuple[tuple[Attached, ...], tuple[str, ...]] = (), ()
+        self._carrier = model  # with what it carries
         self._world: World | None = None  # the latest, which the next one takes over from
         self._scenes: dict[float, PlanningScene] = {}  # by margin, the one used last at the end
 
@@ -318,13 +321,20 @@ class Handlers:
                 self._ready_for, self._objects, self._scenes = scene.revision, objects, {}
             ready = self._scenes.pop(kept, None)
             if ready is None:
-                model = self._model.with_attached(scene.attached, scene.ignored_links)
+                model = self._with(scene)
                 world = self._world = World(objects, kept, self._store.meshes, self._world)
                 ready = PlanningScene(scene.revision, model, world, ExactScene(model, world))
             self._scenes[kept] = ready
             if len(self._scenes) > _MARGINS:
                 del self._scenes[next(iter(self._scenes))]
             return ready
+
+    def _with(self, scene: Scene) -> RobotModel:
+        """The robot with what it carries in a scene, made once for each change of that."""
+        kept = scene.attached, scene.ignored_links
+        if self._carried != kept:
+            self._carried, self._carrier = kept, self._model.with_attached(*kept)
+        return self._carrier
 
     def _measured_or_home(self) -> Array:
         try:

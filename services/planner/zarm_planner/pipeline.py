@@ -58,7 +58,7 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, m
             context.deadline.check()
     if verified.clearance < max(context.world.margin, context.scene.self_margin):
         with context.timer.stage("verify"):
-            verified = replace(verified, too_near=too_near(context.scene, verified.trajectory))
+            verified = replace(verified, too_near=too_near(context.scene, verified.trajectory, verified.clearance))
     return verified
 
 

@@ -9,14 +9,14 @@ from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_trajectory.trajectory import TimedTrajectory
 
 
-def too_near(scene: PlanningScene, trajectory: TimedTrajectory) -> tuple[TooNear, ...]:
-    """What comes nearer to each other along a trajectory than the margins of the scene, in exact geometry."""
+def too_near(scene: PlanningScene, trajectory: TimedTrajectory, clearance: float) -> tuple[TooNear, ...]:
+    """What comes nearer to each other along a trajectory of this `clearance` (m) than the margins of the scene, in exact geometry."""
     exact = scene.exact
     times, position = followed(
         trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, exact.reach, RESOLUTION
     )
     return tuple(
         TooNear(pair=nearest.pair, distance=nearest.distance, margin=kept, time=float(times[nearest.sample]))
-        for nearest, kept in exact.too_near(position, scene.world.margin, scene.self_margin)
+        for nearest, kept in exact.too_near(position, clearance, scene.world.margin, scene.self_margin)
         if nearest.pair is not None
     )
