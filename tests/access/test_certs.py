@@ -12,7 +12,7 @@ import pytest
 from support.certificates import issue
 from support.command_line import the_one_line, zarm
 from support.harness import free_endpoint
-from zarm_cli.certificate_authority import hosts_of, load_certificate, today
+from zarm_cli.certificate_authority import Authority, hosts_of, load_certificate, today
 from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest
 from zarm_runtime.certificates import Certificates
@@ -46,11 +46,11 @@ def test_the_key_of_the_authority_is_in_a_folder_of_its_own_that_others_cannot_e
 def test_run_again_it_changes_nothing_that_is_good(tmp_path: Path) -> None:
     made(tmp_path / "certs")
     before = contents(tmp_path / "certs")
-    assert made(tmp_path / "certs").count("kept") == len(ROLES)
+    assert made(tmp_path / "certs").count("kept") == len(ROLES) + 1  # and the page
     assert contents(tmp_path / "certs") == before
 
 
-def test_run_again_it_adds_hosts_to_the_router_alone(tmp_path: Path) -> None:
+def test_run_again_it_adds_hosts_to_what_is_connected_to_alone(tmp_path: Path) -> None:
     folder = tmp_path / "certs"
     made(folder, "--host", "workstation")
     before = contents(folder)
@@ -58,9 +58,19 @@ def test_run_again_it_adds_hosts_to_the_router_alone(tmp_path: Path) -> None:
     assert {name for name, content in contents(folder).items() if before[name] != content} == {
         "router.pem",
         "router.key",
+        "page.pem",
+        "page.key",
     }
-    hosts = hosts_of(load_certificate(folder / "router.pem"))
-    assert {"localhost", "127.0.0.1", "workstation", "192.168.7.5"} <= {*hosts}
+    for name in ("router", "page"):
+        hosts = hosts_of(load_certificate(folder / f"{name}.pem"))
+        assert {"localhost", "127.0.0.1", "workstation", "192.168.7.5"} <= {*hosts}
+
+
+def test_the_page_has_a_certificate_that_nobody_on_the_bus_takes_for_a_router_s(certificates: Path) -> None:
+    authority = Authority.load(certificates.with_name(f"{certificates.name}-authority"))
+    assert authority.made(load_certificate(certificates / "router.pem"))
+    assert not authority.made(load_certificate(certificates / "page.pem"))
+    assert stat.S_IMODE((certificates / "page.key").stat().st_mode) == 0o600
 
 
 def test_run_again_it_renews_what_is_about_to_end(tmp_path: Path) -> None:

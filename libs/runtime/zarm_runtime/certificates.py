@@ -16,6 +16,7 @@ from typing import Any
 
 from zarm_contract.access import Role
 from zarm_contract.errors import InvalidRequest
+from zarm_runtime.security import PAGE
 
 _DAY = 86400.0
 _PROBE_SECONDS = 2.0
@@ -47,6 +48,21 @@ class Certificates:
                 f"everybody on this machine may read {self.key}; `chmod 600 {self.key}`", field="ZARM_CERTS"
             )
         self.days_left = (self._end() - time.time()) / _DAY
+
+    def of_page(self) -> ssl.SSLContext:
+        """TLS for a page that browsers open, with a certificate of its own, which no authority of the bus vouches for."""
+        certificate, key = self.folder / f"{PAGE}.pem", self.folder / f"{PAGE}.key"
+        for file in (certificate, key):
+            _require_readable(file, self.folder)
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        try:
+            context.load_cert_chain(certificate, key)
+        except ssl.SSLError:
+            raise InvalidRequest(
+                f"{key} does not belong to {certificate}; move both away, and `zarm certs {self.folder}` makes new ones",
+                field="ZARM_CERTS",
+            ) from None
+        return context
 
     def settings(self) -> dict[str, object]:
         """Zenoh's settings for a client, and for a router, which is one on its links."""

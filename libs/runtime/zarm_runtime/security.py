@@ -10,6 +10,9 @@ from zarm_contract.errors import InvalidRequest
 RENEWAL_DAYS = 60
 """A certificate that ends within this time is renewed by `zarm certs`, and a service that starts with it warns."""
 
+PAGE = "page"
+"""What the certificate of the page in the browser is called: no role on the bus."""
+
 
 def security_on() -> bool:
     """Whether the bus is spoken to with certificates: `ZARM_SECURITY` is `on`, or else `off`, the default."""

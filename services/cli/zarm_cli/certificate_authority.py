@@ -98,9 +98,22 @@ class Authority:
             .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()), critical=False)
         )
         if hosts:
-            names = x509.SubjectAlternativeName([_host(host) for host in hosts])
-            builder = builder.add_extension(names, critical=False)
+            builder = builder.add_extension(_names(hosts), critical=False)
         return builder.sign(self.key, hashes.SHA256()).public_bytes(Encoding.PEM), _pem_key(key)
+
+
+def vouching_for_itself(name: str, hosts: Sequence[str], now: datetime) -> tuple[bytes, bytes]:
+    """A server's certificate for these `hosts` and its new key, PEM, which no authority made: nobody on the bus takes it for a router's."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    return (
+        _builder(_name(name), _name(name), key.public_key(), now, now + CERTIFICATE_LASTS)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_usage(signs_certificates=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+        .add_extension(_names(hosts), critical=False)
+        .sign(key, hashes.SHA256())
+        .public_bytes(Encoding.PEM)
+    ), _pem_key(key)
 
 
 def load_certificate(file: Path) -> x509.Certificate:
@@ -121,7 +134,7 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
 
 
 def with_loopback(hosts: Iterable[str]) -> list[str]:
-    """Hosts for a router's certificate, this machine's own names first. Raises InvalidRequest for what is no host."""
+    """Hosts for the certificate of what is connected to, this machine's own names first. Raises InvalidRequest for what is no host."""
     return list(dict.fromkeys((*_LOOPBACK, *(str(_host(host).value) for host in hosts))))
 
 
@@ -145,6 +158,10 @@ def _host(host: str) -> x509.GeneralName:
         if not _HOST.fullmatch(host):
             raise InvalidRequest(f"{host!r} is neither a host's name nor its address", field="--host") from None
         return x509.DNSName(host.lower())
+
+
+def _names(hosts: Sequence[str]) -> x509.SubjectAlternativeName:
+    return x509.SubjectAlternativeName([_host(host) for host in hosts])
 
 
 def _name(common: str) -> x509.Name:

@@ -1,4 +1,4 @@
-"""`zarm certs`: a private authority, and a certificate for each role on the bus; again, what is about to end anew."""
+"""`zarm certs`: a private authority, and a certificate for each role on the bus and for the page; again, what is about to end anew."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import typer
 from rich.table import Table
 
 from zarm_cli.output import out
-from zarm_contract.access import ROLES, Role
+from zarm_contract.access import ROLES
 from zarm_contract.errors import InvalidRequest, Unavailable
-from zarm_runtime.security import RENEWAL_DAYS
+from zarm_runtime.security import PAGE, RENEWAL_DAYS
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -25,7 +25,7 @@ def certs(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder for certificates and keys.")],
     host: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="A name or address of a router; repeatable."),
+        typer.Option(metavar="NAME", help="A name or address of a router or of the page; repeatable."),
     ] = None,
     authority: Annotated[
         Path | None,
@@ -46,49 +46,57 @@ def certs(
         done = _make(folder, kept_in, host or [], now)
     except OSError as error:
         raise InvalidRequest(f"{error.filename}: {error.strerror}; name a FOLDER that can be written to") from error
-    table = Table("role", "", "valid until", box=None)
-    for role, did, until in done:
-        table.add_row(role, did, f"{until:%Y-%m-%d}")
+    table = Table("for", "", "valid until", box=None)
+    for name, did, until in done:
+        table.add_row(name, did, f"{until:%Y-%m-%d}")
     out.print(table)
     out.print(
         f"Each machine needs ca.pem, and <role>.pem and <role>.key of what runs there, out of {folder}. No machine of the bus "
-        f"needs {kept_in}: whoever has the key in it can become any role.",
+        f"needs {kept_in}: whoever has the key in it can become any role. page.pem and page.key are those of the page in the browser "
+        "(`zarm view`): have the browser trust page.pem.",
         soft_wrap=True,
     )
 
 
-def _make(folder: Path, kept_in: Path, hosts: list[str], now: datetime) -> list[tuple[Role, str, datetime]]:
-    """What was done for each role, and until when its certificate is valid. Raises InvalidRequest, nothing being changed."""
-    from zarm_cli.certificate_authority import Authority, hosts_of, load_certificate, with_loopback, write_secret
+def _make(folder: Path, kept_in: Path, hosts: list[str], now: datetime) -> list[tuple[str, str, datetime]]:
+    """What was done for each role and for the page, and until when its certificate is valid. Raises InvalidRequest, nothing being changed."""
+    from zarm_cli.certificate_authority import (
+        Authority,
+        hosts_of,
+        load_certificate,
+        vouching_for_itself,
+        with_loopback,
+        write_secret,
+    )
 
     hosts = with_loopback(hosts)
-    existing = {role: load_certificate(file) for role in ROLES if (file := folder / f"{role}.pem").exists()}
+    existing = {name: load_certificate(file) for name in (*ROLES, PAGE) if (file := folder / f"{name}.pem").exists()}
     found = _authority(folder, kept_in, now)
     if found is None:
         if existing:
             raise InvalidRequest(f"{folder} holds certificates of another authority; name its folder with --authority")
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
         found = Authority.make(kept_in, now)
-    for role, certificate in existing.items():
-        if not found.made(certificate):
+    for name, certificate in existing.items():
+        if name != PAGE and not found.made(certificate):
             raise InvalidRequest(
-                f"{folder / role}.pem was not made by the authority in {kept_in}; name the one that made it with --authority, or "
+                f"{folder / name}.pem was not made by the authority in {kept_in}; name the one that made it with --authority, or "
                 "another folder for new certificates"
             )
     (folder / "ca.pem").write_bytes(found.pem())
-    done: list[tuple[Role, str, datetime]] = []
-    for role in ROLES:
-        old = existing.get(role)
-        wanted = with_loopback([*(hosts_of(old) if old else ()), *hosts]) if role == "router" else []
-        key = folder / f"{role}.key"
+    done: list[tuple[str, str, datetime]] = []
+    for name in (*ROLES, PAGE):
+        old = existing.get(name)
+        wanted = with_loopback([*(hosts_of(old) if old else ()), *hosts]) if name in ("router", PAGE) else []
+        key = folder / f"{name}.key"
         if old is not None and key.exists() and _good(old.not_valid_after_utc, now) and set(wanted) <= {*hosts_of(old)}:
-            done.append((role, "kept", old.not_valid_after_utc))
+            done.append((name, "kept", old.not_valid_after_utc))
             continue
-        new, secret = found.issue(role, wanted, now)
+        new, secret = vouching_for_itself(PAGE, wanted, now) if name == PAGE else found.issue(name, wanted, now)
         write_secret(key, secret)
-        (folder / f"{role}.pem").write_bytes(new)
-        until = load_certificate(folder / f"{role}.pem").not_valid_after_utc
-        done.append((role, "made" if old is None else "renewed", until))
+        (folder / f"{name}.pem").write_bytes(new)
+        until = load_certificate(folder / f"{name}.pem").not_valid_after_utc
+        done.append((name, "made" if old is None else "renewed", until))
     return done
 
 

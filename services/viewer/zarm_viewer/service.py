@@ -169,15 +169,12 @@ def _named(word: str) -> tuple[str, RobotDescription]:
 
 
 def _tls(role: Role) -> ssl.SSLContext | None:
-    """TLS with the certificate of the page's role, where the bus has it too."""
+    """TLS, where the bus has it too."""
     if not security_on():
         return None
     from zarm_runtime.certificates import Certificates
 
-    certificates = Certificates(role)
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(certificates.certificate, certificates.key)
-    return context
+    return Certificates(role).of_page()
 
 
 if __name__ == "__main__":

@@ -51,11 +51,9 @@ def address(cell: Cell) -> str:
 
 
 @pytest.fixture(scope="module")
-def tls() -> ssl.SSLContext:
-    """That of somebody who takes the page's certificate as it is: it holds a role, and no name of a host."""
-    context = ssl.create_default_context()
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    return context
+def tls(certificates: Path) -> ssl.SSLContext:
+    """That of a browser which trusts the page's certificate, and looks whether it is this host's."""
+    return ssl.create_default_context(cafile=certificates / "page.pem")
 
 
 def status(address: str, tls: ssl.SSLContext, **headers: str) -> int:
