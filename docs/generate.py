@@ -288,7 +288,8 @@ def settings() -> Iterator[str]:
     yield from _table(("option", "what"), _options(_source_of("def service_parser(")))
     for name in (*SERVICE_ROLES, "viewer"):
         (source,) = (ROOT / "services").glob(f"{name}/zarm_{name}/service.py")
-        if rows := list(_options(source)):
+        meshes = _source_of("def add_meshes(") if "add_meshes(" in source.read_text() else None
+        if rows := [*_options(source), *(_options(meshes) if meshes else ())]:
             yield from (f"## `zarm-{name.replace('_', '-')}`", "")
             yield from _table(("option", "what"), rows)
 

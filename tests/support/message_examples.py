@@ -245,6 +245,7 @@ EXAMPLES: tuple[Message, ...] = (
         joint_command=(0.1, -0.2),
         problem=_PROBLEM,
         hold=_HOLD,
+        tick_lateness=0.0003,
     ),
     m.GoalTrajectory(
         goal_id="goal-1", number=3, start=0.4, trajectory=_TRAJECTORY, scene_revision=_REVISION, replan=True, tip=_POSE

@@ -315,15 +315,3 @@ def service_parser(name: str, *, several: bool = False) -> argparse.ArgumentPars
     )
     parser.add_argument("--state", type=Path, default=default_state(), help="the folder for saved state")
     return parser
-
-
-def add_meshes(parser: argparse.ArgumentParser) -> None:
-    """Give a command line the folders of the scene's meshes, `options.meshes`: those of `$ZARM_MESHES` and `--meshes`."""
-    parser.add_argument(
-        "--meshes",
-        type=Path,
-        action="append",
-        default=[Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder],
-        metavar="FOLDER",
-        help="a folder whose mesh files the scene may use, besides those in $ZARM_MESHES, the same for planner, servo and viewer; repeatable",
-    )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -64,7 +64,8 @@ class Follower:
         self.target = target
         self._limits = limits
         self._ahead = min(2 + math.ceil(2 * limits.ramp / ROW), _FARTHEST)
-        self._bounds = RateBounds(trajectory, limits)
+        self._bounds = RateBounds.of(trajectory, limits)
+        self._step: _Step | None = None
         self._reach()
 
     @property
@@ -91,6 +92,7 @@ class Follower:
         """Let `dt` seconds pass."""
         if dt > CATCH_UP:
             self.speed = self.rate = 0.0
+            self._step = None
         else:
             self._move(dt)
         self._reach()
@@ -104,7 +106,7 @@ class Follower:
         """Another follower of the same trajectory, there."""
         other = copy.copy(self)
         other.time, other.speed, other.rate = state
-        other.target = target
+        other.target, other._step = target, None
         other._reach()
         return other
 
@@ -115,7 +117,8 @@ class Follower:
     def join(self, trajectory: TimedTrajectory) -> None:
         """Go on along `trajectory`, which is at `time` where the present one is there."""
         self.trajectory = trajectory
-        self._bounds = RateBounds(trajectory, self._limits)
+        self._bounds = RateBounds.of(trajectory, self._limits)
+        self._step = None
         self._reach()
 
     def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
@@ -149,58 +152,56 @@ class Follower:
 
     def _move(self, dt: float) -> None:
         while dt > _INSTANT and not self.settled:
-            step = min(dt, TICK)
-            self._step(step)
-            dt -= step
-
-    def _step(self, dt: float) -> None:
-        while dt > _INSTANT and not self.settled:
             if self.steady:
                 self._pass(dt, 0.0)
                 return
-            gap = self.target - self.speed
-            way = 1 if self.rate > 0.0 or (self.rate == 0.0 and gap > 0.0) else -1
-            # Slowing down is speeding up in a mirror: from here on rates and gaps are positive in the direction of `way`.
-            view = _View(self, way, dt)
-            needed = view.rate**2 / (2 * way * gap) if way * gap > 0.0 else math.inf
-            if needed > 1.01 * view.ease:
-                dt -= self._ease(view, dt)
-            else:
-                dt -= self._approach(view, way * gap, needed, dt)
+            dt -= self._change(dt)
 
-    def _ease(self, view: _View, dt: float) -> float:
-        """Bring the rate to zero, as the target lies the other way or will be passed; returns the time (s) that it takes of `dt`."""
-        wall = 1.0 - self.speed if view.way > 0 else self.speed
-        if wall <= 0.0:  # rounding
+    def _change(self, dt: float) -> float:
+        """Let up to `dt` s pass in which the path speed changes; returns how much.
+
+        What is decided holds for `TICK`, or until the target is another one, so that the motion does not depend on when it is looked at.
+        """
+        step = self._step
+        if step is None or step.target != self.target:
+            step = self._decide()
+        time = min(dt, step.left)
+        self._pass(time, step.change)
+        left = step.left - time
+        self._step = step._replace(left=left) if left > _INSTANT else None
+        if self._step is None and step.level:
             self.rate = 0.0
-            return 0.0
-        change = max(view.shrink, _LEAST, view.rate**2 / (2 * wall))
-        time = view.rate / change
-        if time >= dt:
-            self._pass(dt, -view.way * change)
-            return dt
-        self._pass(time, -view.way * change)
-        self.rate = 0.0
-        if abs(self.target - self.speed) < _THERE:
-            self.speed = self.target
+            if step.there or abs(self.target - self.speed) < _THERE:
+                self.speed = self.target
         return time
 
-    def _approach(self, view: _View, gap: float, needed: float, dt: float) -> float:
-        """Go towards the target, to meet it with a rate of zero; returns the time (s) that it takes of `dt`."""
-        if 2 * gap <= view.rate * dt:
+    def _decide(self) -> _Step:
+        gap = self.target - self.speed
+        way = 1 if self.rate > 0.0 or (self.rate == 0.0 and gap > 0.0) else -1
+        # Slowing down is speeding up in a mirror: from here on rates and gaps are positive in the direction of `way`.
+        view = _View(self, way, TICK)
+        needed = view.rate**2 / (2 * way * gap) if way * gap > 0.0 else math.inf
+        return self._ease(view) if needed > 1.01 * view.ease else self._approach(view, way * gap, needed)
+
+    def _ease(self, view: _View) -> _Step:
+        """Bring the rate to zero, as the target lies the other way or will be passed."""
+        wall = 1.0 - self.speed if view.way > 0 else self.speed
+        if wall <= 0.0:  # rounding
+            return _Step(0.0, 0.0, self.target, level=True)
+        change = max(view.shrink, _LEAST, view.rate**2 / (2 * wall))
+        time = view.rate / change
+        return _Step(min(time, TICK), -view.way * change, self.target, level=time < TICK)
+
+    def _approach(self, view: _View, gap: float, needed: float) -> _Step:
+        """Go towards the target, to meet it with a rate of zero."""
+        if 2 * gap <= view.rate * TICK:
             time = 2 * gap / view.rate
-            self._pass(time, -view.way * view.rate / time)
-            self.speed, self.rate = self.target, 0.0
-            return time
+            return _Step(time, -view.way * view.rate / time, self.target, level=True, there=True)
         # With this rate a step later, `ease` ends just at the target.
-        landing = view.ease * (math.sqrt(dt * dt / 4 + (2 * gap - view.rate * dt) / view.ease) - dt / 2)
-        rate = max(min(view.most, landing), view.rate - max(view.shrink, needed) * dt)
-        self._pass(dt, view.way * (rate - view.rate) / dt)
-        if self.rate * view.way < 1e-12 or abs(self.target - self.speed) < _THERE:
-            self.rate = 0.0
-            if abs(self.target - self.speed) < _THERE:
-                self.speed = self.target
-        return dt
+        landing = view.ease * (math.sqrt(TICK * TICK / 4 + (2 * gap - view.rate * TICK) / view.ease) - TICK / 2)
+        rate = max(min(view.most, landing), view.rate - max(view.shrink, needed) * TICK)
+        level = rate < 1e-12 or abs(gap - TICK * (view.rate + rate) / 2) < _THERE
+        return _Step(TICK, view.way * (rate - view.rate) / TICK, self.target, level=level)
 
     def _pass(self, dt: float, change: float) -> None:
         """Let `dt` s pass in which the rate changes by `change` (1/s^3)."""
@@ -209,6 +210,16 @@ class Follower:
         )
         self.speed = min(max(self.speed + dt * (self.rate + dt * change / 2), 0.0), 1.0)
         self.rate += dt * change
+
+
+class _Step(NamedTuple):
+    """For `left` s more the rate changes by `change` (1/s^2 each s); then, where it is `level`, it is zero, and the target is met if `there`."""
+
+    left: float
+    change: float
+    target: float
+    level: bool = False
+    there: bool = False
 
 
 class _View:

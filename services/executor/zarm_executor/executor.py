@@ -34,6 +34,7 @@ from zarm_executor.scene import PresentScene
 from zarm_executor.strategies.registry import StrategyRegistry
 from zarm_runtime.bus import Publisher
 from zarm_runtime.state_file import StateFile
+from zarm_trajectory.rate_bounds import RateBounds, RateLimits
 
 log = logging.getLogger(__name__)
 
@@ -84,6 +85,7 @@ class Executor:
             goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
             goal.replan, goal.tip = request.replan, chosen.tip
             turn.start(goal)
+        RateBounds.of(trajectory, RateLimits.of(self._robot.descriptor)).prepare()  # so that no tick has to
         return Accepted(goal_id=goal_id)
 
     def replace(self, request: ReplaceTrajectory) -> Accepted:

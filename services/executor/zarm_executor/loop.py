@@ -39,13 +39,18 @@ class Loop:
         self._ended = threading.Event()
         self._thread = threading.Thread()
         self._late_counts = [0] * (len(LATE) + 1)
-        self._late_sum = 0.0
+        self._late_sum = self._latest = 0.0
         self.ticks = 0
         """How many calls have ended."""
 
     def lateness(self) -> tuple[list[int], float]:
         """How many calls were later than one of `LATE` and not than the next, and the sum of all (s)."""
         return self._late_counts.copy(), self._late_sum
+
+    def latest(self) -> float:
+        """How late (s) the latest of the calls was since this was last asked."""
+        latest, self._latest = self._latest, 0.0
+        return latest
 
     def start(self) -> None:
         """Begin; the first call comes at once. A loop that was stopped may be started again."""
@@ -77,6 +82,7 @@ class Loop:
                 late = max(0.0, time.monotonic() - deadline)
                 self._late_counts[bisect_left(LATE, late)] += 1
                 self._late_sum += late
+                self._latest = max(self._latest, late)
                 deadline += self._period * (late // self._period)
                 self._work(deadline)
                 self.ticks += 1

@@ -36,7 +36,7 @@ FINISHED_GOALS = 32
 class Reporter:
     """Publishes `executor/state`, `executor/goal/<goal_id>` and `executor/trajectory`, and keeps the running goal in `running` for a restart.
 
-    `on_fault(problem)` is called once all that led to a fault has been published.
+    `lateness()` is how late the latest tick was since it was last asked. `on_fault(problem)` is called once all that led to a fault has been published.
     """
 
     def __init__(
@@ -46,6 +46,7 @@ class Reporter:
         joints: tuple[str, ...],
         machine: Machine,
         running: StateFile[GoalState],
+        lateness: Callable[[], float],
         on_fault: Callable[[Problem], None],
         metrics: Metrics,
     ) -> None:
@@ -53,6 +54,7 @@ class Reporter:
         self._joints = joints
         self._machine = machine
         self._running = running
+        self._lateness = lateness
         self._on_fault = on_fault
         self._metrics = metrics
         for status in ENDS:
@@ -122,6 +124,7 @@ class Reporter:
             if now - self._published_progress >= PROGRESS_PERIOD - PERIOD / 2:
                 goal = self._machine.goal_state()
                 if goal is not None and not self._machine.changes:
+                    goal = goal.model_copy(update={"tick_lateness": self._lateness()})
                     self._goals.set(goal, key=self._keys.goal(goal.goal_id))
                     self._published_progress = now
             return self._publish_state(state, now)

@@ -126,12 +126,14 @@ def start(service: Service) -> Iterator[None]:
         bus.urgent = machine.moves
         try:
             control = Control(machine, joints, command_bus.publisher(keys.joint_states, JointState, realtime=True))
+            loop = Loop("control", period, control.tick, realtime=True)
             reporter = Reporter(
                 bus,
                 keys,
                 joints,
                 machine,
                 StateFile(folder / "running_goal.json", GoalState),
+                loop.latest,
                 records.fault,
                 service.metrics,
             )
@@ -146,7 +148,6 @@ def start(service: Service) -> Iterator[None]:
             admission = Admission(machine, reporter, robot.descriptor.execution.joint_state_timeout)
             streams = Streams(robot, machine, reporter, admission)
             executor = Executor(robot, machine, reporter, admission, plans, present, strategies, *told, kept_speed)
-            loop = Loop("control", period, control.tick, realtime=True)
             _export(service.metrics, machine, loop)
             with (
                 loop,

@@ -34,9 +34,10 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_planner.goals.joints import MeasuredJoints
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
+from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.publications import Encoded
-from zarm_runtime.service import Service, add_meshes, run_service, service_parser
+from zarm_runtime.service import Service, run_service, service_parser
 from zarm_runtime.state_file import owned
 
 log = logging.getLogger(__name__)

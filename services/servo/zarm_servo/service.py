@@ -32,7 +32,8 @@ from zarm_contract.messages import (
 )
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
-from zarm_runtime.service import Service, add_meshes, run_service, service_parser
+from zarm_runtime.mesh_folders import add_meshes
+from zarm_runtime.service import Service, run_service, service_parser
 from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.global_plan import TIMEOUT
 from zarm_servo.guard import Guard

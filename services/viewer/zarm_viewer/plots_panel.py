@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from viser import GuiUplotHandle, uplot
@@ -18,6 +19,8 @@ QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 SECONDS, RATE = 10.0, 10.0
 """So much of the past (s) is shown live, at so many samples a second."""
 SAMPLES = 150
+LIVE = ("position", "velocity", "tracking error (mrad)")
+TICKS = "tick lateness (ms)"
 _COLOURS = ("#e03131", "#2f9e44", "#1971c2", "#f08c00", "#9c36b5", "#0c8599", "#495057")
 
 
@@ -33,16 +36,17 @@ class PlotsPanel:
         self._plan: Plan | None = None
         self._past: deque[tuple[float, Array, Array, Array]] = deque(maxlen=int(SECONDS * RATE))
         self._command: Array | None = None
+        self._ticks: deque[tuple[float, float]] = deque(maxlen=int(SECONDS * RATE))
         self._velocity = np.zeros(len(lower))
         gui = desk.server.gui
         self._choice = gui.add_dropdown("of the plan", QUANTITIES, initial_value="velocity")
         self._choice.on_update(lambda _: self._draw_plan())
-        self._of_plan = self._plot("share of the limit (%)")
-        self._live = gui.add_dropdown(
-            "live", ("off", "position", "velocity", "tracking error (mrad)"), initial_value="off"
-        )
-        self._of_now = self._plot("live")
-        self._of_now.visible = False
+        joint_names = desk.description.descriptor.joints
+        self._of_plan = self._plot("share of the limit (%)", joint_names)
+        self._live = gui.add_dropdown("live", ("off", *LIVE, TICKS), initial_value="off")
+        self._of_now = self._plot("live", joint_names)
+        self._of_ticks = self._plot(TICKS, ("latest tick of the control loop",))
+        self._of_now.visible = self._of_ticks.visible = False
 
     def draw(self, news: News) -> None:
         """Show what is new."""
@@ -50,9 +54,11 @@ class PlotsPanel:
             self._plan = news.plan
             self._draw_plan()
         self._velocity = self._velocity if news.velocity is None else news.velocity
+        now = time.monotonic()
         for goal in news.goals:
             self._command = None if goal.done else np.array(goal.joint_command)
-        now = time.monotonic()
+            if goal.tick_lateness is not None:
+                self._ticks.append((now, 1e3 * goal.tick_lateness))
         if self._past and now - self._past[-1][0] < 1 / RATE:
             return
         joints = self._desk.joints
@@ -61,23 +67,26 @@ class PlotsPanel:
             (now, 100 * (joints - self._middle) / self._limits[0], 100 * self._velocity / self._limits[1], error)
         )
         shown = self._live.value
-        if self._of_now.visible != (shown != "off"):
-            self._of_now.visible = shown != "off"
-        if shown != "off" and len(self._past) > 1:
-            column = ("position", "velocity", "tracking error (mrad)").index(shown) + 1
+        for plot, visible in ((self._of_now, shown in LIVE), (self._of_ticks, shown == TICKS)):
+            if plot.visible != visible:
+                plot.visible = visible
+        if shown in LIVE and len(self._past) > 1:
+            column = LIVE.index(shown) + 1
             times = np.array([row[0] for row in self._past]) - now
             self._of_now.data = (times, *np.array([row[column] for row in self._past]).T)
+        if shown == TICKS and len(self._ticks) > 1:
+            times, late = np.array(self._ticks).T
+            self._of_ticks.data = (times - now, late)
 
-    def _plot(self, title: str) -> GuiUplotHandle:
-        joints = self._desk.description.descriptor.joints
+    def _plot(self, title: str, labels: Sequence[str]) -> GuiUplotHandle:
         series = (
             uplot.Series(label="s"),
             *(
-                uplot.Series(label=joint, stroke=_COLOURS[index % len(_COLOURS)], width=2)
-                for index, joint in enumerate(joints)
+                uplot.Series(label=label, stroke=_COLOURS[index % len(_COLOURS)], width=2)
+                for index, label in enumerate(labels)
             ),
         )
-        nothing = tuple(np.zeros(2) for _ in joints)
+        nothing = tuple(np.zeros(2) for _ in labels)
         return self._desk.server.gui.add_uplot(
             (np.array([0.0, 1.0]), *nothing), series, title=title, scales={"x": {"time": False}}, height=220
         )

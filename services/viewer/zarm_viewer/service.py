@@ -18,8 +18,9 @@ from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 from zarm_runtime import signals
 from zarm_runtime.logs import setup_logging
+from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.security import client_role, security_on
-from zarm_runtime.service import add_meshes, default_state
+from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT
 from zarm_viewer.gate import Gate
 from zarm_viewer.page import Folders, Page, Shown

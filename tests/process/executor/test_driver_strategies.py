@@ -47,6 +47,7 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         progress = [goal.progress for goal in robot.client.goals]
         assert progress == sorted(progress)
         assert len(set(progress)) > 5
+        assert any(goal.tick_lateness is not None for goal in robot.client.goals)
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 

@@ -34,6 +34,7 @@ def executor_of(bench: Bench, bus: Bus, folder: Path, scene: Callable[[], SceneE
         ROBOT.descriptor.joints,
         bench.machine,
         StateFile(folder / "running_goal.json", GoalState),
+        lambda: 0.0,
         lambda _: None,
         Metrics(),
     )

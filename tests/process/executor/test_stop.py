@@ -43,6 +43,7 @@ def test_a_stop_withdraws_what_is_being_checked_and_nothing_waits_behind_it(bus:
         ROBOT.descriptor.joints,
         bench.machine,
         StateFile(tmp_path / "running_goal.json", GoalState),
+        lambda: 0.0,
         lambda _: None,
         Metrics(),
     )

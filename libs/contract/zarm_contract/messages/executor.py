@@ -121,7 +121,8 @@ class GoalState(Message):
 
     `duration` (s) is planned at full speed; at a speed scale of 0.5 the motion takes twice as long. `progress` is the share of
     it that has been reached, 0 to 1. For a stream, `duration` ends with the newest chunk, and `progress * duration` is the time
-    of the stream. `hold` says why the robot brakes or waits though nobody told it to.
+    of the stream. `hold` says why the robot brakes or waits though nobody told it to. While it moves, `tick_lateness` (s) is how late the
+    latest tick of the control loop was since the state before.
     """
 
     goal_id: Name
@@ -133,6 +134,7 @@ class GoalState(Message):
     joint_command: Joints
     problem: Problem | None = None
     hold: Hold | None = None
+    tick_lateness: NonNegative | None = None
 
     @property
     def done(self) -> bool:
