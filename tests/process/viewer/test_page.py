@@ -186,10 +186,13 @@ def test_a_viewer_sees_two_robots_and_can_only_stop(page: Page, cell: Cell, chro
     watching.get_by_role("tab", name="Look").click()
     for box in ("collision spheres", "clearance"):
         watching.get_by_role("checkbox", name=box).click()
-    expect(watching.get_by_text(re.compile(r"clearance \d+ mm"))).to_be_visible()
-    watching.get_by_role("combobox", name="robot").click()
+    nearest = watching.get_by_text(re.compile(r"clearance \d+ mm:"))  # and the two links
+    expect(nearest).to_be_visible()
+    robot = watching.get_by_role("combobox", name="robot")
+    robot.click()
     watching.get_by_role("option", name="other").click()
-    expect(watching.get_by_text(re.compile(r"clearance \d+ mm"))).to_be_hidden()
+    expect(robot).to_have_value("other")
+    expect(nearest).to_be_hidden()
     watching.close()
 
 
