@@ -12,11 +12,13 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
+import zarm
 from support.harness import PATIENCE, eventually
-from support.planner.client import BEHIND_POST, POST
+from support.planner.client import BEHIND_WALL, LID, WALL
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
 from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack
+from support.trajectories import HOME
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import (
     Accepted,
@@ -31,11 +33,9 @@ from zarm_contract.messages import (
     LoadScene,
     Nothing,
     Obstruction,
-    PlannerSettings,
     RemoveObjects,
     SceneEdit,
     SceneEdited,
-    SettingsChange,
     Sphere,
 )
 from zarm_ros_bridge.convert.poses import ros_pose
@@ -62,14 +62,14 @@ def preempting(running: Stack) -> Iterator[None]:
 
 @pytest.fixture
 def long_planned(running: Stack, robot: Robot) -> Iterator[Pose]:
-    """A target behind a post, to which the planner looks for faster motions for half a minute."""
-    tip = robot.bus.call(KEYS.fk, FkRequest(joints=(BEHIND_POST,)), FkPoses, timeout=PATIENCE).poses[0]
-    before = robot.bus.call(KEYS.settings, SettingsChange(), PlannerSettings, timeout=PATIENCE).optimize_s
-    for objects, optimize_s in (((POST,), 30.0), ((), before)):
+    """A target behind a wall, to which the planner looks for a way for a minute; the robot is at home."""
+    with zarm.connect(running.endpoint) as client:
+        client.execute(client.plan(HOME))
+    tip = robot.bus.call(KEYS.fk, FkRequest(joints=(BEHIND_WALL,)), FkPoses, timeout=PATIENCE).poses[0]
+    for objects in ((WALL, LID), ()):
         running.ros.configure(timeout=60.0 if objects else 5.0)
         edit = SceneEdit(edit=LoadScene(op="load", objects=objects))
         robot.bus.call(KEYS.scene_edit, edit, SceneEdited, timeout=PATIENCE)
-        robot.bus.call(KEYS.settings, SettingsChange(optimize_s=optimize_s), PlannerSettings, timeout=PATIENCE)
         if objects:
             yield ros_pose(tip)
 
@@ -116,16 +116,20 @@ def test_a_cancelled_goal_ends_as_canceled_with_the_robot_at_rest(robot: Robot, 
 def test_a_goal_that_is_cancelled_while_it_is_planned_ends_as_canceled_at_once(
     running: Stack, robot: Robot, actions: Actions, long_planned: Pose
 ) -> None:
-    before = robot.joints()
-    for _ in range(5):
+    stood = []
+    for _ in range(8):
+        before = robot.joints()
         goal = actions.send(target_pose=long_planned)
         assert goal.accepted
         eventually(lambda goal=goal: goal.feedback, "it is planned")
         goal.cancel()
         status, result = goal.ended()
         assert (status, result.success) == (CANCELED, False)
-        assert {told.state for told in goal.feedback} == {"PLANNING"}
-    assert robot.joints() == before
+        assert robot.rests()
+        if "EXECUTING" not in {told.state for told in goal.feedback}:  # else there was a plan before the cancel came
+            stood.append(robot.joints() == before)
+    assert stood
+    assert all(stood)
 
 
 def test_a_goal_that_somebody_else_cancels_ends_as_aborted_and_says_so(robot: Robot, actions: Actions) -> None:
