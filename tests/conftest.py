@@ -13,7 +13,8 @@ from support.pendulum import write_pendulum
 from support.trajectories import KEYS
 from zarm_runtime.bus import Bus
 
-IN_PROCESS = Path(__file__).parent / "unit"
+TESTS = Path(__file__).parent
+IN_PROCESS = TESTS / "unit"
 SHARED = frozenset(("shared", "up"))
 """What the fixtures of a package that start something are called."""
 
@@ -22,6 +23,7 @@ settings.register_profile("full", deadline=None, max_examples=100)
 settings.load_profile("quick")
 
 
+@pytest.hookimpl(tryfirst=True)  # xdist reads the groups of tests in the same hook
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What runs in the process of the tests is fast, but for what is marked slow. Each module runs in one process, and so do all
     tests that share what the fixtures of a package start: it starts once."""
@@ -29,7 +31,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         shares = item.path.with_name("__init__.py").exists() and not SHARED.isdisjoint(
             getattr(item, "fixturenames", ())
         )
-        item.add_marker(pytest.mark.xdist_group(str(item.path.parent if shares else item.path)))
+        group = item.path.parent if shares else item.path
+        item.add_marker(pytest.mark.xdist_group(str(group.relative_to(TESTS))))
         if item.path.is_relative_to(IN_PROCESS) and item.get_closest_marker("slow") is None:
             item.add_marker("fast")
 
