@@ -35,6 +35,7 @@ class Message(BaseModel):
         extra="forbid",
         frozen=True,
         allow_inf_nan=False,
+        defer_build=True,  # a short command needs few of them; `codec.build_all` builds the rest
     )
 
     @classmethod

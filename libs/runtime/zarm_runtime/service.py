@@ -16,6 +16,7 @@ from pathlib import Path
 
 from zarm_contract.access import SERVICE_ROLES, Role
 from zarm_contract.codec import CONTRACT as CONTRACT
+from zarm_contract.codec import build_all
 from zarm_contract.errors import InvalidRequest, Unavailable, ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
@@ -206,6 +207,7 @@ def run_service(
 
     signals.expect()
     signal.pthread_sigmask(signal.SIG_UNBLOCK, signals.ENDING)
+    build_all()
     try:
         robots = _robots(options)
         name_robot(",".join(keys.robot for _, keys in robots))

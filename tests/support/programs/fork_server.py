@@ -14,6 +14,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from zarm_contract.codec import build_all
 from zarm_runtime import signals
 
 _ONE_THREAD = (
@@ -62,6 +63,7 @@ def become(command: list[str], environment: dict[str, str], folder: str, log: st
 def main() -> int:
     """Serve; the exit code of the service, in each fork."""
     service = importlib.import_module(f"{sys.argv[1]}.service")
+    build_all()
     if find_spec(f"{sys.argv[1]}.warm_up"):
         importlib.import_module(f"{sys.argv[1]}.warm_up").main()
     if len(list(Path("/proc/self/task").iterdir())) > 1:
