@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from zarm_contract.messages import JointState
 
-_OF_TIMEOUT = 0.4
-"""Two that are passed on while the robot stands are so much of the descriptor's `joint_state_timeout` apart: 25 Hz for 0.1 s. Who
+_OF_TIMEOUT = 0.6
+"""Two that are passed on while the robot stands are so much of the descriptor's `joint_state_timeout` apart: 17 Hz for 0.1 s. Who
 hears where a robot stands learns nothing new from more, and each costs the executor some 0.3 ms of CPU."""
-_PAUSE = 0.02
+_TOLERANCE = 1.1
+"""So many times as far apart they may be where the driver is not quite regular."""
+_PAUSE = 0.03
 """The next ones may wait for so long (s) while the robot stands: to wake up for each took half of what they cost."""
 _MOVED = 1e-4
 _MOVING = 1e-3
@@ -20,16 +22,17 @@ class Standing:
     def __init__(self, timeout: float) -> None:
         self._period = _OF_TIMEOUT * timeout
         self._passed: JointState | None = None
-        self._passed_at = 0.0
+        self._passed_at = self._came_at = 0.0
         self.pause: float | None = None
         """For how long (s) the next joint states may wait; None while the robot moves."""
 
     def passes(self, state: JointState, now: float) -> bool:
         """Whether this one is, which came at the moment `now` (s) of a monotonic clock."""
-        before = self._passed
+        before, since = self._passed, now - self._came_at
+        self._came_at = now
         moves = before is None or _moves(before, state)
         self.pause = None if moves else min(_PAUSE, self._period / 2)
-        if not moves and now - self._passed_at < 0.9 * self._period:
+        if not moves and now + since - self._passed_at <= _TOLERANCE * self._period:  # the next one is soon enough
             return False
         self._passed, self._passed_at = state, now
         return True

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
 
 from zarm_contract.messages import JointState
 from zarm_ros_bridge.standing import Standing
@@ -20,7 +23,7 @@ def passed(at: Callable[[float], float], speed: float = 0.0) -> int:
 
 
 def test_of_a_robot_that_stands_some_are_passed_on() -> None:
-    assert passed(lambda _: 0.5) == 25
+    assert passed(lambda _: 0.5) == 17
 
 
 def test_they_come_more_often_the_sooner_the_executor_misses_them() -> None:
@@ -29,8 +32,18 @@ def test_they_come_more_often_the_sooner_the_executor_misses_them() -> None:
     assert [standing.passes(state, step / 100) for step in range(3)] == [True, True, True]
 
 
+@pytest.mark.parametrize("period", [0.001, 0.007, 0.013, 0.02, 0.035, 0.05, 0.08])
+def test_those_passed_on_are_no_further_apart_than_an_executor_waits(period: float) -> None:
+    standing, at = Standing(TIMEOUT), []
+    for step in range(100):
+        state = JointState(stamp=0.0, joint_names=("a",), position=(0.0,), velocity=(0.0,))
+        if standing.passes(state, step * period):
+            at.append(step * period)
+    assert max(after - before for before, after in pairwise(at)) < max(0.7 * TIMEOUT, 1.01 * period)
+
+
 def test_noise_of_an_encoder_is_no_motion() -> None:
-    assert passed(lambda time: 0.5 + 2e-5 * (round(time * 100) % 3)) == 25
+    assert passed(lambda time: 0.5 + 2e-5 * (round(time * 100) % 3)) == 17
 
 
 def test_all_are_of_a_robot_that_moves() -> None:
