@@ -19,7 +19,9 @@ from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
 
-pytestmark = pytest.mark.timed  # who jogs keeps the robot as long as their page asks 7 times a second, which it draws in software
+pytestmark = (
+    pytest.mark.timed
+)  # who jogs keeps the robot as long as their page asks 7 times a second, which it draws in software
 PHONE = (390, 844)
 
 
