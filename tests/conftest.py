@@ -22,6 +22,7 @@ settings.register_profile("full", deadline=None, max_examples=100)
 settings.load_profile("quick")
 
 
+@pytest.hookimpl(tryfirst=True)  # xdist reads the groups when its turn comes
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What runs in the process of the tests is fast, but for what is marked slow. Each module runs in one process, and so do all
     tests that share what the fixtures of a package start: it starts once."""
