@@ -31,9 +31,12 @@ FOLLOWED = {
 TYPED = [(path, words) for path in PAGES for words in commands(path.read_text(), "zarm")]
 
 
+ALL = typer.main.get_command(command_line())
+
+
 def parse(words: list[str]) -> None:
     """Raises what a person would be told of a command line that cannot be read."""
-    command, context, rest = typer.main.get_command(command_line()), None, words
+    command, context, rest = ALL, None, words
     while True:
         context = command.make_context(rest[0], rest[1:], parent=context)
         if not hasattr(command, "resolve_command"):

@@ -14,6 +14,7 @@ from typing import Any, Self
 
 import psutil
 
+from support.forks import run_command
 from support.harness import PATIENCE, eventually
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
@@ -34,10 +35,12 @@ def environment(**variables: str) -> dict[str, str]:
 
 
 def zarm(*arguments: str, timeout: float = PATIENCE, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run `zarm` to its end; `variables` are added to its environment."""
-    return subprocess.run(
-        [ZARM, *arguments], env=environment(**variables), capture_output=True, text=True, timeout=timeout
-    )
+    """Run `zarm` to its end; `variables` are added to its environment. It is forked from a process that has imported it, but for
+    variables that are not of zarm: they may be read when it is imported."""
+    command, its_environment = [ZARM, *arguments], environment(**variables)
+    if all(name.startswith("ZARM_") for name in variables):
+        return run_command(command, its_environment, timeout)
+    return subprocess.run(command, env=its_environment, capture_output=True, text=True, timeout=timeout)
 
 
 def the_one_line(text: str) -> str:

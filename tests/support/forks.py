@@ -1,4 +1,5 @@
-"""Services that begin as forks of a process which has imported them and loaded their kernels: real processes for a fraction of the CPU."""
+"""Services and commands that begin as forks of a process which has imported them and loaded their kernels: real processes for a fraction
+of the CPU."""
 
 from __future__ import annotations
 
@@ -14,9 +15,11 @@ import sys
 import threading
 from functools import cache
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import TextIO
 
 from support.programs import fork_server
+from zarm_cli.commands import MODULES
 
 IMPORTED_ALONE = ("planner", "servo", "executor", "leeloo_sim")
 """The services that start no thread when they are imported."""
@@ -66,18 +69,38 @@ class Forked:
         self.send_signal(signal.SIGKILL)
 
 
-def fork(service: str, command: list[str], environment: dict[str, str], log: Path) -> Forked:
+def fork_service(service: str, command: list[str], environment: dict[str, str], log: Path) -> Forked:
     """What `command`, which is `python -m` and the service, would start."""
-    scheduling = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    return _fork((f"zarm_{service}.service",), command, environment, str(log), str(log))
+
+
+def run_command(command: list[str], environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str]:
+    """What becomes of `command`, which is the path of `zarm` and its arguments. Raises TimeoutExpired after s, once it is killed."""
+    with NamedTemporaryFile("r") as output, NamedTemporaryFile("r") as errors:
+        process = _fork(_COMMAND_LINE, [sys.executable, *command], environment, output.name, errors.name)
+        try:
+            code = process.wait(timeout)
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+        return subprocess.CompletedProcess(command, code, output.read(), errors.read())
+
+
+def _fork(
+    modules: tuple[str, ...], command: list[str], environment: dict[str, str], output: str, errors: str
+) -> Forked:
+    """`modules`: that of the program, then those that it imports late."""
     request = {
         "command": command,
         "environment": environment,
         "folder": str(Path.cwd()),
-        "log": str(log),
-        "scheduling": scheduling,
+        "output": output,
+        "errors": errors,
+        "scheduling": (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority),
     }
     with _LOCK:
-        server = _server(f"zarm_{service}")
+        server = _server(modules)
         _PRCTL(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         try:
             server.write(json.dumps(request) + "\n")
@@ -87,16 +110,17 @@ def fork(service: str, command: list[str], environment: dict[str, str], log: Pat
             _PRCTL(_PR_SET_CHILD_SUBREAPER, 0, 0, 0, 0)
 
 
+_COMMAND_LINE = ("zarm_cli.app", *sorted({f"zarm_cli.{module}" for module in MODULES.values()}))
 _LOCK = threading.Lock()
 _PRCTL = ctypes.CDLL(None).prctl
 
 
 @cache
-def _server(package: str) -> TextIO:
-    """The connection to the server of a service, which ends with this process."""
+def _server(modules: tuple[str, ...]) -> TextIO:
+    """The connection to the server of a program, which ends with this process."""
     here, there = socket.socketpair()
     with here, there:
-        command = [sys.executable, str(fork_server.__file__), package, str(there.fileno())]
+        command = [sys.executable, str(fork_server.__file__), str(there.fileno()), *modules]
         server = subprocess.Popen(
             command,
             env=os.environ | _ONE_THREAD,

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self, TypeVar
 
-from support.forks import IMPORTED_ALONE, Forked, fork
+from support.forks import IMPORTED_ALONE, Forked, fork_service
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
@@ -91,7 +91,7 @@ class ServiceProcess:
         with self.log.open("wb") as log:
             self.process: subprocess.Popen[bytes] | Forked
             if self.service in IMPORTED_ALONE and not (self.script or self.prefix or self.environment):
-                self.process = fork(self.service, command, environment, self.log)
+                self.process = fork_service(self.service, command, environment, self.log)
             else:
                 self.process = subprocess.Popen(
                     command, stdout=log, stderr=log, start_new_session=True, env=environment

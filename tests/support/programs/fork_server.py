@@ -1,16 +1,19 @@
-"""Imports a service and loads its kernels, then forks for each request on a socket: `fork_server.py zarm_planner FD`.
+"""Imports a program and loads its kernels, then forks for each request on a socket: `fork_server.py FD zarm_planner.service`.
 
-A request is a line of JSON; the answer is the pid of a process that is the service with these arguments, in this environment and
-folder, in a session of its own, writing to this log. The requester must be a subreaper: it becomes the parent.
+Modules that the program imports late may follow its own. A request is a line of JSON; the answer is the pid of a process that is the
+program with these arguments, in this environment and folder, in a session of its own, writing to these files. The requester must be a
+subreaper: it becomes the parent.
 """
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import os
 import socket
 import sys
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -43,7 +46,14 @@ def serve(requests: socket.socket) -> bool:
     return False
 
 
-def become(command: list[str], environment: dict[str, str], folder: str, log: str, scheduling: tuple[int, int]) -> None:
+def become(
+    command: list[str],
+    environment: dict[str, str],
+    folder: str,
+    output: str,
+    errors: str,
+    scheduling: tuple[int, int],
+) -> None:
     """Make this fork the process that `command` would have started. `scheduling`: policy and priority."""
     os.setsid()
     policy, priority = scheduling
@@ -51,24 +61,26 @@ def become(command: list[str], environment: dict[str, str], folder: str, log: st
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)
-    output = os.open(log, os.O_WRONLY | os.O_APPEND)
-    os.dup2(output, 1)
-    os.dup2(output, 2)
-    os.close(output)
+    for path, standard in ((output, 1), (errors, 2)):
+        file = os.open(path, os.O_WRONLY | os.O_APPEND)
+        os.dup2(file, standard)
+        os.close(file)
     sys.orig_argv = command  # with which a service starts itself anew
-    sys.argv = command[2:]
+    sys.argv = command[2 if command[1] == "-m" else 1 :]
     importlib.reload(signals)  # its pipe is one for each process
 
 
 def main() -> int:
-    """Serve; the exit code of the service, in each fork."""
-    service = importlib.import_module(f"{sys.argv[1]}.service")
+    """Serve; the exit code of the program, in each fork."""
+    requests, name, *late = sys.argv[1:]
+    program, *_ = [import_module(module) for module in (name, *late)]
     build_all()
-    if find_spec(f"{sys.argv[1]}.warm_up"):
-        importlib.import_module(f"{sys.argv[1]}.warm_up").main()
+    if find_spec(warm_up := f"{program.__package__}.warm_up"):
+        import_module(warm_up).main()
     if len(list(Path("/proc/self/task").iterdir())) > 1:
-        sys.exit(_ONE_THREAD.format(sys.argv[1]))
-    return int(service.main()) if serve(socket.socket(fileno=int(sys.argv[2]))) else 0
+        sys.exit(_ONE_THREAD.format(name))
+    gc.freeze()  # what is imported stays shared
+    return int(program.main()) if serve(socket.socket(fileno=int(requests))) else 0
 
 
 if __name__ == "__main__":

@@ -14,14 +14,14 @@ def cell() -> Cell:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_robot_never_moves_into_what_comes_at_it(cell: Cell, mode: Mode) -> None:
-    _attack(cell, mode, range(8))
+    _attack(cell, mode, range(4))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("first", range(8, 58, 25))
+@pytest.mark.parametrize("first", range(4, 58, 27))
 def test_however_it_comes(cell: Cell, mode: Mode, first: int) -> None:
-    _attack(cell, mode, range(first, first + 25))
+    _attack(cell, mode, range(first, first + 27))
 
 
 def _attack(cell: Cell, mode: Mode, seeds: range) -> None:

@@ -192,7 +192,7 @@ def planned_path(seed: int, ramp: float | None = None) -> TimedTrajectory:
 
 
 @examples(0.06)
-@given(seed=st.integers(0, 2**32 - 1), speed=st.sampled_from([0.05, 0.5, 1.0]))
+@given(seed=st.integers(0, 2**32 - 1), speed=st.sampled_from([0.5, 0.05, 1.0]))
 def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_comes_to_the_end(
     seed: int, speed: float
 ) -> None:
@@ -204,6 +204,8 @@ def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_co
             other.ahead(0.05)  # is not without end
             for _ in range(math.ceil(2.5 * other.trajectory.duration / speed / TICK)):
                 other.advance(TICK)
+                if other.settled:
+                    break
             assert other.settled, f"at {follower.time} s, asked for {target}"
         assert other.finished
         follower.advance(TICK)
