@@ -116,6 +116,7 @@ class ExactScene:
         for lower, upper, *which in near[np.argsort(near[:, 0], kind="stable")].tolist():
             if lower >= best.distance - PRECISION:
                 break
+            check()
             part, other, sample = map(int, which)
             pair, measured = self._measure(q[sample], part, other, upper)
             if measured < best.distance:

@@ -99,8 +99,8 @@ class Handlers:
         self.moved = MovedObjects(lambda: store.scene)
         self._ready_for: SceneRevision | None = None
         self._objects: tuple[SceneObject, ...] = ()
-        self._carried: tuple[tuple[Attached, ...], tuple[str, ...]] = (), ()
-        self._carrier = model  # with what it carries
+        # what it carries, the links that are ignored, and the robot with that
+        self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model
         self._world: World | None = None  # the latest, which the next one takes over from
         self._scenes: dict[float, PlanningScene] = {}  # by margin, the one used last at the end
 
@@ -108,6 +108,7 @@ class Handlers:
         """Compile what plans run on, or load it; `report` is told what comes next."""
         warm_up(self._model, report)
         report("loading the scene")
+        self._prepare(self._store.scene)
         try:
             self._look()
         except Unavailable as error:  # every plan will say so, until the scene is edited
@@ -304,10 +305,11 @@ class Handlers:
             self._settings = self._settings.model_copy(update=change.model_dump(exclude_none=True))
             return self._settings
 
-    def _prepare(self, objects: Sequence[SceneObject]) -> None:
+    def _prepare(self, scene: Scene) -> None:
         """Make ready what an edit has brought, before it holds: so that no plan waits for that."""
+        self._with(scene).with_self_margin(0.0)  # measures the room between its links, once for all margins
         with suppress(Unavailable):  # the file of a mesh is missing, which every plan will say
-            self._world = World(objects, self._settings.margin, self._store.meshes, self._world)
+            self._world = World(scene.objects, self._settings.margin, self._store.meshes, self._world)
 
     def _look(self, margin: float | None = None) -> PlanningScene:
         """The present scene, made ready for planning once per revision, poses of moving objects and margin (m, left out: that of the settings).
@@ -332,9 +334,11 @@ class Handlers:
     def _with(self, scene: Scene) -> RobotModel:
         """The robot with what it carries in a scene, made once for each change of that."""
         kept = scene.attached, scene.ignored_links
-        if self._carried != kept:
-            self._carried, self._carrier = kept, self._model.with_attached(*kept)
-        return self._carrier
+        carried, carrier = self._carrier
+        if carried != kept:
+            carrier = self._model.with_attached(*kept)
+            self._carrier = kept, carrier
+        return carrier
 
     def _measured_or_home(self) -> Array:
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class Verified:
     clearance: float
     waypoint_times: tuple[float, ...]
     goal_pose: int | None
-    too_near: tuple[TooNear, ...] = ()
+    too_near: tuple[TooNear, ...]
 
 
 def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> Verified:
@@ -56,9 +56,6 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, m
             verified = _fastest(planner, context.with_seed(seed).for_optimization(), problem, verified)
         if context.deadline.cancelled:
             context.deadline.check()
-    if verified.clearance < max(context.world.margin, context.scene.self_margin):
-        with context.timer.stage("verify"):
-            verified = replace(verified, too_near=too_near(context.scene, verified.trajectory, verified.clearance))
     return verified
 
 
@@ -116,8 +113,11 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
         # All ends that reach one pose are the same waypoint.
         waypoints = [np.array([*{end.pose: end.asked for end in ends}.values()]) for ends in problem.targets]
         tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
-        times = passing_times(context.model, trajectory, waypoints, *tolerances)
-    return Verified(trajectory, clearance, times, end.pose)
+        times = passing_times(context.model, trajectory, waypoints, *tolerances, check)
+    nearer: tuple[TooNear, ...] = ()
+    if clearance < max(context.world.margin, context.scene.self_margin):
+        nearer = too_near(context.scene, trajectory, clearance, check)
+    return Verified(trajectory, clearance, times, end.pose, nearer)
 
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:

@@ -213,6 +213,15 @@ def add(*objects: SceneObject, replace: bool = False) -> SceneEdit:
     return SceneEdit(edit=AddObjects(op="add", objects=objects, replace=replace))
 
 
+def test_an_edit_makes_ready_what_it_attaches(planner: Handlers) -> None:
+    """The room between it and the links is measured before the edit holds, so that no plan waits for that."""
+    planner.edit(add(BOX))
+    planner.edit(SceneEdit(edit=AttachObject(op="attach", name="box", joints=tuple(UP.tolist()))))
+    carrier = planner._look().exact.model
+    assert "box" in carrier.links
+    assert "pair_room" in vars(carrier)
+
+
 def attach(name: str, *touch_links: str, at: np.ndarray | None = UP) -> SceneEdit:
     joints = None if at is None else tuple(at.tolist())
     return SceneEdit(edit=AttachObject(op="attach", name=name, touch_links=touch_links, joints=joints))

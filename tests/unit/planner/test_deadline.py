@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
+import numpy as np
 import pytest
 
 from zarm_contract.errors import Cancelled, DeadlineExceeded
+from zarm_contract.messages import Sphere
+from zarm_contract.robot import load_robot
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
 from zarm_planner.deadline import GUARANTEED, Deadline
+from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_planner.verification.margins import too_near
+from zarm_planner.verification.waypoints import passing_times
+from zarm_trajectory.trajectory import TimedTrajectory
 
 
 def test_a_sooner_deadline_ends_no_later_and_with_a_cancel() -> None:
@@ -38,3 +51,39 @@ def test_what_gives_way_keeps_what_is_guaranteed_and_the_deadline_itself_stays()
     assert long.at[0] == pytest.approx(before - 60.0 + GUARANTEED, abs=1e-3)
     assert (stop.at[0], short.at[0]) == (before, soon)
     assert cancelled.cancelled
+
+
+def test_it_passes_while_toppra_is_loaded_too() -> None:
+    """In a process of its own, which has not loaded it yet."""
+    program = """
+import sys
+from zarm_contract.errors import DeadlineExceeded
+from zarm_planner.deadline import Deadline
+from zarm_planner.timing.toppra_loading import await_toppra
+
+try:
+    await_toppra(Deadline(0.0))
+except DeadlineExceeded:
+    print("passed")
+await_toppra(Deadline(60.0))
+print("loaded" if hasattr(sys.modules["zarm_planner.timing.toppra_without_plots"], "TOPPRA") else "missing")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120.0, check=True)
+    assert done.stdout.split() == ["passed", "loaded"]
+
+
+def test_what_is_asked_of_a_trajectory_that_is_found_looks_at_it() -> None:
+    """Whether it passes its waypoints, and which margins it does not keep."""
+    model = RobotModel.of(load_robot("panda"))
+    home = np.array(model.robot.descriptor.home)
+    ball = Sphere(kind="sphere", name="ball", position=tuple(model.fk_tip(home)[:3, 3].tolist()), radius=0.01)
+    world = World([ball], 0.2)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    standing, stop = TimedTrajectory.standing(home, 0.01), Deadline(60.0)
+    assert passing_times(model, standing, [home[None]], 0.005, 0.02, stop.check)
+    assert too_near(scene, standing, 0.0, stop.check)
+    stop.cancel()
+    with pytest.raises(Cancelled):
+        passing_times(model, standing, [home[None]], 0.005, 0.02, stop.check)
+    with pytest.raises(Cancelled):
+        too_near(scene, standing, 0.0, stop.check)

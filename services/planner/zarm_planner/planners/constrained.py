@@ -18,6 +18,7 @@ from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
 from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
 from zarm_planner.timing.improvement import GAIN
+from zarm_planner.timing.toppra_loading import await_toppra, load_toppra
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
@@ -32,10 +33,12 @@ class ConstrainedPlanner(Planner):
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
         """The trajectory along the route; there is no other that keeps the constraint."""
         constraint = _constraint(problem)
+        load_toppra()
         if (route := _route(context, problem, constraint)) is None:
             return
-        context.deadline.check()
         with context.timer.stage("timing"):
+            await_toppra(context.deadline)
+            context.deadline.check()
             trajectory = _timed(context, constraint, route)
         if trajectory is not None:
             yield trajectory

@@ -95,11 +95,11 @@ class SceneStore:
         self,
         request: SceneEdit,
         tip: Array = _AT_BASE,
-        prepare: Callable[[Sequence[SceneObject]], None] = lambda _: None,
+        prepare: Callable[[Scene], None] = lambda _: None,
     ) -> Scene:
         """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
 
-        `prepare` is given the objects before they become those of the scene.
+        `prepare` is given the new scene before it holds.
         Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved, or concerns links while the
         scene is lost; then nothing has changed.
         """
@@ -115,7 +115,7 @@ class SceneStore:
                     "first, or use a coarser resolution",
                     field="edit.objects",
                 )
-            prepare(scene.objects)
+            prepare(scene)
             try:
                 self._file.write(content)
             except Unavailable as error:

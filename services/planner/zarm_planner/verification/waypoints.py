@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.001
 """Seconds between looks."""
+_LOOKS = 5000
+"""So many of them are worked on in one go, some milliseconds; a slow motion has many more."""
 
 
 def passing_times(
@@ -21,21 +23,20 @@ def passing_times(
     waypoints: Sequence[Array],
     position_tolerance: float,
     angle_tolerance: float,
+    check: Callable[[], None] = lambda: None,
 ) -> tuple[float, ...]:
     """The times (s) at which the tip is nearest to its pose at any row of each of `waypoints` (n, dof), which are passed in this order.
 
-    Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad).
+    Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad). `check` is called
+    now and then and may raise.
     """
     t = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
-    tips = model.fk_tip(trajectory.sample(t)[0])
+    tips = np.concatenate([_tips(model, trajectory, t[k : k + _LOOKS], check) for k in range(0, len(t), _LOOKS)])
     times: list[float] = []
     begin = 0
     for number, waypoint in enumerate(waypoints):
-        wanted = model.fk_tip(waypoint.reshape(-1, model.dof))[:, None]
-        distance = np.linalg.norm(tips[begin:, :3, 3] - wanted[..., :3, 3], axis=-1)
-        # |A - B| = 2 sqrt(2) sin(angle / 2) in the Frobenius norm, for rotations A and B.
-        apart = np.linalg.norm(tips[begin:, :3, :3] - wanted[..., :3, :3], axis=(-2, -1))
-        angle = 2.0 * np.arcsin(np.minimum(apart / np.sqrt(8.0), 1.0))
+        looks = [_apart(tips[begin:], pose, check) for pose in model.fk_tip(waypoint.reshape(-1, model.dof))]
+        distance, angle = np.stack(looks, axis=1)
         uses = np.maximum(distance / position_tolerance, angle / angle_tolerance)
         use = uses.min(axis=0)
         if use.min() > 1.0:
@@ -50,3 +51,19 @@ def passing_times(
         begin += first + int(np.argmin(use[first:last]))
         times.append(float(t[begin]))
     return tuple(times)
+
+
+def _tips(model: RobotModel, trajectory: TimedTrajectory, times: Array, check: Callable[[], None]) -> Array:
+    """The poses (n, 4, 4) of the tip at `times` (n,) in s."""
+    check()
+    tips: Array = model.fk_tip(trajectory.sample(times)[0])
+    return tips
+
+
+def _apart(tips: Array, wanted: Array, check: Callable[[], None]) -> Array:
+    """How far poses (n, 4, 4) are from the one that is wanted (4, 4): (2, n), m and rad."""
+    check()
+    distance = np.linalg.norm(tips[:, :3, 3] - wanted[:3, 3], axis=-1)
+    # |A - B| = 2 sqrt(2) sin(angle / 2) in the Frobenius norm, for rotations A and B.
+    apart = np.linalg.norm(tips[:, :3, :3] - wanted[:3, :3], axis=(-2, -1))
+    return np.stack((distance, 2.0 * np.arcsin(np.minimum(apart / np.sqrt(8.0), 1.0))))
