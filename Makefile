@@ -18,11 +18,11 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
 
-# Every promise once. Tests mostly wait for robots, so that four at once are none too many for two cores; what is timed runs
+# Every promise once. Tests mostly wait for robots, so that three at once are none too many for two cores; what is timed runs
 # alone. Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest --ignore=tests/deploy --numprocesses=4 -m "not slow and not timed"
+	@$(BIN)/pytest --ignore=tests/deploy --numprocesses=3 -m "not slow and not timed"
 	@$(BIN)/pytest --ignore=tests/deploy -m "timed and not slow"
 
 # What `make test` runs, what it leaves out as repetition, and more examples of each property.
