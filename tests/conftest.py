@@ -23,7 +23,13 @@ settings.register_profile("full", deadline=None, max_examples=100)
 settings.load_profile("quick")
 
 
-@pytest.hookimpl(tryfirst=True)  # xdist reads the groups of tests in the same hook
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """What is fast lies in one folder: where nothing else is asked for, the modules of the others are not imported."""
+    on_the_way = IN_PROCESS.is_relative_to(collection_path) or collection_path.is_relative_to(IN_PROCESS)
+    return True if config.option.markexpr == "fast" and not on_the_way else None
+
+
+@pytest.hookimpl(tryfirst=True)  # xdist reads the groups when its turn comes
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What runs in the process of the tests is fast, but for what is marked slow. Each module runs in one process, and so do all
     tests that share what the fixtures of a package start: it starts once."""

@@ -18,7 +18,7 @@ def test_a_robot_never_moves_into_what_comes_at_it(cell: Cell, mode: Mode) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", [pytest.param(mode, marks=pytest.mark.xdist_group(mode)) for mode in MODES])  # at once
 @pytest.mark.parametrize("first", range(4, 58, 27))
 def test_however_it_comes(cell: Cell, mode: Mode, first: int) -> None:
     _attack(cell, mode, range(first, first + 27))
