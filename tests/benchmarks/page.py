@@ -1,4 +1,5 @@
-"""What the page costs while the robot moves, `python tests/benchmarks/page.py`: the viewer's share of a core and bytes a second for each page; ticks beside it.
+"""What the page costs while the robot moves, `python tests/benchmarks/page.py`: the viewer's share of a core and bytes a second for each page; ticks beside it;
+and how long it takes from a drag of the handle to the ghost.
 
 A page is a WebSocket client that reads what a browser would; 100 000 voxels are in the scene. How soon a page is opened
 is seen in Chromium, before those are there.
@@ -12,11 +13,14 @@ import tempfile
 import threading
 import time
 import urllib.request
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import psutil
 import viser
+import zstandard
 from rich.console import Console
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
@@ -33,15 +37,22 @@ from zarm_runtime.bus import Bus
 SECONDS = 8.0
 PAGES = (0, 1, 5)
 OPENED = 3
+DRAGS, STEP = 200, 0.002
+"""So many drags of the handle, each by so many m."""
 DRAWN = "() => Object.keys(window.__viserMutable?.nodeRefFromName ?? {}).some(name => name.endsWith('/tip_axes'))"
+
+
+def connected(address: str) -> ClientConnection:
+    """As a page is."""
+    protocol = [f"viser-v{viser.__version__}"]
+    return connect(f"ws://{address}/", subprotocols=protocol, max_size=None)  # type: ignore[arg-type]
 
 
 class Reader:
     """A page that reads all that it is sent."""
 
     def __init__(self, address: str) -> None:
-        protocol = [f"viser-v{viser.__version__}"]
-        self._socket: ClientConnection = connect(f"ws://{address}/", subprotocols=protocol, max_size=None)  # type: ignore[arg-type]
+        self._socket = connected(address)
         self.bytes = 0
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -83,6 +94,41 @@ def opening(address: str) -> None:
             page.close()
 
 
+def dragging(address: str, tip: zarm.Pose) -> None:
+    """How long it takes from a drag of the handle, sent by a page, until the page is sent the ghost there."""
+    handle, took = f"/{KEYS.robot}/goal", []
+    x, y, z, w = tip.orientation
+    with connected(address) as page:
+        drain(page, 1.0)
+        for count in range(DRAGS):
+            at = (tip.position[0], tip.position[1], tip.position[2] - STEP * (1 + count % 50))
+            drag = {"type": "TransformControlsUpdateMessage", "name": handle, "wxyz": (w, x, y, z), "position": at}
+            began = time.monotonic()
+            page.send(msgspec.msgpack.encode(drag))
+            while not any(name.startswith(f"{handle}_ghost/") for name in turned(page.recv(timeout=10.0))):
+                pass
+            took.append(1e3 * (time.monotonic() - began))
+            drain(page, 0.1)
+    late = np.percentile(took[DRAGS // 10 :], (50, 95, 100))
+    Console().print("from a drag to the ghost: {:.0f} ms, p95 {:.0f} ms, at most {:.0f} ms".format(*late))
+
+
+def drain(page: ClientConnection, quiet: float) -> None:
+    """Read until nothing comes for so long (s)."""
+    with suppress(TimeoutError):
+        while True:
+            page.recv(timeout=quiet)
+
+
+def turned(frame: str | bytes) -> list[str]:
+    """The nodes whose orientation a frame sets; `_message_producer` of viser says how it is written."""
+    if isinstance(frame, str):
+        raise TypeError("viser sends bytes")
+    size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
+    told = msgspec.msgpack.decode(zstandard.decompress(frame[16 : 16 + packed], max_output_size=size))
+    return [each["name"] for each in told["messages"] if each["type"] == "SetOrientationMessage"]
+
+
 def main() -> None:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -98,6 +144,7 @@ def main() -> None:
         eventually(lambda: "ready" in viewer.output(), "the page is served")
         if CHROMIUM is not None:
             opening(address)
+        dragging(address, robot.tip())
         cells = [(x + 150, y - 50, z - 20) for x in range(100) for y in range(100) for z in range(10)]
         robot.scene.add(zarm.Voxels("cloud", resolution=0.01, cells=cells))
         usage = psutil.Process(viewer.process.pid)

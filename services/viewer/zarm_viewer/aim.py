@@ -6,7 +6,6 @@ The planner's inverse kinematics answer while somebody drags; only the newest po
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -16,13 +15,15 @@ from viser.transforms import SE3
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest
-from zarm_viewer.arm import Arm
+from zarm_viewer.arm import STILL, Arm
 from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import Array, message_of, pose_at
 
 FREE, COLLIDING, UNREACHABLE = (64, 192, 87), (240, 62, 62), (134, 142, 150)
-BRANCHES = 8
-"""So many solutions are asked for at most."""
+DRAGGED, BRANCHES = 8, 64
+"""So many solutions are asked for at most while somebody drags, and when they rest: all that the planner gives."""
+RESTS = 0.3
+"""s without a drag after which the handle rests."""
 _SECONDS = 1.0  # for an answer; somebody drags meanwhile
 
 
@@ -37,15 +38,13 @@ class Branch:
 
 @dataclass(frozen=True)
 class Aim:
-    """Where the goal is. `branches` reach `pose`, of which `chosen` is shown; there is none where it cannot be reached.
-
-    `took` (s) is from the drag to the ghost.
+    """Where the goal is. `branches` reach `pose`, of which `chosen` is shown; there is none where it cannot be reached. Free ones come
+    first, and of those the nearest to where the ghost was.
     """
 
     pose: SE3
     branches: tuple[Branch, ...]
     chosen: int = 0
-    took: float = 0.0
     fault: str = ""
 
     @property
@@ -76,7 +75,7 @@ class Goal:
         self._ghost.visible = False
         self.gizmo = scene.add_transform_controls(f"{desk.root}/goal", scale=0.3, line_width=3.0, depth_test=False)
         self._changed = threading.Condition()
-        self._wanted: tuple[float, SE3 | Array, Array] | None = None
+        self._wanted: tuple[SE3 | Array, Array] | None = None
         self._aim = Aim(desk.chain.tip(desk.joints), ())
         self._place_gizmo(self._aim.pose)
         self.aimed = False
@@ -84,7 +83,9 @@ class Goal:
         self.dragged: Callable[[SE3, ClientHandle | None], object] = lambda *_: None
         """Is told poses of the gizmo while somebody drags it, and on which page, besides."""
         self.revision = 0
-        """Grows with every change."""
+        """Grows with every change that the panels show: goals, and where the robot rests while there is none."""
+        self._followed: Array | None = None
+        self._rests = False
         threading.Thread(target=self._solve, name="ik", daemon=True).start()
 
         @self.gizmo.on_update
@@ -115,16 +116,23 @@ class Goal:
     def forget(self) -> None:
         """No goal: the gizmo goes back to the tip and stays with it."""
         self.aimed = False
+        self._followed = None
         self._ghost.visible = False
         self.follow()
 
     def follow(self) -> None:
         """Stay with the robot where nobody has chosen a goal."""
-        if not self.aimed:
-            pose = self._desk.chain.tip(self._desk.joints)
-            if np.abs(pose.translation() - self._aim.pose.translation()).max() > 1e-4:
-                self._place_gizmo(pose)
-                self._aim = Aim(pose, ())
+        if self.aimed:
+            return
+        joints = self._desk.joints
+        if self._followed is None or np.abs(joints - self._followed).max() > STILL:
+            pose = self._desk.chain.tip(joints)
+            self._place_gizmo(pose)
+            self._aim = Aim(pose, ())
+            self._followed, self._rests = joints, False
+        elif not self._rests:  # numbers change when the robot rests: each picture's would be sent to every page
+            self._rests = True
+            self.revision += 1
 
     def preview(self, joints: Array) -> None:
         """Show the ghost at joint positions (J,) on the way, as when a plan is scrubbed through."""
@@ -143,35 +151,47 @@ class Goal:
         near = self._desk.joints if branch is None else branch.joints
         with self._changed:
             self.aimed = True
-            self._wanted = time.monotonic(), wanted, near
+            self._wanted = wanted, near
             self._changed.notify()
 
     def _solve(self) -> None:
+        dragged: SE3 | None = None
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._wanted is not None)
+                self._changed.wait_for(lambda: self._wanted is not None, None if dragged is None else RESTS)
                 wanted, self._wanted = self._wanted, None
-            if wanted is None:
-                continue
-            since, what, near = wanted
-            pose = what if isinstance(what, SE3) else self._desk.chain.tip(what)
-            try:
-                found = self._branches(pose, near) if isinstance(what, SE3) else self._checked([tuple(what.tolist())])
-                aim = Aim(pose, found, took=time.monotonic() - since)
-            except ZarmError as error:
-                aim = Aim(pose, (), fault=str(error))
-            if self.aimed:
-                self._show(aim)
+            if wanted is not None:
+                what, near = wanted
+                dragged = what if isinstance(what, SE3) else None
+                self._find(what, near, DRAGGED)
+            elif dragged is not None:
+                shown = self._aim.branch
+                self._find(dragged, self._desk.joints if shown is None else shown.joints, BRANCHES)
+                dragged = None
 
-    def _branches(self, pose: SE3, near: Array) -> tuple[Branch, ...]:
+    def _find(self, what: SE3 | Array, near: Array, most: int) -> None:
+        pose = what if isinstance(what, SE3) else self._desk.chain.tip(what)
+        try:
+            found = self._branches(pose, near, most) if isinstance(what, SE3) else self._checked([tuple(what.tolist())])
+            aim = Aim(pose, found)
+        except ZarmError as error:
+            aim = Aim(pose, (), fault=str(error))
+        if self.aimed:
+            self._show(aim)
+
+    def _branches(self, pose: SE3, near: Array, most: int) -> tuple[Branch, ...]:
         request = IkRequest(
             poses=(message_of(pose),),
             near=tuple(near.tolist()),
-            max_solutions=BRANCHES,
+            max_solutions=most,
             collision_free=False,
         )
         found = self._desk.robot.request_ik(request, timeout=_SECONDS).solutions[0]
-        return tuple(sorted(self._checked(list(found)), key=lambda branch: branch.in_collision))
+
+        def turns(branch: Branch) -> tuple[bool, float]:
+            return branch.in_collision, float(np.abs(branch.joints - near).max())
+
+        return tuple(sorted(self._checked(list(found)), key=turns))
 
     def _checked(self, solutions: list[tuple[float, ...]]) -> tuple[Branch, ...]:
         if not solutions:

@@ -13,6 +13,7 @@ from viser.transforms import SE3, SO3
 
 from zarm.values import Goal as Target
 from zarm.values import Waypoints, invalid, pose_of
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Plan
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.aim import Goal
@@ -23,6 +24,9 @@ from zarm_viewer.named_poses import NamedPoses
 from zarm_viewer.plan_options import PlanOptions
 from zarm_viewer.watching import News
 from zarm_viewer.waypoints import WaypointHandles
+
+NO_GOAL = "Drag the handle at the tip, or choose a pose."
+"""What is said until somebody has aimed."""
 
 
 class MotionPanel:
@@ -35,7 +39,7 @@ class MotionPanel:
         self._waypoints = WaypointHandles(desk)
         self._shown = 0
         gui = desk.server.gui
-        self._say = gui.add_markdown("Drag the handle at the tip, or choose a pose.")
+        self._say = gui.add_markdown(NO_GOAL)
         button(self._desk, "Plan", Icon.ROUTE, self._plan_it)
         button(self._desk, "Execute", Icon.PLAYER_PLAY, self._execute)
         button(self._desk, "Plan and execute", Icon.PLAYER_TRACK_NEXT, self._plan_and_execute)
@@ -67,6 +71,8 @@ class MotionPanel:
         if news.strategies is not None:
             self._strategy.options = [each.name for each in news.strategies.strategies if each.available] or ["-"]
             put(self._strategy, news.strategies.active)
+        if news.plan is not None:
+            self._take(news.plan)
         if self._goal.revision != self._shown:
             self._shown = self._goal.revision
             self._draw_goal()
@@ -155,22 +161,32 @@ class MotionPanel:
             return pose_of(message_of(aim.pose))
         return tuple(aim.branch.joints.tolist())
 
-    def _plan_it(self) -> None:
+    def _plan_it(self) -> Plan:
+        self._plan = None  # where planning fails, Execute does not take the plan before
         held = self._options.path_constraint
         target = self._target(constrained=held is not None)
         plan = self._desk.robot.plan(target, path_constraint=held, **self._options.settings)
-        self._plan = plan
+        self._take(plan)
+        return plan
+
+    def _take(self, plan: Plan) -> None:
+        """This plan is looked through and executed, whoever made it: it is the one whose path is in the picture."""
         self._timed = TimedTrajectory.of(plan.trajectory, self._desk.description.descriptor.joints)
+        self._plan = plan
         self._scrub.max, self._scrub.disabled = round(self._timed.duration, 2), False
         put(self._scrub, 0.0)
 
     def _execute(self) -> None:
-        self._desk.robot.start(self._plan, replan=self._options.replan)
-        self._goal.forget()
+        if self._plan is None:
+            raise InvalidRequest("there is no plan; press Plan first")
+        self._start(self._plan)
 
     def _plan_and_execute(self) -> None:
-        self._plan_it()
-        self._execute()
+        self._start(self._plan_it())
+
+    def _start(self, plan: Plan) -> None:
+        self._desk.robot.start(plan, replan=self._options.replan)
+        self._goal.forget()
 
     def _choose_branch(self) -> None:
         self._goal.choose(int(self._branch.value.split()[0]) - 1)
@@ -180,16 +196,17 @@ class MotionPanel:
             self._goal.preview(self._timed.at(self._scrub.value)[0])
 
     def _draw_goal(self) -> None:
-        aim = self._goal.now
-        put(self._say, aim.describe(), "content")
+        aim, aimed = self._goal.now, self._goal.aimed
+        put(self._say, aim.describe() if aimed else NO_GOAL, "content")
         options = [f"{at + 1} {'collides' if each.in_collision else 'free'}" for at, each in enumerate(aim.branches)]
         if options and list(self._branch.options) != options:
             self._branch.options = options
         if options:
             put(self._branch, options[aim.chosen])
         self._branch.visible = len(options) > 1
-        if aim.branch is not None:
-            for slider, value in zip(self._sliders, np.degrees(aim.branch.joints), strict=True):
+        if aim.branch is not None or not aimed:
+            joints = self._desk.joints if aim.branch is None else aim.branch.joints
+            for slider, value in zip(self._sliders, np.degrees(joints), strict=True):
                 with contextlib.suppress(ValueError):
                     put(slider, round(float(np.clip(value, slider.min, slider.max)), 1))
         put(self._position, tuple(np.round(aim.pose.translation(), 4).tolist()))

@@ -118,7 +118,7 @@ class Page:
         camera, away = self.server.initial_camera, 1.3 * across
         camera.position = (1.65 + away, -1.0 - across / 4, 1.2 + away / 2)
         camera.look_at = (0.35, 0.15 + across / 2, 0.45)
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
 
     def _add_stop(self) -> None:
         gui = self.server.gui

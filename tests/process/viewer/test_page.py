@@ -5,15 +5,18 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
+import zarm
+from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
-from support.viewer import SIZE, Cell, cell_of, drawn_tip, opened
+from support.viewer import SIZE, Cell, cell_of, drawn_tip, free_port, opened
 from zarm_contract.messages import Plan
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -81,6 +84,12 @@ def drag(page: Page, at: tuple[float, float], down: int) -> None:
     page.mouse.up()
 
 
+def choose(page: Page, label: str, option: str) -> None:
+    """Choose from a list."""
+    page.get_by_role("combobox", name=label).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
 def hold(page: Page, label: str) -> None:
     """Press a button of the page and keep it pressed."""
     button = page.get_by_role("button", name=label)
@@ -109,14 +118,56 @@ def test_dragging_the_handle_shows_a_ghost_and_the_robot_goes_there(page: Page, 
     eventually(cell.rests, "it rests")
 
 
-def test_a_plan_passes_through_a_waypoint(page: Page, cell: Cell) -> None:
+def test_the_numbers_are_those_of_the_robot_until_somebody_aims(page: Page, cell: Cell) -> None:
+    page.get_by_text("Joints (deg)").click()
+    cell.robot.execute(cell.robot.plan((*HOME[:5], 0.5)))  # the tip turns, and stays where it is
+    expect(page.locator("input[value='28.6']:not([type='hidden'])").first).to_be_visible()
+    page.get_by_text("Joints (deg)").click()
+
+
+def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_planned(page: Page, cell: Cell) -> None:
+    cell.robot.execute(cell.robot.plan(moved(1.0)))
+    x, y, z = Chain(ROBOT).tip(np.array(HOME)).translation()
+    cell.robot.scene.add(zarm.Cuboid("in_the_way", size=(0.1, 0.1, 0.1), position=(x, y, z)))
+    page.get_by_text("Poses").click()
+    page.get_by_role("button", name="Home").click()
+    expect(page.get_by_text("collision", exact=True)).to_be_visible()
+    told = page.get_by_role("alert")
+    page.get_by_role("button", name="Plan", exact=True).click()
+    expect(told.filter(has_text="Plan:").first).to_be_visible()
+    page.get_by_role("button", name="Execute", exact=True).click()
+    expect(told.filter(has_text="there is no plan").first).to_be_visible()
+    assert cell.rests()
+    page.get_by_role("button", name="Back to the robot").click()
+    page.get_by_text("Poses").click()
+
+
+def test_plots_show_the_plan_and_what_the_robot_does_now(page: Page, cell: Cell) -> None:
+    page.get_by_role("tab", name="Plots").click()
+    of_plan, of_now = page.locator(".uplot").nth(0), page.locator(".uplot").nth(1)
+    cell.robot.execute(cell.robot.plan(moved(0.4)))
+    seen: list[bytes] = []
+    for quantity in ("position", "velocity", "acceleration", "jerk"):
+        choose(page, "of the plan", quantity)
+        eventually(lambda: of_plan.screenshot(timeout=PATIENCE * 1e3) not in seen, f"a plot of the {quantity}")
+        seen.append(of_plan.screenshot(timeout=PATIENCE * 1e3))
+    for quantity in ("velocity", "tracking error (mrad)", "tick lateness (ms)"):
+        choose(page, "live", quantity)
+        shown = page.get_by_text(quantity, exact=True) if quantity.startswith("tick") else of_now
+        expect(shown.first).to_be_visible()
+    choose(page, "live", "off")
+
+
+def test_a_plan_passes_through_a_waypoint_where_it_was_dragged(page: Page, cell: Cell) -> None:
     page.get_by_text("Waypoints").click()
-    cell.robot.execute(cell.robot.plan(moved(0.8)))
+    cell.robot.execute(cell.robot.plan(moved(-0.8)))
     eventually(lambda: drawn_where_measured(page, cell), "the page shows the robot there")
     page.get_by_role("button", name="Add one here").click()
     page.wait_for_function("() => '/doosan_m1013/waypoint_1' in window.__viserMutable.nodeRefFromName")
     waypoint = cell.robot.tip().position
     cell.robot.execute(cell.robot.plan(HOME))
+    eventually(lambda: drawn_where_measured(page, cell), "the robot is away from the waypoint")
+    drag(page, cell.pixel((waypoint[0], waypoint[1], waypoint[2] - 0.09)), 30)
     page.get_by_text("Poses").click()
     page.get_by_role("button", name="Home").click()
     expect(page.get_by_text("reachable, free")).to_be_visible()
@@ -129,7 +180,8 @@ def test_a_plan_passes_through_a_waypoint(page: Page, cell: Cell) -> None:
     plan = eventually(through, "a plan with waypoints is made")
     at = TimedTrajectory.of(plan.trajectory, ROBOT.descriptor.joints).at(plan.waypoint_times[0])[0]
     passed = Chain(ROBOT).tip(at).translation()
-    assert np.allclose(passed, waypoint, atol=0.02)
+    assert np.allclose(passed[:2], waypoint[:2], atol=0.02)
+    assert 0.03 < waypoint[2] - passed[2] < 0.3
     for label in ("Forget them", "Back to the robot"):
         page.get_by_role("button", name=label).click()
     for folder in ("Waypoints", "Poses"):
@@ -205,6 +257,24 @@ def test_a_viewer_sees_two_robots_and_can_only_stop(page: Page, cell: Cell, chro
     expect(robot).to_have_value("other")
     expect(nearest).to_be_hidden()
     watching.close()
+
+
+def test_a_record_plays_on_a_page_to_its_end(cell: Cell, chromium: Browser, tmp_path: Path) -> None:
+    cell.home()
+    file = str(tmp_path / "one.mcap")
+    with Command("record", file, "--name", KEYS.robot, folder=tmp_path, ZARM_CONNECT=cell.endpoint) as recording:
+        eventually(lambda: "Ctrl-C" in recording.errors(), "it records")
+        cell.robot.execute(cell.robot.plan(moved(0.4)))
+        recording.interrupt()
+        assert recording.end() == 0
+    listen = f"127.0.0.1:{free_port()}"
+    with Command("replay", "--view", file, folder=tmp_path, ZARM_VIEW=listen) as replay:
+        replay.wait_for("http://")
+        page = chromium.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+        page.goto(f"http://{listen}/")
+        end = Chain(ROBOT).tip(np.array(moved(0.4))).translation()
+        eventually(lambda: np.allclose(drawn_tip(page) or 0.0, end, atol=2e-3), "it plays to its end")
+        page.close()
 
 
 def test_the_page_goes_on_when_the_executor_is_started_again(page: Page, cell: Cell) -> None:
