@@ -14,6 +14,7 @@ from rich.table import Table
 from zarm_cli import checked, imported
 from zarm_cli.client import AsJson
 from zarm_cli.output import degrees, err, facts, numbers, out, print_json
+from zarm_cli.view import EDITOR, VIEW, require_viewer, serve
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
 
@@ -89,7 +90,7 @@ def import_(
         "",
         sep="\n",
     )
-    out.print(f"Next: zarm up --robot {descriptor}", soft_wrap=True)
+    out.print(f"Next: zarm up --robot {descriptor}, or zarm robot edit {descriptor} to correct it", soft_wrap=True)
 
 
 def _position(text: str) -> tuple[str, float]:
@@ -146,6 +147,26 @@ def check(
                 (out if compared.fits else err).print(line, soft_wrap=True)
     if not ok:
         raise typer.Exit(1)
+
+
+@app.command()
+def edit(
+    file: Annotated[Path, typer.Argument(help="A descriptor (.yaml).", show_default=False)],
+    listen: Annotated[
+        str,
+        typer.Option(
+            metavar="HOST:PORT",
+            help="Where the page is served; elsewhere than on this machine its address has a token.",
+        ),
+    ] = VIEW,
+) -> None:
+    """Serve a page on which spheres, pairs of links and home are corrected and saved; Ctrl-C ends it."""
+    require_viewer()
+    if not file.is_file():
+        raise InvalidRequest(
+            f"there is no robot descriptor at {file}; a robot that comes with zarm is corrected in a copy"
+        )
+    serve([str(file), "--listen", listen], EDITOR)
 
 
 def _findings(robot: RobotDescription) -> list[str]:

@@ -15,7 +15,7 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 
 VIEW = "127.0.0.1:8017"
 """Where the page is served unless told otherwise."""
-VIEWER = "zarm_viewer.service"
+VIEWER, EDITOR = "zarm_viewer.service", "zarm_viewer.editor"
 _PACKAGES = ("viser", "trimesh", "collada", "websockets")
 
 
@@ -50,10 +50,10 @@ def view(
     serve(words)
 
 
-def serve(words: list[str]) -> NoReturn:
-    """Become the viewer with these words of its command line."""
+def serve(words: list[str], page: str = VIEWER) -> NoReturn:
+    """Become the viewer, or the editor of a robot, with these words of its command line."""
     sys.stdout.flush()
-    os.execv(sys.executable, [sys.executable, "-P", "-m", VIEWER, *words])  # noqa: S606 - our own interpreter
+    os.execv(sys.executable, [sys.executable, "-P", "-m", page, *words])  # noqa: S606 - our own interpreter
 
 
 def require_viewer() -> None:

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
 """A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
-COUNT = 60
+COUNT = 80
 """... nor one of so many primitives."""
 _POINTS = 250
 """Points that stand for the surface while planes are looked for."""
@@ -54,6 +54,7 @@ _SAME = math.cos(math.radians(1.0))
 """Axes whose angle has a larger cosine are one."""
 _TOUCHING = 0.001
 """Boxes that are so near (m) to each other touch."""
+_NOTHING = (np.empty((0, 3)), np.empty(0))
 _ORDERS = ([1, 2, 0], [2, 0, 1], [0, 1, 2])
 _FLAT = 0.002
 """All volume counts as if it were so far (m) outside: between the points of the body's grid there is room for thin shapes."""
@@ -136,7 +137,7 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
         if not left:
             break
         worst = max(left, key=lambda i: worth[i])
-        halves = _halves(cells[worst], axes, body)
+        halves = _halves(cells[worst], axes, body, measure.outside(cells[worst].row))
         if halves:
             cells[worst : worst + 1] = halves
         else:
@@ -212,6 +213,14 @@ class Measure:
         out = skin.out[outer]
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
 
+    def outside(self, row: Array) -> tuple[Array, Array]:
+        """Points (n, 3) on a primitive (17,) that are outside of the body, and for each the integral (n,) of the squared distance to the
+        body over what lies below it, in m^5: where the body's grid is too coarse for a thin primitive, these are not."""
+        self.one(row, np.empty((0, 17)))
+        skin = self._skin(row)
+        out = skin.out > 0.0
+        return skin.points[out], skin.each * skin.out[out] ** 3 / 3
+
     def _skin(self, row: Array) -> _Skin:
         if (key := row.tobytes()) not in self._known:
             triangles = triangles_of(row)
@@ -270,13 +279,13 @@ def _faces(triangles: Array) -> Array:
     return np.column_stack((first, second, np.cross(first, second)))
 
 
-def _piece(triangles: Array, axes: Array, body: Body) -> _Cell:
-    """Some of the triangles as a cell."""
+def _piece(triangles: Array, axes: Array, body: Body, outside: tuple[Array, Array] = _NOTHING) -> _Cell:
+    """Some of the triangles as a cell; `outside` as in `_halves`."""
     corners = _hull(triangles.reshape(-1, 3))
     along = corners @ axes[:, :, 2].T
     furthest = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))
     points = np.concatenate([points_on(triangles, _POINTS)[0], corners[furthest]])
-    return _cell(triangles, corners, points, _axes(points, triangles, axes), body)
+    return _cell(triangles, corners, points, _axes(points, triangles, axes), body, outside)
 
 
 def _union(a: _Cell, b: _Cell, axes: Array, body: Body) -> _Cell:
@@ -308,9 +317,18 @@ def _hull(points: Array) -> Array:
     return found
 
 
-def _cell(triangles: Array, corners: Array, points: Array, axes: Array, body: Body) -> _Cell:
+def _near(points: Array, body: Body, outside: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Points (n, 3) outside of the body, and how much (n,) each counts, the most first: of the grid around `points`, and `outside`."""
+    found, weights = (np.concatenate(each) for each in zip(body.around(points), outside, strict=True))
+    order = np.argsort(-weights)
+    return found[order], weights[order]
+
+
+def _cell(
+    triangles: Array, corners: Array, points: Array, axes: Array, body: Body, outside: tuple[Array, Array] = _NOTHING
+) -> _Cell:
     form = _form(points, axes)
-    which, out = _tightest(points, form, body.around(points))
+    which, out = _tightest(points, form, _near(points, body, outside))
     one = [which % len(axes)]
     shapes = around(corners, form.turn[one], form.box[one], form.axis[one], form.middle)
     return _Cell(triangles, corners, points, axes, _grown(shapes[which // len(axes)], body.off), out)
@@ -328,10 +346,13 @@ def _grown(row: Array, by: float) -> Array:
     return row
 
 
-def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
-    """A cell cut in two by the plane that leaves the least outside of the body; nothing where there is none."""
+def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) -> list[_Cell]:
+    """A cell cut in two by the plane that leaves the least outside of the body; nothing where there is none.
+
+    `outside` is what counts beside the body's grid: points (n, 3) on the cell's primitive, and how much (n,) each.
+    """
     best, chosen = np.inf, None
-    near = body.around(cell.points)
+    near = _near(cell.points, body, outside)
 
     def left(axis: Array, offset: float) -> float:
         below = cell.points @ axis < offset
@@ -358,7 +379,7 @@ def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
         for offset in (middle - step, middle + step):
             if (out := left(axis, offset)) < best:
                 best, chosen = out, (axis, offset)
-    return [_piece(part, axes, body) for part in cut(cell.triangles, *chosen) if len(part)]
+    return [_piece(part, axes, body, outside) for part in cut(cell.triangles, *chosen) if len(part)]
 
 
 class _Form(NamedTuple):

@@ -60,7 +60,8 @@ class Arm:
                     moving[joint.child] = frame, robot.descriptor.joints.index(joint.name)
         self._moving = [(frame, index, joints[link], origin(joints[link])) for link, (frame, index) in moving.items()]
         self.tip = names[robot.descriptor.tip_link]
-        self._api, self._robot, self._names = api, robot, names
+        self.nodes = names  # of each link in the scene
+        self._api, self._robot = api, robot
         self._spheres: list[MeshHandle] = []
         self._axes: list[SceneNodeHandle] = []
         visuals = _visuals(robot.urdf_path)
@@ -108,9 +109,9 @@ class Arm:
         if seen:
             brush = Brush(self._api, SPHERES, 0.35)
             self._spheres = [
-                brush.mesh(f"{self._names[link]}/spheres", link_mesh(spheres), SE3.identity())
+                brush.mesh(f"{self.nodes[link]}/spheres", link_mesh(spheres), SE3.identity())
                 for link, spheres in self._robot.descriptor.spheres.items()
-                if spheres and link in self._names
+                if spheres and link in self.nodes
             ]
 
     def show_axes(self, seen: bool) -> None:
@@ -119,8 +120,7 @@ class Arm:
             self._axes.pop().remove()
         if seen:
             self._axes = [
-                self._api.add_frame(f"{node}/axes", axes_length=0.15, axes_radius=0.004)
-                for node in self._names.values()
+                self._api.add_frame(f"{node}/axes", axes_length=0.15, axes_radius=0.004) for node in self.nodes.values()
             ]
 
     @property

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import viser
 from viser import GuiButtonHandle, GuiEvent, GuiTabGroupHandle, Icon
 
@@ -28,6 +27,7 @@ from zarm_viewer.picture import Picture
 from zarm_viewer.playback import Playback
 from zarm_viewer.plots_panel import PlotsPanel
 from zarm_viewer.record_panel import RecordPanel
+from zarm_viewer.room import BESIDE, furnish
 from zarm_viewer.status_panel import EventsPanel, StatusPanel
 from zarm_viewer.stop import Stop
 from zarm_viewer.watching import News, Watching
@@ -38,11 +38,6 @@ PERIOD = 1 / 30
 """s between two drawings, where anything changes."""
 UNSEEN = 0.5
 """The same (s), where no page is open."""
-BESIDE = 2.5
-"""Robots stand so many m apart in the picture, along y: the bus does not say where their bases are."""
-
-
-BACKGROUND = (226, 232, 240)
 
 
 @dataclass(frozen=True)
@@ -73,7 +68,7 @@ class Page:
     def __init__(self, robots: Sequence[Shown], gate: Gate, role: Role, folders: Folders) -> None:
         self.server = gate.serve("zarm")
         self.address = gate.address(self.server.get_port())
-        self._furnish(len(robots))
+        furnish(self.server, len(robots))
         moves = role != "viewer"
         self._stops: list[Stop] = []
         if any(isinstance(shown.source, Robot) for shown in robots):
@@ -95,30 +90,6 @@ class Page:
         for stop in self._stops:
             stop.close()
         self.server.stop()
-
-    def _furnish(self, robots: int) -> None:
-        scene, gui = self.server.scene, self.server.gui
-        scene.set_up_direction("+z")
-        scene.configure_environment_map(
-            hdri=None
-        )  # reflections would cost a machine without a GPU a second for each frame
-        scene.configure_default_lights(cast_shadow=False)
-        scene.add_light_ambient("/light", intensity=0.7)
-        scene.set_background_image(np.full((1, 1, 3), BACKGROUND, dtype=np.uint8), format="png")
-        across = BESIDE * (robots - 1)
-        scene.add_grid(
-            "/floor",
-            width=4.0,
-            height=4.0 + across,
-            position=(0.0, across / 2, 0.0),
-            cell_size=0.5,
-            section_size=1.0,
-            plane="xy",
-        )
-        camera, away = self.server.initial_camera, 1.3 * across
-        camera.position = (1.65 + away, -1.0 - across / 4, 1.2 + away / 2)
-        camera.look_at = (0.35, 0.15 + across / 2, 0.45)
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
 
     def _add_stop(self) -> None:
         gui = self.server.gui
