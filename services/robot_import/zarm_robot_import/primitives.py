@@ -136,7 +136,7 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
         if not left:
             break
         worst = max(left, key=lambda i: worth[i])
-        halves = _halves(cells[worst], axes, body)
+        halves = _halves(cells[worst], axes, body, measure.outside(cells[worst].row))
         if halves:
             cells[worst : worst + 1] = halves
         else:
@@ -211,6 +211,14 @@ class Measure:
         skin.unsure[unsure] = False
         out = skin.out[outer]
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
+
+    def outside(self, row: Array) -> tuple[Array, Array]:
+        """Points (n, 3) on a primitive (17,) that are outside of the body, and for each the integral (n,) of the squared distance to the
+        body over what lies below it, in m^5: where the body's grid is too coarse for a thin primitive, these are not."""
+        self.one(row, np.empty((0, 17)))
+        skin = self._skin(row)
+        out = skin.out > 0.0
+        return skin.points[out], skin.each * skin.out[out] ** 3 / 3
 
     def _skin(self, row: Array) -> _Skin:
         if (key := row.tobytes()) not in self._known:
@@ -328,10 +336,15 @@ def _grown(row: Array, by: float) -> Array:
     return row
 
 
-def _halves(cell: _Cell, axes: Array, body: Body) -> list[_Cell]:
-    """A cell cut in two by the plane that leaves the least outside of the body; nothing where there is none."""
+def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) -> list[_Cell]:
+    """A cell cut in two by the plane that leaves the least outside of the body; nothing where there is none.
+
+    `outside` is what counts beside the body's grid: points (n, 3) on the cell's primitive, and how much (n,) each.
+    """
     best, chosen = np.inf, None
-    near = body.around(cell.points)
+    points, weights = (np.concatenate(each) for each in zip(body.around(cell.points), outside, strict=True))
+    order = np.argsort(-weights)
+    near = points[order], weights[order]
 
     def left(axis: Array, offset: float) -> float:
         below = cell.points @ axis < offset
