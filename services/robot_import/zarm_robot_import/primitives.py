@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
 """A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
-COUNT = 80
+COUNT = 60
 """... nor one of so many primitives."""
 _POINTS = 250
 """Points that stand for the surface while planes are looked for."""
@@ -54,7 +54,6 @@ _SAME = math.cos(math.radians(1.0))
 """Axes whose angle has a larger cosine are one."""
 _TOUCHING = 0.001
 """Boxes that are so near (m) to each other touch."""
-_NOTHING = (np.empty((0, 3)), np.empty(0))
 _ORDERS = ([1, 2, 0], [2, 0, 1], [0, 1, 2])
 _FLAT = 0.002
 """All volume counts as if it were so far (m) outside: between the points of the body's grid there is room for thin shapes."""
@@ -279,13 +278,13 @@ def _faces(triangles: Array) -> Array:
     return np.column_stack((first, second, np.cross(first, second)))
 
 
-def _piece(triangles: Array, axes: Array, body: Body, outside: tuple[Array, Array] = _NOTHING) -> _Cell:
-    """Some of the triangles as a cell; `outside` as in `_halves`."""
+def _piece(triangles: Array, axes: Array, body: Body) -> _Cell:
+    """Some of the triangles as a cell."""
     corners = _hull(triangles.reshape(-1, 3))
     along = corners @ axes[:, :, 2].T
     furthest = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))
     points = np.concatenate([points_on(triangles, _POINTS)[0], corners[furthest]])
-    return _cell(triangles, corners, points, _axes(points, triangles, axes), body, outside)
+    return _cell(triangles, corners, points, _axes(points, triangles, axes), body)
 
 
 def _union(a: _Cell, b: _Cell, axes: Array, body: Body) -> _Cell:
@@ -317,18 +316,9 @@ def _hull(points: Array) -> Array:
     return found
 
 
-def _near(points: Array, body: Body, outside: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Points (n, 3) outside of the body, and how much (n,) each counts, the most first: of the grid around `points`, and `outside`."""
-    found, weights = (np.concatenate(each) for each in zip(body.around(points), outside, strict=True))
-    order = np.argsort(-weights)
-    return found[order], weights[order]
-
-
-def _cell(
-    triangles: Array, corners: Array, points: Array, axes: Array, body: Body, outside: tuple[Array, Array] = _NOTHING
-) -> _Cell:
+def _cell(triangles: Array, corners: Array, points: Array, axes: Array, body: Body) -> _Cell:
     form = _form(points, axes)
-    which, out = _tightest(points, form, _near(points, body, outside))
+    which, out = _tightest(points, form, body.around(points))
     one = [which % len(axes)]
     shapes = around(corners, form.turn[one], form.box[one], form.axis[one], form.middle)
     return _Cell(triangles, corners, points, axes, _grown(shapes[which // len(axes)], body.off), out)
@@ -352,7 +342,9 @@ def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) 
     `outside` is what counts beside the body's grid: points (n, 3) on the cell's primitive, and how much (n,) each.
     """
     best, chosen = np.inf, None
-    near = _near(cell.points, body, outside)
+    points, weights = (np.concatenate(each) for each in zip(body.around(cell.points), outside, strict=True))
+    order = np.argsort(-weights)
+    near = points[order], weights[order]
 
     def left(axis: Array, offset: float) -> float:
         below = cell.points @ axis < offset
@@ -379,7 +371,7 @@ def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) 
         for offset in (middle - step, middle + step):
             if (out := left(axis, offset)) < best:
                 best, chosen = out, (axis, offset)
-    return [_piece(part, axes, body, outside) for part in cut(cell.triangles, *chosen) if len(part)]
+    return [_piece(part, axes, body) for part in cut(cell.triangles, *chosen) if len(part)]
 
 
 class _Form(NamedTuple):
