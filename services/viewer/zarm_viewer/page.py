@@ -97,6 +97,7 @@ class Page:
         with beside.add_tab("Stop"):
             always = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         beside.float(x=15, y=-15, width=220)
+        beside.expand()  # on a phone it is the last part of the one that scrolls, and would be shut
         first = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         escape = self.server.gui.add_command("Stop", hotkey="escape", description="Brake every robot to rest now")
 

@@ -208,7 +208,12 @@ def test_an_object_added_on_one_page_is_on_the_bus_and_on_the_other_page(page: P
 
 def test_on_a_phone_the_stop_is_in_reach(page: Page, second: Page) -> None:
     second.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
-    expect(second.get_by_text("STOP").first).to_be_in_viewport()
+    stops = second.get_by_role("button", name="STOP")
+    expect(stops.first).to_be_in_viewport()
+    second.mouse.move(PHONE[0] / 2, 0.8 * PHONE[1])
+    second.mouse.wheel(0, 10 * PHONE[1])
+    expect(stops.last).to_be_in_viewport()
+    second.mouse.wheel(0, -10 * PHONE[1])
     second.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
 
 
