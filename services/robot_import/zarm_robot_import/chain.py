@@ -75,7 +75,8 @@ def choose_chain(
         raise InvalidRequest(
             f"{robot.source.path}: {tip} does not hang on {base}; choose --base and --tip on one branch"
         )
-    if (base == robot.root) and (start := next((j for j in path if j.type in ("floating", "planar")), None)):
+    start = next((joint for joint in path if joint.type in ("floating", "planar")), None)
+    if base == robot.root and start is not None:
         # A base that floats, as simulators write it: the arm stands on what floats.
         base, path = start.child, path[path.index(start) + 1 :]
     joints = tuple(joint for joint in path if joint.type != "fixed")
@@ -90,6 +91,10 @@ def choose_chain(
                 joint.element,
                 f'joint {joint.name} mimics {joint.mimic[0]} within the chain; give it type="fixed" or drop <mimic>',
             )
+    if not joints and start is not None:
+        raise robot.source.fault(
+            start.element, f"joint {start.name} is {start.type}, which no arm's joint is, and behind it none moves"
+        )
     if not joints:
         raise InvalidRequest(f"{robot.source.path}: no joint moves between {base} and {tip}; choose another --tip")
     if len(joints) > MOST_JOINTS:

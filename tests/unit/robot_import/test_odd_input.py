@@ -116,3 +116,14 @@ def test_many_joints_without_limits_with_strange_names_on_a_floating_base(tmp_pa
     assert robot.descriptor.joints == tuple(f"ось {i}" for i in range(count))
     assert robot.descriptor.tip_link == "tip: 手"
     assert sum("the URDF gives no range" in warning for warning in report.warnings) == count
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_where_nothing_but_what_floats_moves_it_is_refused_with_its_line(tmp_path: Path, kind: str) -> None:
+    file = tmp_path / "drone.urdf"
+    file.write_text(
+        f'<robot name="drone">\n<link name="a"/><link name="b"/>\n<joint name="free" type="{kind}">'
+        '<parent link="a"/><child link="b"/></joint>\n</robot>'
+    )
+    with pytest.raises(InvalidRequest, match=rf"drone\.urdf:3: joint free is {kind}"):
+        import_robot(file, tmp_path / "out", Options())
