@@ -17,7 +17,7 @@ from zarm_contract.messages import Mesh, Voxels
 from zarm_geometry import rows
 from zarm_geometry.mesh_repair import closed
 from zarm_geometry.solid import around, inside
-from zarm_geometry.voxels import coarse
+from zarm_geometry.voxels import cells_of, coarse
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Meshes:
     def around(self, item: Mesh | Voxels, most: int) -> tuple[Array, Array]:
         """At most `most` boxes, by their corners (m, 3) in its own frame, that contain an object. Raises Unavailable like `rows`."""
         if isinstance(item, Voxels):
-            return coarse(np.array(item.cells), item.resolution, most)
+            return coarse(cells_of(item), item.resolution, most)
         shapes = self.rows(item)
         flat = shapes[:, 15] < 0.0
         return around(rows.corners(shapes[flat]), most, solid=not flat.all())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,8 @@ from zarm_contract.messages import PointCloud, Voxels
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
+T = TypeVar("T", int, float)
+S = TypeVar("S", np.float64, np.int64)
 
 _BITS = 21
 _MIDDLE = 1 << (_BITS - 1)
@@ -23,7 +27,7 @@ FARTHEST = 1e3
 
 def voxels_of(cloud: PointCloud, field: str) -> Voxels:
     """The voxels that a cloud's points lie in. Raises InvalidRequest for points that are too far away."""
-    points = np.fromiter(chain.from_iterable(cloud.points), np.float64, 3 * len(cloud.points)).reshape(-1, 3)
+    points = _rows(cloud.points, np.float64)
     check_reach(points, f"{field}.points")
     cells = tuple(map(tuple, occupied(points, cloud.resolution).tolist()))
     return Voxels.model_construct(  # whose fields are those of a valid cloud
@@ -34,6 +38,16 @@ def voxels_of(cloud: PointCloud, field: str) -> Voxels:
         resolution=cloud.resolution,
         cells=cells,
     )
+
+
+def cells_of(voxels: Voxels) -> Cells:
+    """The cells (n, 3) of voxels, in their order."""
+    return _rows(voxels.cells, np.int64)
+
+
+def _rows(triples: Sequence[tuple[T, T, T]], kind: type[S]) -> NDArray[S]:
+    """Triples as rows (n, 3), in a third of the time that `np.array` takes."""
+    return np.fromiter(chain.from_iterable(triples), kind, 3 * len(triples)).reshape(-1, 3)
 
 
 def check_reach(points: Array, field: str) -> None:

@@ -12,7 +12,7 @@ from zarm_geometry import rows
 from zarm_geometry.box_tree import BoxTree
 from zarm_geometry.frames import matrix
 from zarm_geometry.meshes import Meshes
-from zarm_geometry.voxels import edges, merged
+from zarm_geometry.voxels import cells_of, edges, merged
 
 Array = NDArray[np.float64]
 
@@ -65,4 +65,4 @@ def convex_shapes(item: SceneObject, meshes: Meshes) -> Array:
 
 def _boxes(item: Voxels) -> Array:
     """The shapes (n, 17) of voxels, in their own frame."""
-    return rows.boxes(*edges(*merged(np.array(item.cells)), item.resolution))
+    return rows.boxes(*edges(*merged(cells_of(item)), item.resolution))

@@ -34,7 +34,7 @@ from zarm_contract.messages import (
     Voxels,
 )
 from zarm_geometry.meshes import Meshes
-from zarm_geometry.voxels import check_reach, voxels_of
+from zarm_geometry.voxels import cells_of, check_reach, voxels_of
 from zarm_planner.scene.attached_objects import attach, detach, refuse_attached, set_links
 from zarm_runtime.state_file import StateFile
 
@@ -219,7 +219,7 @@ def _kept(item: SceneObject | PointCloud, field: str, meshes: Meshes) -> SceneOb
     if isinstance(item, Mesh):
         return meshes.checked(item, field)
     if isinstance(item, Voxels):
-        check_reach(np.array(item.cells) * item.resolution, f"{field}.cells")
+        check_reach(cells_of(item) * item.resolution, f"{field}.cells")
     if not isinstance(item, PointCloud):
         return item
     return voxels_of(item, field)
