@@ -219,7 +219,7 @@ def _kept(item: SceneObject | PointCloud, field: str, meshes: Meshes) -> SceneOb
     if isinstance(item, Mesh):
         return meshes.checked(item, field)
     if isinstance(item, Voxels):
-        check_reach(cells_of(item) * item.resolution, f"{field}.cells")
+        check_reach(cells_of(item).astype(np.float64) * item.resolution, f"{field}.cells")
     if not isinstance(item, PointCloud):
         return item
     return voxels_of(item, field)
