@@ -15,6 +15,7 @@ from zarm_runtime.bus import Bus
 
 TESTS = Path(__file__).parent
 IN_PROCESS = TESTS / "unit"
+NOT_FAST = frozenset(("slow", "lengthy"))
 SHARED = frozenset(("shared", "up"))
 """What the fixtures of a package that start something are called."""
 
@@ -31,7 +32,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups when its turn comes
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What runs in the process of the tests is fast, but for what is marked slow. Each module runs in one process, and so do all
+    """What runs in the process of the tests is fast, but for what is marked slow or lengthy. Each module runs in one process, and so do all
     tests that share what the fixtures of a package start: it starts once."""
     for item in items:
         shares = item.path.with_name("__init__.py").exists() and not SHARED.isdisjoint(
@@ -39,7 +40,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         )
         group = item.path.parent if shares else item.path
         item.add_marker(pytest.mark.xdist_group(str(group.relative_to(TESTS))))
-        if item.path.is_relative_to(IN_PROCESS) and item.get_closest_marker("slow") is None:
+        if item.path.is_relative_to(IN_PROCESS) and NOT_FAST.isdisjoint(mark.name for mark in item.iter_markers()):
             item.add_marker("fast")
 
 

@@ -155,6 +155,7 @@ def test_what_was_ignored_while_insisting_comes_up_afterwards(at_once: None) -> 
         interrupts.check()
 
 
+@pytest.mark.lengthy
 def test_a_third_signal_counts_once_what_is_asked_for_has_had_its_time() -> None:
     for _ in range(3):
         signal.raise_signal(signal.SIGINT)

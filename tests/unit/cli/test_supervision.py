@@ -12,6 +12,7 @@ from zarm_cli.supervision import Supervisor
 OTHER = "executor  | 10:00:00 level=INFO waiting reason=the planner is away"
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("lines", "words"),
     [

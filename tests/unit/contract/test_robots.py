@@ -257,6 +257,7 @@ def test_home_is_far_from_singular(name: str) -> None:
     assert np.linalg.svd(np.array(columns) / step, compute_uv=False)[-1] > 0.1
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", NAMES)
 def test_most_configurations_are_free_of_self_collision(name: str) -> None:
     robot = load_robot(name)

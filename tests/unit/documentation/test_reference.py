@@ -34,6 +34,7 @@ def generate() -> Iterator[ModuleType]:
         yield module
 
 
+@pytest.mark.lengthy
 def test_the_pages_are_those_of_the_code(generate: ModuleType) -> None:
     made = generate.pages()
     outdated = [name for name, text in made.items() if (REFERENCE / name).read_text() != text]

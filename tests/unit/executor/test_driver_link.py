@@ -89,6 +89,7 @@ def test_after_a_silence_what_was_told_during_it_is_passed_over(link: DriverLink
     eventually(lambda: link.measured() is not first, "the joints are measured again")
 
 
+@pytest.mark.lengthy
 def test_a_driver_whose_clock_is_stepped_back_during_a_silence_is_heard_again(link: DriverLink, bus: Bus) -> None:
     driver = bus.publisher(KEYS.driver_joint_states, JointState)
     told = state(JOINTS, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))

@@ -15,6 +15,7 @@ PERIOD = 0.005
 PERIODS = pytest.mark.parametrize("period", [0.01, 0.004, 0.002])
 
 
+@pytest.mark.lengthy
 @PERIODS
 def test_calls_come_on_a_grid_of_the_clock_and_none_twice(period: float) -> None:
     calls: list[float] = []

@@ -102,6 +102,7 @@ def test_what_held_when_the_ring_begins_is_told_too(clock) -> None:
     assert all(stamp <= entries[0][0] for stamp, _, _ in before)
 
 
+@pytest.mark.lengthy
 def test_several_threads_may_append_while_another_reads() -> None:
     ring = Ring(KEYS)
     each = 20_000

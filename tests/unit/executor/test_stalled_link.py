@@ -43,6 +43,7 @@ def stalled_for(folder: Folder, case: Case, after: float, seconds: float, rate: 
     return bench
 
 
+@pytest.mark.lengthy
 @examples(0.04)
 @given(
     case=st.sampled_from(DRIVEN),

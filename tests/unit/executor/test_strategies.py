@@ -80,6 +80,7 @@ def test_a_stop_decelerates_inside_the_limits_and_the_robot_rests_on_the_path(be
         assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("after", sampled(0.7, 0.05, 1.5))
 def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after: float) -> None:
     bench.execute()
@@ -139,6 +140,7 @@ def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
     assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("scale", sampled(0.4, 0.05))
 def test_at_a_lower_speed_a_goal_is_held_goes_on_and_is_not_overdue(bench: DriverBench, scale: float) -> None:
     bench.machine.set_speed(scale)
@@ -156,6 +158,7 @@ def test_at_a_lower_speed_a_goal_is_held_goes_on_and_is_not_overdue(bench: Drive
         assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
+@pytest.mark.lengthy
 def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) -> None:
     bench.machine.set_speed(0.05)
     bench.execute()
@@ -166,6 +169,7 @@ def test_a_goal_at_the_slowest_speed_is_cancelled_at_once(bench: DriverBench) ->
     assert bench.rests()
 
 
+@pytest.mark.lengthy
 @at_every_phase
 @pytest.mark.parametrize("share", sampled(0.5, 0.3, 0.8))
 def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_that_is_extended(
@@ -236,6 +240,7 @@ def test_a_goal_cancelled_before_its_first_tick_does_not_move(bench: DriverBench
     np.testing.assert_allclose(bench.positions[-1], HOME, atol=1e-6)
 
 
+@pytest.mark.lengthy
 def test_one_motion_follows_another(bench: DriverBench) -> None:
     for goal, start in ((FAR, HOME), (HOME, FAR), (FAR, HOME)):
         bench.execute(goal, start)
@@ -324,6 +329,7 @@ def test_a_control_loop_that_was_away_in_motion_ends_in_fault_at_rest(bench: Dri
     assert bench.rests()
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("case", MOVING[1:], ids=str)
 def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)
@@ -339,6 +345,7 @@ def test_a_robot_that_stands_is_not_moved_in_order_to_brake(case: Case, tmp_path
     np.testing.assert_allclose(bench.arm.position, stood, atol=0.02)  # positions hold it on the path, not beside it
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("case", MOVING[1:], ids=str)
 def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_does(
     case: Case, tmp_path: Folder
@@ -377,6 +384,7 @@ def test_a_robot_that_does_not_stop_ends_in_fault_and_is_told_to_stop_until_it_d
 STEERABLE = MOVING[:3]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("case", STEERABLE, ids=str)
 def test_a_streamed_target_is_followed_inside_the_limits_and_a_late_client_ends_at_rest(
     case: Case, tmp_path: Folder

@@ -97,6 +97,7 @@ def test_the_margin_is_kept_to_objects(model: RobotModel) -> None:
             assert is_free(model, kept, q) == (gap > margin and own > 0.0)
 
 
+@pytest.mark.lengthy
 def test_thousands_of_objects_are_all_seen(model: RobotModel) -> None:
     rng = np.random.default_rng(2)
     objects, joints = random_objects(2000, 0.01, rng, 12.0), random_joints(model, 40, rng)
@@ -113,6 +114,7 @@ def test_links_on_the_base_meet_other_links_but_no_objects(arm: RobotModel) -> N
     assert not is_free(arm, World((), 0.0), np.array([0.0, -1.54, 0.0, 0.0]))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("count", sampled(15, 3))
 def test_a_free_edge_is_nowhere_deeper_in_an_object_than_half_the_resolution(model: RobotModel, count: int) -> None:
     rng, samples = np.random.default_rng(count), 100
@@ -145,6 +147,7 @@ def test_a_pin_in_the_way_is_not_jumped_over(arm: RobotModel) -> None:
         assert not is_free(arm, World((pin,), 0.0), np.array((start, end)))
 
 
+@pytest.mark.lengthy
 def test_on_a_long_way_no_link_passes_through_another(model: RobotModel) -> None:
     ends = random_joints(model, 120, np.random.default_rng(4)).reshape(-1, 2, model.dof)
     free = [edge for edge in ends if is_free(model, World((), 0.0), edge)]
@@ -187,6 +190,7 @@ def find(trees: Trees, nodes: Single, target: Single, weight: Single) -> tuple[i
     return nearest_node(trees, 1, target, weight)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("count", sampled(333, 1, 16, 17))
 def test_the_nearest_node_is_found(count: int) -> None:
     rng = np.random.default_rng(count)

@@ -76,6 +76,7 @@ def test_exact_distances_to_a_mesh_are_those_of_fcl_to_the_whole_of_it(tmp_path:
     assert len(set(found)) == 2
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("suffix", "closed"), [("stl", True), ("obj", False)])
 def test_a_configuration_is_free_exactly_when_no_sphere_touches_the_mesh(
     tmp_path: Path, suffix: str, closed: bool
@@ -133,6 +134,7 @@ def winding(triangles: Array, points: Array) -> Array:
     return np.asarray(np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum(axis=1) / (2 * np.pi))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("turn", [0.0, 0.7])
 def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, name: str, turn: float) -> None:
@@ -184,6 +186,7 @@ def with_faults(shape: trimesh.Trimesh, hole: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(shape.vertices, faces[~far[faces].any(axis=1)], process=False)
 
 
+@pytest.mark.lengthy
 def test_small_faults_of_a_mesh_are_mended_and_said_and_of_an_open_one_only_the_surface_counts(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(4, 0.05)
     saved(ball, tmp_path / "whole.stl")

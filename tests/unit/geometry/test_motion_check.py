@@ -76,6 +76,7 @@ def thing(rng: np.random.Generator, index: int) -> SceneObject:
     )
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("robot", ["doosan_m1013", "panda", "ur5e", "small_arm"])
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
@@ -103,6 +104,7 @@ def test_what_is_called_free_keeps_the_margin_by_a_dense_exact_check(robot: str,
             assert exact.nearest(after).distance < MARGIN + BETWEEN
 
 
+@pytest.mark.lengthy
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_what_moves_is_everywhere_that_it_may_be(seed: int) -> None:

@@ -43,6 +43,7 @@ def primitives(count: int, seed: int) -> list[Primitive]:
     return items
 
 
+@pytest.mark.lengthy
 @examples(0.15)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.05, 0.3]))
 def test_no_point_of_an_object_is_outside_and_no_cell_is_empty(seed: int, resolution: float) -> None:
@@ -79,6 +80,7 @@ def test_objects_share_cells_and_voxels_are_objects_too() -> None:
     assert cells_of(ball, voxels) == [(0, 0, 0), (20, 0, 0)]
 
 
+@pytest.mark.lengthy
 def test_too_many_cells_are_refused_before_they_are_all_found() -> None:
     floor = Cuboid(kind="cuboid", name="floor", position=(0.0, 0.0, 0.0), size=(1000.0, 1000.0, 0.1))
     balls = tuple(Sphere(kind="sphere", name=f"b{i}", position=(i, 0.0, 0.0), radius=0.45) for i in range(10))

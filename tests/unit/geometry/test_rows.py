@@ -50,6 +50,7 @@ def kernel_distances(row: Array, points: Array) -> Array:
     return np.sqrt(found.astype(np.float64))
 
 
+@pytest.mark.lengthy
 def test_the_distance_to_a_triangle_is_that_of_trimesh() -> None:
     rng = np.random.default_rng(0)
     for number in range(60):
@@ -99,6 +100,7 @@ def test_triangles_that_are_only_lines_are_left_out() -> None:
     assert len(rows.triangles(corners)) == 1
 
 
+@pytest.mark.lengthy
 def test_bounds_on_the_distance_to_a_triangle_enclose_what_fcl_measures() -> None:
     rng = np.random.default_rng(6)
     box = CollisionCuboid(kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.2, 0.3, 0.4))

@@ -68,6 +68,7 @@ def load(rng: np.random.Generator) -> Attached:
     return Attached(object=random_object(kind, "load", beyond, 0.2, rng), touch_links=("fore", "cover"))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("seed", range(8))
 def test_what_is_carried_collides_where_it_is_carried(arm: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -79,6 +80,7 @@ def test_what_is_carried_collides_where_it_is_carried(arm: RobotModel, seed: int
     assert {found for found, _ in answers} == {True, False}
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("seed", range(8))
 def test_what_is_free_in_spheres_is_free_exactly(arm: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -339,6 +341,7 @@ def test_without_joints_and_a_measured_state_nothing_is_attached_or_detached(
     assert refused.value.code == "no_joint_state"
 
 
+@pytest.mark.lengthy
 def test_a_robot_carries_no_more_than_the_greatest_number_of_objects(planner: Handlers) -> None:
     planner.edit(add(*(BALL.model_copy(update={"name": f"b{i}"}) for i in range(MAX_ATTACHED + 1))))
     for i in range(MAX_ATTACHED):

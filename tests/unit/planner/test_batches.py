@@ -44,11 +44,13 @@ def solved(
     return batch_ik(model, poses, near, world=world, max_solutions=most, seed=3, device=device, deadline=Deadline(60.0))
 
 
+@pytest.mark.lengthy
 def test_poses_on_torch_are_those_of_the_kernels(model: RobotModel) -> None:
     joints = random_joints(model, 100, np.random.default_rng(0))
     np.testing.assert_allclose(batch_fk(model, joints, "cpu"), batch_fk(model, joints, "kernels"), rtol=0, atol=1e-6)
 
 
+@pytest.mark.lengthy
 def test_solutions_on_torch_reach_their_poses_by_the_kernels_within_the_limits_nearest_first(model: RobotModel) -> None:
     joints = random_joints(model, 6, np.random.default_rng(1))
     poses, near = model.fk_tip(joints), np.array(model.robot.descriptor.home)

@@ -74,11 +74,13 @@ def tilt(poses: np.ndarray) -> float:
     return float(np.arccos(np.clip(up @ up[0], -1.0, 1.0)).max())
 
 
+@pytest.mark.lengthy
 def test_a_tool_stays_upright_all_the_way(model: RobotModel) -> None:
     found = held_plan(model, moved(model, -0.3, 0.3, 0.2), UPRIGHT)
     assert tilt(tips(model, found)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
 
 
+@pytest.mark.lengthy
 def test_what_is_held_is_kept_around_an_obstacle(model: RobotModel) -> None:
     goal = moved(model, -0.25, 0.35, 0.0)
     x, y, z = (np.array(moved(model, 0.0, 0.0, 0.0).position) + goal.position) / 2
@@ -99,6 +101,7 @@ def test_all_axes_but_one_make_a_straight_line(model: RobotModel) -> None:
     assert poses[-1, 0, 3] - poses[0, 0, 3] == pytest.approx(0.2, abs=1e-3)
 
 
+@pytest.mark.lengthy
 def test_waypoints_are_passed_without_a_stop_with_axes_held(model: RobotModel) -> None:
     through = (moved(model, 0.0, 0.2, 0.0), moved(model, -0.15, 0.3, 0.0), moved(model, -0.2, 0.1, 0.0))
     found = held_plan(model, WaypointsGoal(kind="waypoints", through=through), LEVEL)

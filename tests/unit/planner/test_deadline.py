@@ -53,6 +53,7 @@ def test_what_gives_way_keeps_what_is_guaranteed_and_the_deadline_itself_stays()
     assert cancelled.cancelled
 
 
+@pytest.mark.lengthy
 def test_it_passes_while_toppra_is_loaded_too() -> None:
     """In a process of its own, which has not loaded it yet."""
     program = """

@@ -108,6 +108,7 @@ def reached(model: RobotModel, q: Array, pose: Array) -> bool:
     return bool(np.linalg.norm(there[:3, 3] - pose[:3, 3]) < 1.01e-6 and angle < 1.01e-6)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_one_of_300_reachable_poses_is_solved_within_the_limits(name: str) -> None:
     model, rng = RobotModel.of(load_robot(name)), np.random.default_rng(3)

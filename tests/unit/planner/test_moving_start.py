@@ -105,6 +105,7 @@ def assert_inside_limits(trajectory: TimedTrajectory, model: RobotModel) -> None
     assert np.all(position <= model.upper + 2e-4)
 
 
+@pytest.mark.lengthy
 @examples(0.5, deadline=None)
 @given(
     name=st.sampled_from(sorted(MODELS)),

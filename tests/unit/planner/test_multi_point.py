@@ -84,6 +84,7 @@ def test_one_motion_is_sooner_at_the_end_than_a_plan_to_each_waypoint_and_than_r
     assert found.trajectory.duration < 0.95 * rounded.duration
 
 
+@pytest.mark.lengthy
 def test_obstacles_between_waypoints_are_avoided(model: RobotModel) -> None:
     x, y, z = model.fk_tip((STOPS[0] + STOPS[1]) / 2)[:3, 3].tolist()
     post = Cylinder(kind="cylinder", name="post", position=(x, y, z - 0.1), radius=0.02, length=0.2)
@@ -118,6 +119,7 @@ def test_a_waypoint_inside_an_obstacle_is_named(model: RobotModel) -> None:
     assert refused.value.problem.field == "goal.through.1"
 
 
+@pytest.mark.lengthy
 def test_a_budget_makes_motions_faster_and_never_slower(model: RobotModel) -> None:
     goals = [JointGoal(kind="joints", position=tuple(q)) for q in STOPS]
     pairs = [

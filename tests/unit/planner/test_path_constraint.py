@@ -148,6 +148,7 @@ def problem(
             return objects, held, start, goals
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("message", KINDS)
 @pytest.mark.parametrize("name", sampled("panda", *sorted(set(MODELS) - {"panda"})))
 def test_in_random_worlds_every_motion_keeps_what_is_held_inside_the_limits_and_free(

@@ -84,6 +84,7 @@ def test_no_budget_is_spent_on_a_motion_that_cannot_be_faster(model: RobotModel)
     assert request.timer.timings().optimize < 1.0
 
 
+@pytest.mark.lengthy
 def test_the_deadline_ends_the_search_for_faster_motions_with_the_best_so_far(model: RobotModel) -> None:
     through = (JointGoal(kind="joints", position=tuple(SWUNG)), JointGoal(kind="joints", position=tuple(HOME)))
     goal = WaypointsGoal(kind="waypoints", through=through)

@@ -61,6 +61,7 @@ def assert_limits_held(trajectory: Trajectory, robot: RobotDescription) -> None:
     assert np.all(position <= np.array(robot.upper) + 2e-4)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("changed", sampled("bare", "carrying", "ignoring"))
 @pytest.mark.parametrize("name", sampled(*IGNORED))
 def test_every_motion_is_free_and_within_limits(name: str, changed: str, tmp_path: Path) -> None:

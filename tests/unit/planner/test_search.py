@@ -195,6 +195,7 @@ def test_an_arm_that_slides_and_turns_without_end_finds_its_way(tmp_path: Path) 
     assert_free(arm, plate, path)
 
 
+@pytest.mark.lengthy
 @pytest.mark.skipif(not motion_bench.AVAILABLE, reason="MotionBenchMaker's problems are not beside the repository")
 @pytest.mark.parametrize("name", motion_bench.ROBOTS)
 @pytest.mark.parametrize("scene", motion_bench.SCENES)

@@ -193,6 +193,7 @@ def test_rows_that_are_no_vias_need_not_be_passed(model: RobotModel) -> None:
     assert passings(free, ZIGZAG[3:4])[1].max() > DEVIATION
 
 
+@pytest.mark.lengthy
 @examples(0.15)
 @given(st.integers(0, 2**32), st.sampled_from([None, 200.0, 20.0]), st.sampled_from([0.004, 0.01, 0.02]))
 @example(3, None, 0.01)
@@ -240,6 +241,7 @@ def test_the_limits_are_measured_between_the_samples(model: RobotModel) -> None:
 numbers = st.floats(-1.0, 1.0)
 
 
+@pytest.mark.lengthy
 @examples(0.5)
 @given(st.lists(st.tuples(numbers, numbers, numbers, numbers), min_size=1, max_size=4))
 @example([(0.0, 0.5, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0)])

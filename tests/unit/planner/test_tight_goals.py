@@ -89,6 +89,7 @@ def pose_goal(model: RobotModel, q: Array) -> PoseGoal:
     return PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("seed", sampled(*range(SEEDS)))
 def test_a_goal_between_two_boards_has_a_way_out_of_there(name: str, seed: int) -> None:
@@ -112,6 +113,7 @@ def test_the_motion_into_a_tight_shelf_is_free() -> None:
     assert np.abs(made.trajectory.end - q).max() < 1e-6
 
 
+@pytest.mark.lengthy
 def test_a_pose_that_nothing_reaches_free_is_refused_in_time() -> None:
     """A block around the tip leaves no room for any posture."""
     model = MODELS["panda"]

@@ -160,6 +160,7 @@ def test_between_samples_a_motion_is_the_quintic_of_the_contract() -> None:
         assert np.allclose(rows, between(motion, order, np.array([0.3]))[:, 0], atol=1e-8)
 
 
+@pytest.mark.lengthy
 def test_a_planner_loads_toppra_only_when_it_times_with_it_and_never_what_that_plots_with() -> None:
     program = """
 import sys, zarm_planner.service, zarm_planner.timing.time_parameterization as timing

@@ -23,6 +23,7 @@ def changed(folder: Path, descriptor: Change = str, urdf: Change = str) -> list[
     return findings(load_robot(str(folder / "ur5e.yaml")))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("robot", sorted(file.stem for file in ROBOTS.glob("*.yaml")))
 def test_nothing_is_found_in_the_robots_that_zarm_brings(robot: str) -> None:
     assert findings(load_robot(robot)) == []
@@ -47,6 +48,7 @@ def test_home_at_a_limit(tmp_path: Path) -> None:
     assert "home: shoulder_pan_joint stands at its limit; choose a pose from which it can turn both ways" in found
 
 
+@pytest.mark.lengthy
 def test_spheres_that_are_too_small_or_elsewhere(tmp_path: Path) -> None:
     own = "  wrist_3_link: *wrist_3_link"
     sphere = "  wrist_3_link:\n    - {{kind: sphere, center: [0.0, 0.0, -0.0274], radius: {}}}"
@@ -89,6 +91,7 @@ def test_a_workspace_that_is_a_point(tmp_path: Path) -> None:
     assert any(fault.startswith("urdf: over all joint ranges the tip moves by ") for fault in found)
 
 
+@pytest.mark.lengthy
 def test_a_mesh_that_is_not_there(tmp_path: Path) -> None:
     mesh = (
         '<link name="forearm_link"><visual><geometry><mesh filename="package://ur/a.stl"/></geometry></visual></link>'

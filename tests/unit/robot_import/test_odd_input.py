@@ -59,6 +59,7 @@ def test_a_broken_surface_is_contained_as_tightly_as_a_sound_one(tmp_path: Path,
     assert sorted(box.size) == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
 
 
+@pytest.mark.lengthy
 def test_a_mesh_with_too_many_triangles_is_contained_by_what_is_made_of_fewer(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(7, 0.1)
     given = np.asarray(ball.triangles)
@@ -93,6 +94,7 @@ def test_a_file_that_is_no_mesh_is_said_with_its_place(tmp_path: Path, content: 
     assert "\n" not in refused.value.problem.message
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("count", sampled(3, 12))
 def test_many_joints_without_limits_with_strange_names_on_a_floating_base(tmp_path: Path, count: int) -> None:
     shape = '<collision><origin xyz="0 0 0.1"/><geometry><cylinder radius="0.02" length="0.15"/></geometry></collision>'

@@ -32,6 +32,7 @@ ELBOW = np.concatenate(
 SHAPES = {"box": BOX, "tube": TUBE, "ball": BALL, "capsule": CAPSULE, "elbow": ELBOW}
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", SHAPES)
 def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(name: str) -> None:
     triangles = SHAPES[name]
@@ -46,6 +47,7 @@ def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(na
     assert out.mean < MEAN
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("name", "kind"), [("box", "cuboid"), ("tube", "cylinder"), ("ball", "sphere"), ("capsule", "capsule")]
 )

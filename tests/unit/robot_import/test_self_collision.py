@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from zarm_contract.robot import CollisionSphere
 from zarm_robot_import.chain import choose_chain
@@ -91,6 +92,7 @@ def test_a_visual_mesh_that_never_lets_a_pair_part_is_left_out_with_that_reason(
     assert not pairs[ENDS].ignored
 
 
+@pytest.mark.lengthy
 def test_pairs_of_the_panda_are_checked_whose_collision_geometry_parts_and_touches() -> None:
     spec = find_spec("rtbdata")
     assert spec is not None

@@ -39,6 +39,7 @@ def stamped(stamp: float) -> m.JointState:
 # -- latched values --
 
 
+@pytest.mark.lengthy
 def test_every_value_of_a_burst_arrives_at_a_reader_that_stands_still_for_a_moment() -> None:
     """As many as no buffer between the two holds."""
     config = router_config(free_endpoint())

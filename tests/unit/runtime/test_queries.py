@@ -294,6 +294,7 @@ def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus:
     assert eventually(lambda: _answered(other), "there is room again") == ANSWER
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGKILL])
 def test_a_client_that_leaves_or_dies_is_told_of(bus: Bus, endpoint: str, signum: signal.Signals) -> None:
     asked: list[str] = []

@@ -12,6 +12,7 @@ def cell() -> Cell:
     return Cell()
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("mode", MODES)
 def test_a_robot_never_moves_into_what_comes_at_it(cell: Cell, mode: Mode) -> None:
     _attack(cell, mode, range(4))

@@ -73,6 +73,7 @@ def wall(distance: float) -> Cuboid:
     return Cuboid(kind="cuboid", name="wall", position=(x, 0.0, 0.5), size=(0.1, 4.0, 3.0))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("shift", sampled((0.05, 0.08, -0.05, 0.3), ((0.0, 0.0, 0.0, 0.5),)))
 def test_a_reachable_pose_is_reached_to_a_millimetre_and_a_hundredth_of_a_radian(shift: tuple[float, ...]) -> None:
     session, pose = Session(), moved(*shift)
@@ -84,6 +85,7 @@ def test_a_reachable_pose_is_reached_to_a_millimetre_and_a_hundredth_of_a_radian
     session.assert_sound()
 
 
+@pytest.mark.lengthy
 def test_joints_are_reached_in_line_and_joint_speeds_are_kept() -> None:
     session = Session()
     goal = START + (0.3, -0.2, 0.1, 0.2, -0.3, 0.5)
@@ -102,6 +104,7 @@ def test_a_target_that_is_stale_brakes_to_rest_and_is_named() -> None:
     session.assert_sound()
 
 
+@pytest.mark.lengthy
 def test_along_a_wall_it_slides_and_says_what_slows_it() -> None:
     session = Session(wall(0.15))
     step = session.follow(TwistTarget(np.array([0.15, 0.1, 0.0, 0.0, 0.0, 0.0])), 2.5)
@@ -113,6 +116,7 @@ def test_along_a_wall_it_slides_and_says_what_slows_it() -> None:
     session.assert_sound()
 
 
+@pytest.mark.lengthy
 def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
     session = Session(wall(0.15))
     session.follow(PoseTarget(moved(0.3, 0.0, 0.0)), 3.0)
@@ -123,6 +127,7 @@ def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
     session.assert_sound()
 
 
+@pytest.mark.lengthy
 def test_a_pose_that_just_keeps_the_margin_is_reached() -> None:
     pose = moved(0.08, 0.05, 0.0)
     free = Session(wall(1.0))
@@ -134,6 +139,7 @@ def test_a_pose_that_just_keeps_the_margin_is_reached() -> None:
     session.assert_sound()
 
 
+@pytest.mark.lengthy
 def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls() -> None:
     session = Session(wall(-0.03))
     scene = ExactScene(MODEL, session.world)
@@ -147,6 +153,7 @@ def test_a_robot_inside_an_obstacle_leaves_it_and_on_the_way_no_distance_falls()
     assert np.diff(np.minimum(distances, MARGIN)).min() > -PRECISION
 
 
+@pytest.mark.lengthy
 def test_the_elbow_is_stretched_slowly() -> None:
     session = Session()
     session.follow(PoseTarget(moved(1.5, 0.0, 0.3)), 6.0)
@@ -172,6 +179,7 @@ def a_target(rng: np.random.Generator) -> Target | None:
     return PoseTarget(moved(*rng.normal(0.0, 0.2, 4)), rng.normal(0.0, 0.2, 6))
 
 
+@pytest.mark.lengthy
 @examples(0.4)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_whatever_jumps_and_wherever_it_leads_limits_and_margin_are_kept(seed: int) -> None:

@@ -73,6 +73,7 @@ def test_undisturbed_the_robot_is_on_the_path_at_the_planned_times() -> None:
         np.testing.assert_allclose(follower.velocity, path.at(tick * TICK)[1], atol=1e-9)
 
 
+@pytest.mark.lengthy
 @examples(0.4)
 @given(seed=st.integers(0, 2**32 - 1), when=st.floats(0.0, 1.0))
 def test_braking_and_going_on_stay_inside_the_acceleration_limits_and_on_the_path(seed: int, when: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,6 +14,7 @@ JOINTS = 5
 STEP = 0.001
 
 
+@pytest.mark.lengthy
 @examples(1.0)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_velocities_asked_for_one_after_the_other_are_reached_inside_the_limits(seed: int) -> None:
