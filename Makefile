@@ -28,7 +28,7 @@ test: $(VENV)/.dev $(VENV)/.kernels
 # What `make test` runs, what it leaves out as repetition, and more examples of each property.
 test-all: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	@$(BIN)/pytest --ignore=tests/deploy --hypothesis-profile=full --numprocesses=3 -m "not timed"
+	@$(BIN)/pytest --ignore=tests/deploy --hypothesis-profile=full --numprocesses=2 -m "not timed"
 	@$(BIN)/pytest --ignore=tests/deploy --hypothesis-profile=full -m timed
 
 # The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.

@@ -128,7 +128,11 @@ def test_an_unreachable_pose_says_how_near_the_tip_comes(planner: Bus, foreign: 
 @pytest.mark.parametrize(
     "key", [KEYS.plan, KEYS.plan_cancel, KEYS.ik, KEYS.fk, KEYS.check, KEYS.occupancy, KEYS.settings, KEYS.scene_edit]
 )
-@pytest.mark.parametrize("noise", [random.Random(1).randbytes(2**20), b"[" * 2**20, b'{"goal": null}', b"\x00"])
+@pytest.mark.parametrize(
+    "noise",
+    [random.Random(1).randbytes(2**20), b"[" * 2**20, b'{"goal": null}', b"\x00"],
+    ids=["random", "brackets", "null", "zero"],
+)
 def test_noise_is_an_invalid_request_on_every_key(planner: Bus, foreign: zenoh.Session, key: str, noise: bytes) -> None:
     assert problem(foreign, key, noise).code == "invalid_request"
     assert is_alive(planner)

@@ -16,7 +16,7 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
-from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
+from zarm_planner.planners.route import LEG_SAMPLES, Route, find_route
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.toppra_loading import await_toppra, load_toppra
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -70,7 +70,7 @@ def _constraint(problem: PlanningProblem) -> ConstraintManifold:
 
 
 def _route(context: PlanningContext, problem: PlanningProblem, constraint: ConstraintManifold) -> Route | None:
-    return find_route(_ConstrainedPaths(context, constraint), problem, context.limits)
+    return find_route(_ConstrainedPaths(context, constraint), problem, context)
 
 
 def _timed(context: PlanningContext, constraint: ConstraintManifold, route: Route) -> TimedTrajectory | None:
@@ -93,9 +93,9 @@ class _ConstrainedPaths:
         """The first that is found soon, with shortcuts."""
         return self._path(start, goal[None], LEG_SAMPLES)
 
-    def to_any(self, start: Array, goals: Array) -> Array | None:
+    def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
         """The first that is found, with shortcuts."""
-        return self._path(start, goals, MOST_SAMPLES)
+        return self._path(start, goals, most)
 
     def _path(self, start: Array, goals: Array, most: int) -> Array | None:
         if np.array_equal(start, goals[0]):

@@ -13,7 +13,7 @@ from zarm_contract.errors import DeadlineExceeded
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
-from zarm_planner.planners.route import LEG_SAMPLES, MOST_SAMPLES, Route, find_route
+from zarm_planner.planners.route import LEG_SAMPLES, Route, find_route
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.improvement import Improvement
@@ -76,7 +76,7 @@ class FreePlanner(Planner):
 
 
 def _route(context: PlanningContext, problem: PlanningProblem) -> Route | None:
-    return find_route(_FreePaths(context), problem, context.limits)
+    return find_route(_FreePaths(context), problem, context)
 
 
 def _smooth(context: PlanningContext, route: Route, lead_in: LeadIn | None) -> TimedTrajectory:
@@ -121,12 +121,12 @@ class _FreePaths:
         context.deadline.check()
         return found.path
 
-    def to_any(self, start: Array, goals: Array) -> Array | None:
+    def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
         """The first that is found, with shortcuts."""
         context = self.context
         model, world, seed, deadline = context.model, context.world, context.seed, context.deadline
         with context.timer.stage("search"):
-            path = search(model, world, start, goals, seed=seed, deadline=deadline, most=MOST_SAMPLES)
+            path = search(model, world, start, goals, seed=seed, deadline=deadline, most=most)
         deadline.check()
         if path is None:
             return None

@@ -16,8 +16,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_contract.errors import PlanningFailed
+from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End
 from zarm_planner.goals.problem import PlanningProblem
+from zarm_planner.search.disconnection import find_disconnection
 from zarm_trajectory.limits import Limits
 
 Array = NDArray[np.float64]
@@ -27,8 +30,12 @@ _LEGS = 4
 each further pose of a goal set."""
 LEG_SAMPLES = 1000
 """Samples after which the search for such a leg is given up, some milliseconds; nine of ten problems of MotionBenchMaker take fewer."""
-MOST_SAMPLES = 100_000
-"""Samples after which a search to any of several configurations is given up, some seconds."""
+_SOON = 20_000
+"""Samples after which a search to any of several configurations gives way to a proof that there is no path, some 0.1 s."""
+_MOST = 100_000
+"""Samples after which that search is given up, where there is no proof."""
+_PROOF_S = 0.5
+"""So long is a proof looked for, s."""
 
 
 class Paths(Protocol):
@@ -37,8 +44,8 @@ class Paths(Protocol):
     def between(self, start: Array, goal: Array) -> Array | None:
         """A short path between two configurations (dof,); None where none was found soon."""
 
-    def to_any(self, start: Array, goals: Array) -> Array | None:
-        """A path to one of `goals` (m, dof); None where none was found with much patience."""
+    def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
+        """A path to one of `goals` (m, dof); None where none was found within `most` samples."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +61,13 @@ class Route:
         return self.rows[:-1]
 
 
-def find_route(paths: Paths, problem: PlanningProblem, limits: Limits) -> Route | None:
-    """A quick route through one end of each target, in their order, for joints with these limits.
+def find_route(paths: Paths, problem: PlanningProblem, context: PlanningContext) -> Route | None:
+    """A quick route through one end of each target, in their order.
 
-    None where none was found.
+    None where none was found. Raises PlanningFailed (`no_path`) where it is proven that there is none.
     """
-    start, targets = problem.start, problem.targets
-    chain = _quickest_chain(paths, [[start], *targets], limits) or _any_chain(paths, start, targets)
+    start, layers = problem.start, [[problem.start], *problem.targets]
+    chain = _quickest_chain(paths, layers, context.limits) or _any_chain(paths, layers, context)
     if chain is None:
         return None
     path, rows = [*start.way[::-1]], []
@@ -125,16 +132,35 @@ def _cheapest(costs: Sequence[Array]) -> list[tuple[int, int]] | None:
     return pairs[::-1]
 
 
-def _any_chain(paths: Paths, start: End, targets: Sequence[Sequence[End]]) -> Chain | None:
+def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningContext) -> Chain | None:
     """A chain of the first paths found, target by target."""
+    (start,), *_ = layers
     chain: Chain = []
-    for ends in targets:
+    for before, ends in itertools.pairwise(layers):
         free = np.array([end.free for end in ends])
-        if (path := paths.to_any(start.free, free)) is None:
+        path = paths.to_any(start.free, free, _SOON)
+        if path is None:
+            _check_connected(context, np.array([end.free for end in before]), free)
+            path = paths.to_any(start.free, free, _MOST)
+        if path is None:
             return None
         start = ends[int(np.argmin(np.abs(free - path[-1]).max(axis=1)))]
         chain.append((start, path))
     return chain
+
+
+def _check_connected(context: PlanningContext, starts: Array, goals: Array) -> None:
+    """Raises PlanningFailed where it can be proven that no path leads from any of `starts` (n, dof) to any of `goals` (m, dof)."""
+    with context.timer.stage("search"):
+        deadline = context.deadline.sooner(_PROOF_S)
+        found = find_disconnection(context.model, context.world, starts, goals, deadline)
+    if found is not None:
+        joints, objects = " and ".join(found.joints), " or ".join(found.objects)
+        raise PlanningFailed(
+            f"there is no path: on every way to the goal {joints} would have to turn through {objects}, wherever the other "
+            "joints are; move what is in the way, or choose another goal",
+            code="no_path",
+        )
 
 
 def _seconds(edges: Array, limits: Limits, rests: int) -> Array:
