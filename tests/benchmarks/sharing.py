@@ -24,7 +24,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.harness import PATIENCE, ServiceProcess, router
-from support.planner.client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, to_joints
+from support.planner.client import BEHIND_FENCE, BEHIND_POST, FENCE, HOME, KEYS, POST, load, to_joints
 from zarm_contract.errors import Busy, ZarmError
 from zarm_contract.messages import Plan, PlanRequest, WaypointsGoal
 from zarm_runtime.bus import Bus
@@ -35,7 +35,7 @@ MODEST = PlanRequest(start=HOME, goal=to_joints(-0.3, *HOME[1:]), timeout=60.0, 
 THERE_AND_BACK = WaypointsGoal(kind="waypoints", through=(to_joints(*BEHIND_POST), to_joints(*HOME)))
 GREEDY = {
     "optimisation": ((POST,), PlanRequest(start=HOME, goal=THERE_AND_BACK, timeout=60.0, optimize_s=30.0)),
-    "search": ((WALL, LID), PlanRequest(start=HOME, goal=to_joints(*BEHIND_WALL), timeout=60.0, max_attempts=1000)),
+    "search": (FENCE, PlanRequest(start=HOME, goal=to_joints(*BEHIND_FENCE), timeout=60.0, max_attempts=1000)),
 }
 
 

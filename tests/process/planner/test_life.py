@@ -14,15 +14,14 @@ import zenoh
 
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.planner.client import (
+    BEHIND_FENCE,
     BEHIND_POST,
-    BEHIND_WALL,
+    FENCE,
     HOME,
     KEYS,
-    LID,
     POST,
     SHELF,
     TABLE,
-    WALL,
     assert_sound,
     load,
     plan,
@@ -49,9 +48,9 @@ from zarm_runtime.bus import Bus
 
 
 def test_a_deadline_ends_a_search_that_finds_nothing(planner: Bus) -> None:
-    load(planner, WALL, LID)
+    load(planner, *FENCE)
     with pytest.raises(DeadlineExceeded, match=r"0\.3 s"):
-        plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_WALL), timeout=0.3))
+        plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_FENCE), timeout=0.3))
 
 
 def endless(planner: Bus, request_id: str, answers: list[ZarmError]) -> threading.Thread:
@@ -62,7 +61,7 @@ def endless(planner: Bus, request_id: str, answers: list[ZarmError]) -> threadin
             plan(
                 planner,
                 PlanRequest(
-                    start=HOME, goal=to_joints(*BEHIND_WALL), timeout=60.0, max_attempts=1000, request_id=request_id
+                    start=HOME, goal=to_joints(*BEHIND_FENCE), timeout=60.0, max_attempts=1000, request_id=request_id
                 ),
             )
         answers.append(caught.value)
@@ -86,7 +85,7 @@ def computing(planner: Bus) -> Iterator[None]:
 
 
 def test_a_cancel_ends_the_planning_that_it_names(planner: Bus) -> None:
-    load(planner, WALL, LID)
+    load(planner, *FENCE)
     answers: list[ZarmError] = []
     with computing(planner):
         thread = endless(planner, "in-vain", answers)
@@ -123,7 +122,7 @@ def test_a_cancel_ends_the_search_for_faster_motions_too(planner: Bus) -> None:
 
 
 def test_a_cancel_that_comes_before_its_request_ends_it(planner: Bus) -> None:
-    load(planner, WALL, LID)
+    load(planner, *FENCE)
     assert not cancel(planner, "on-its-way")
     answers: list[ZarmError] = []
     endless(planner, "on-its-way", answers).join(PATIENCE)
@@ -131,7 +130,7 @@ def test_a_cancel_that_comes_before_its_request_ends_it(planner: Bus) -> None:
 
 
 def test_requests_that_wait_for_their_turn_can_be_cancelled_and_too_many_are_refused(planner: Bus) -> None:
-    load(planner, WALL, LID)
+    load(planner, *FENCE)
     answers: list[ZarmError] = []
     threads = [endless(planner, f"queued-{i}", answers) for i in range((os.cpu_count() or 1) + 20)]
     eventually(lambda: answers, "one request too many has been refused")
@@ -251,7 +250,7 @@ def test_health_answers_while_kernels_are_compiled_and_plans_are_refused_with_th
 def test_the_end_of_the_service_answers_what_is_in_hand(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     with ServiceProcess("planner", endpoint, tmp_path) as process:
         process.wait_ready(bus, KEYS)
-        load(bus, WALL, LID)
+        load(bus, *FENCE)
         answers: list[ZarmError] = []
         threads = [endless(bus, f"last-{i}", answers) for i in range((os.cpu_count() or 1) + 20)]
         eventually(lambda: answers, "so many are in hand that one more is refused")

@@ -7,16 +7,15 @@ import pytest
 
 from support.harness import PATIENCE, eventually
 from support.planner.client import (
+    BEHIND_FENCE,
     BEHIND_POST,
-    BEHIND_WALL,
+    FENCE,
     HOME,
     KEYS,
-    LID,
     POST,
     ROBOT,
     SHELF,
     TABLE,
-    WALL,
     assert_sound,
     load,
     plan,
@@ -192,7 +191,7 @@ def test_a_goal_of_another_kind_than_the_planner_takes_is_refused(planner: Bus) 
 
 
 def test_a_search_is_given_up_after_the_attempts_that_it_was_allowed(planner: Bus) -> None:
-    load(planner, WALL, LID)
+    load(planner, *FENCE)
     with pytest.raises(PlanningFailed, match=r"max_attempts, 1\b") as given_up:
-        plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_WALL), max_attempts=1, timeout=60.0))
+        plan(planner, PlanRequest(start=HOME, goal=to_joints(*BEHIND_FENCE), max_attempts=1, timeout=60.0))
     assert given_up.value.code == "no_path"

@@ -14,7 +14,7 @@ import pytest
 
 from support.harness import PATIENCE, ServiceProcess, eventually
 from support.paths import PROGRAMS
-from support.planner.client import BEHIND_POST, BEHIND_WALL, HOME, KEYS, LID, POST, WALL, load, plan, to_joints
+from support.planner.client import BEHIND_FENCE, BEHIND_POST, FENCE, HOME, KEYS, POST, load, plan, to_joints
 from zarm_contract.codec import encode
 from zarm_contract.messages import IkRequest, IkSolutions, Message, PlanRequest, Pose, WaypointsGoal
 from zarm_planner.service import ROOM
@@ -23,7 +23,7 @@ from zarm_runtime.bus import Bus
 CORES = os.cpu_count() or 1
 SHARE = ROOM // 2
 MODEST = PlanRequest(start=HOME, goal=to_joints(-0.3, *HOME[1:]), timeout=60.0)
-ENDLESS = PlanRequest(start=HOME, goal=to_joints(*BEHIND_WALL), timeout=60.0, max_attempts=1000)
+ENDLESS = PlanRequest(start=HOME, goal=to_joints(*BEHIND_FENCE), timeout=60.0, max_attempts=1000)
 OPTIMIZED = PlanRequest(
     start=HOME,
     goal=WaypointsGoal(kind="waypoints", through=(to_joints(*BEHIND_POST), to_joints(*HOME))),
@@ -88,7 +88,7 @@ def ended(process: ServiceProcess, before: str) -> int:
 def test_searches_without_end_keep_no_other_client_waiting_and_end_with_who_asked(
     process: ServiceProcess, modest: Bus, place: str, tmp_path: Path
 ) -> None:
-    load(modest, WALL, LID)
+    load(modest, *FENCE)
     before = process.output()
     with greedy(place, tmp_path, KEYS.plan, ENDLESS, SHARE + 1) as client:
         (busy,) = eventually(lambda: client.answers, "it has all of its share in hand, and one request more is refused")

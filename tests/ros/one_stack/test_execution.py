@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 import zarm
 from support.harness import PATIENCE, eventually
-from support.planner.client import BEHIND_WALL, LID, WALL
+from support.planner.client import BEHIND_FENCE, FENCE
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, TARGET, Actions, Robot
 from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack
@@ -65,8 +65,8 @@ def long_planned(running: Stack, robot: Robot) -> Iterator[Pose]:
     """A target behind a wall, to which the planner looks for a way for a minute; the robot is at home."""
     with zarm.connect(running.endpoint) as client:
         client.execute(client.plan(HOME))
-    tip = robot.bus.call(KEYS.fk, FkRequest(joints=(BEHIND_WALL,)), FkPoses, timeout=PATIENCE).poses[0]
-    for objects in ((WALL, LID), ()):
+    tip = robot.bus.call(KEYS.fk, FkRequest(joints=(BEHIND_FENCE,)), FkPoses, timeout=PATIENCE).poses[0]
+    for objects in (FENCE, ()):
         running.ros.configure(timeout=60.0 if objects else 5.0)
         edit = SceneEdit(edit=LoadScene(op="load", objects=objects))
         robot.bus.call(KEYS.scene_edit, edit, SceneEdited, timeout=PATIENCE)
