@@ -62,7 +62,7 @@ def test_a_goal_behind_what_the_first_joint_cannot_turn_past_is_refused_and_says
     context = PlanningContext(scene, Limits.of(model.robot), Deadline(math.inf), max_attempts=10**6)
     asked = JointGoal(kind="joints", position=tuple(goal.tolist()))
     with pytest.raises(
-        PlanningFailed, match=r"there is no path: .* shoulder_pan_joint would have to turn through back or front"
+        PlanningFailed, match="no path to the goal: shoulder_pan_joint would have to turn through back or front"
     ):
         plan(FreePlanner(), context, start, asked)
 

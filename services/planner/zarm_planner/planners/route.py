@@ -140,7 +140,8 @@ def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningC
         free = np.array([end.free for end in ends])
         path = paths.to_any(start.free, free, _SOON)
         if path is None:
-            _check_connected(context, np.array([end.free for end in before]), free)
+            found = "the goal" if ends[0].pose is None else f"any of the {len(ends)} solutions found for the goal"
+            _check_connected(context, np.array([end.free for end in before]), free, found)
             path = paths.to_any(start.free, free, _MOST)
         if path is None:
             return None
@@ -149,7 +150,7 @@ def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningC
     return chain
 
 
-def _check_connected(context: PlanningContext, starts: Array, goals: Array) -> None:
+def _check_connected(context: PlanningContext, starts: Array, goals: Array, called: str) -> None:
     """Raises PlanningFailed where it can be proven that no path leads from any of `starts` (n, dof) to any of `goals` (m, dof)."""
     with context.timer.stage("search"):
         deadline = context.deadline.sooner(_PROOF_S)
@@ -157,8 +158,8 @@ def _check_connected(context: PlanningContext, starts: Array, goals: Array) -> N
     if found is not None:
         joints, objects = " and ".join(found.joints), " or ".join(found.objects)
         raise PlanningFailed(
-            f"there is no path: on every way to the goal {joints} would have to turn through {objects}, wherever the other "
-            "joints are; move what is in the way, or choose another goal",
+            f"there is no path to {called}: {joints} would have to turn through {objects}, wherever the other joints are; "
+            "move what is in the way, or choose another goal",
             code="no_path",
         )
 
