@@ -62,6 +62,14 @@ class Folders:
     records: Path
 
 
+_STOP_IN_REACH = """<style>
+@media (max-width: 40em) {
+  button[style*="-red-"] { position: fixed; right: 0.7em; bottom: 0.7em; width: 45vw; height: 3em !important; z-index: 1000; }
+}
+</style>"""
+"""On a phone, where all panels are one that scrolls, STOP keeps its place on the screen."""
+
+
 class Page:
     """The page of these robots, served behind a gate until `close`."""
 
@@ -98,6 +106,7 @@ class Page:
             always = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         beside.float(x=15, y=-15, width=220)
         beside.expand()  # on a phone it is the last part of the one that scrolls, and would be shut
+        gui.add_html(_STOP_IN_REACH)
         first = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         escape = self.server.gui.add_command("Stop", hotkey="escape", description="Brake every robot to rest now")
 
