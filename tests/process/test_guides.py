@@ -14,17 +14,18 @@ from pathlib import Path
 import pytest
 import typer
 
-from support.command_line import Up, zarm
+from support.command_line import Command, Up, zarm
 from support.harness import PATIENCE, free_endpoint
 from support.markdown import PAGES, ROOT, commands, section
 from support.tiers import sampled
+from support.viewer import free_port
 from zarm_cli.commands import command_line
 
 DOCS = ROOT / "docs"
 COMMISSIONING = (DOCS / "how-to" / "commission-a-robot.md").read_text()
 ENDPOINT = "tcp/127.0.0.1:7447"
 IMPORTED = 400.0
-"""So long (s) the import of an arm may take on a busy machine; it takes half a minute of CPU."""
+"""So long (s) may the import of an arm take on a busy machine; it takes half a minute of CPU."""
 FOLLOWED = {
     "commissioning": section(COMMISSIONING, "1. One machine, simulated").split("The same through ROS", 1)[0],
     **{path.stem: path.read_text().split("## From ROS 2", 1)[0] for path in (DOCS / "tutorials").glob("[!i]*.md")},
@@ -74,6 +75,9 @@ def test_the_simulated_robot_moves_by_the_commands_as_written(
     every = commands(FOLLOWED[guide], "zarm", "zenoh")
     first = next(i for i, words in enumerate(every) if words[:2] == ["zarm", "up"])
     for words in every[:first]:
+        if words[1:3] == ["robot", "edit"]:
+            _edit(tmp_path, words[1:])
+            continue
         done = zarm(*words[1:], timeout=IMPORTED)
         assert done.returncode == 0, f"{words}: {done.stderr}"
     up, *others = every[first:]
@@ -88,6 +92,14 @@ def test_the_simulated_robot_moves_by_the_commands_as_written(
             else:
                 done = zarm(*words[1:], ZARM_CONNECT=started.endpoint)
                 assert done.returncode == 0, f"{words}: {done.stderr}"
+
+
+def _edit(folder: Path, arguments: list[str]) -> None:
+    """Serve the page until it is there, and end it."""
+    with Command(*arguments, "--listen", f"127.0.0.1:{free_port()}", folder=folder) as serving:
+        serving.wait_for("http://")
+        serving.interrupt()
+        assert serving.end() == 0
 
 
 def _zenoh(arguments: list[str], endpoint: str) -> str:
