@@ -35,7 +35,7 @@ test: $(VENV)/.dev $(VENV)/.kernels
 # What `make test` runs, what it leaves out as repetition, and more examples of each property.
 test-all: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	$(call run_tests,--hypothesis-profile=full -m "not timed",--numprocesses=2)
+	$(call run_tests,--hypothesis-profile=full -m "not timed",--numprocesses=3)
 	$(call run_tests,--hypothesis-profile=full -m timed)
 
 # The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.
