@@ -1,8 +1,8 @@
-"""A proof that no path exists, from the first joints alone: whatever the others do, these would have to turn through an obstacle.
+"""A disconnection proof: the first joints alone cannot get from the start to the goal, wherever the other joints are.
 
-Where the first joints stand says where balls inside their links are. So cells of a grid over these joints are found in which some
-ball always lies in some obstacle; no path passes them. Where the others do not join the start to the goal, nothing does. (Basch,
-Guibas, Hsu and Nguyen, "Disconnection proofs for motion planning", 2001.)
+The positions of the first joints fix those of balls inside the links that they carry. A cell of a grid over these joints is in
+collision where one of the balls overlaps an obstacle in all of it. If the other cells do not connect the start to the goal, no path
+does. (Basch, Guibas, Hsu and Nguyen, "Disconnection proofs for motion planning", 2001.)
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ _MOST_SHAPES = 64
 _SMALLEST = 0.02
 """Balls (m) that are smaller prove next to nothing."""
 _ALONG = np.linspace(-0.9, 0.9, 5)
+"""Where the centres of balls lie along the middle of a shape, as shares of half its length."""
 _ON_AXIS = np.linspace(-0.5, 0.5, 21)
+"""The same along the axis of a joint, in m from its origin."""
 
 
 @dataclass(frozen=True)
