@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import chain, repeat
@@ -25,9 +26,11 @@ from support.trajectories import patient
 from zarm_contract.messages import CancelRequest, ExecutorState, FkPoses, FkRequest
 from zarm_ros_bridge.convert.poses import ros_pose
 from zarm_ros_bridge.convert.servo_commands import INVALID, NO_WARNING
+from zarm_ros_bridge.servo_commands import RELEASE_SECONDS
 
 MPC, RETARGET, CLASSIC = 1, 6, 0
 NODE = "/unified_planner"
+PAUSE = "pause the commands"
 
 
 class Arm:
@@ -40,6 +43,7 @@ class Arm:
         self.move = Actions(self.node, "mpc_move", MpcMove)
         self.mpc_goal = self.node.create_publisher(Pose, f"{NODE}/mpc_goal", 10)
         self._publishers: dict[str, Any] = {"mpc_goal": self.mpc_goal}
+        self.texts = self.ros.heard(String, f"{NODE}/servo_status/text")
 
     def choose(self, planner: int) -> None:
         answered = self.ros.call(SetPlanner, "set_planner", planner_type=planner)
@@ -69,14 +73,28 @@ class Arm:
         eventually(lambda: self.mpc_goal.publish(pose) or self.away_from(pose) < 0.01, "the tip follows mpc_goal")
 
     @contextmanager
-    def commanding(self, topic: str, *messages: Any) -> Iterator[Callable[[], None]]:
-        """A client that publishes them in turn, 50 a second, and the last one again and again until it is told to pause."""
+    def commanding(self, topic: str, *messages: Any, heeding: bool = True) -> Iterator[Callable[[], None]]:
+        """A client that publishes them in turn, 50 a second, and the last one again and again until the test has it pause; `heeding`, it
+        pauses where it is told to, as when a busy machine has ended its session, and goes on.
+        """
         kind, coming = type(messages[0]), chain(messages, repeat(messages[-1]))
         if topic not in self._publishers:  # they stay, as nothing of a node may go while its thread waits for it
             self._publishers[topic] = self.node.create_publisher(kind, f"{NODE}/{topic}", 10)
-        timer = self.node.create_timer(0.02, lambda: self._publishers[topic].publish(next(coming)))
-        yield timer.cancel
-        timer.cancel()
+        told, paused = len(self.texts), 0.0
+
+        def command() -> None:
+            nonlocal told, paused
+            new, told = self.texts[told:], len(self.texts)
+            if heeding and any(PAUSE in text.data for text in new):
+                paused = time.monotonic() + 2 * RELEASE_SECONDS
+            if time.monotonic() > paused:
+                self._publishers[topic].publish(next(coming))
+
+        timer = self.node.create_timer(0.02, command)
+        try:
+            yield timer.cancel
+        finally:
+            timer.cancel()
 
 
 def _xyz(point: Point) -> tuple[float, float, float]:
@@ -253,7 +271,7 @@ def test_joint_speeds_and_poses_move_the_robot(arm: Arm) -> None:
 
 
 def test_commands_that_are_none_are_refused_in_the_status(arm: Arm) -> None:
-    statuses, texts = arm.ros.heard(Int8, f"{NODE}/servo_status"), arm.ros.heard(String, f"{NODE}/servo_status/text")
+    statuses, texts = arm.ros.heard(Int8, f"{NODE}/servo_status"), arm.texts
     lost = TwistStamped()
     lost.header.frame_id = "camera"
     with arm.commanding("delta_twist_cmds", lost):
@@ -266,19 +284,19 @@ def test_commands_that_are_none_are_refused_in_the_status(arm: Arm) -> None:
 
 
 def test_a_robot_that_was_stopped_stays_at_rest_until_the_commands_have_paused(arm: Arm) -> None:
-    texts = arm.ros.heard(String, f"{NODE}/servo_status/text")
+    texts, before = arm.texts, len(arm.texts)
     start = arm.tip()
     command = TwistStamped()
     command.twist.linear = Vector3(z=0.03)
-    with arm.commanding("delta_twist_cmds", command):
+    with arm.commanding("delta_twist_cmds", command, heeding=False):
         eventually(lambda: arm.away_from(start) > 0.005, "the tip moves")
         arm.robot.bus.call(KEYS.cancel, CancelRequest(), ExecutorState, timeout=PATIENCE)
-        eventually(lambda: any("pause the commands" in told.data for told in texts), "it is told")
+        eventually(lambda: any(PAUSE in told.data for told in texts[before:]), "it is told")
         arm.robot.wait_rest()
         stopped, told = arm.robot.joints(), len(texts)
         arm.robot.plan()  # which takes longer than many commands
         assert arm.robot.joints() == stopped
-        assert all("pause the commands" in text.data for text in texts[told:])
+        assert all(PAUSE in text.data for text in texts[told:])
 
 
 def _z_axis(pose: Pose) -> np.ndarray:

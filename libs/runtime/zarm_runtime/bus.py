@@ -450,9 +450,16 @@ class Bus:
         self._entities.append(self._session.liveliness().declare_subscriber(ALL_CLIENTS, changed))
 
     def is_there(self, client: str, *, timeout: float = 1.0) -> bool:
-        """Whether an answer can reach the `Requester.client` now, as far as the router knows; waits `timeout` s for it."""
-        tokens = self._session.liveliness().get(client_token(client), timeout=timeout)
-        return any(reply.ok is not None for reply in tokens)
+        """Whether an answer can reach the `Requester.client`, as far as the router knows; waits up to `timeout` s until it can: over a new
+        link its requests may come before the token that shows it.
+        """
+        until = time.monotonic() + timeout
+        while True:
+            tokens = self._session.liveliness().get(client_token(client), timeout=timeout)
+            if any(reply.ok is not None for reply in tokens):
+                return True
+            if time.monotonic() > until or self._closing.wait(READ_AGAIN):
+                return False
 
     # -- access --
 

@@ -229,10 +229,9 @@ def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
     def one_is_told() -> bool:
         if cell.rests():  # a page that was held up has let go
             hold(second, "+ hold")
-            hold(page, "− hold")
+        hold(page, "− hold")
         return any(each.is_visible() for each in told)
 
-    hold(page, "− hold")
     eventually(one_is_told, "who does not have the robot is told")
     page.mouse.up()
     second.goto("about:blank")
