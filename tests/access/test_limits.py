@@ -42,6 +42,7 @@ def test_what_is_published_arrives_up_to_the_limit(endpoint: str) -> None:
     assert arrived == [ROUTER_MAX_BYTES]
 
 
+@pytest.mark.slow
 def test_requests_and_answers_arrive_up_to_the_limit(endpoint: str) -> None:
     asked: list[int] = []
 

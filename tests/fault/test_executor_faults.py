@@ -31,6 +31,7 @@ PATH = TimedTrajectory.of(SLOW, ROBOT.descriptor.joints)
 SPEED = float(np.max(ROBOT.descriptor.cspace.velocity))
 
 
+@pytest.mark.slow
 def test_killed_in_motion_it_comes_back_at_rest_where_it_was_and_reports_the_goal_as_aborted(
     executor: ServiceProcess, client: Client, endpoint: str, tmp_path: Path
 ) -> None:
@@ -91,6 +92,7 @@ def test_killed_it_comes_back_no_faster_than_it_was_told_nor_than_its_descriptor
             assert Client(bus).speed() == then
 
 
+@pytest.mark.slow
 def test_frozen_in_motion_it_stops_without_a_jump_and_is_in_fault_until_reset(
     executor: ServiceProcess, client: Client
 ) -> None:
@@ -127,6 +129,7 @@ def test_frozen_at_rest_it_goes_on_as_if_nothing_had_been(executor: ServiceProce
     assert client.ended(client.execute(rest_to_rest(moved(0.1)))).status == "succeeded"
 
 
+@pytest.mark.slow
 def test_what_was_asked_of_it_long_ago_while_it_was_frozen_does_not_start(
     executor: ServiceProcess, client: Client, bus: Bus
 ) -> None:
@@ -222,6 +225,7 @@ def test_of_a_storm_of_requests_one_moves_the_robot(client: Client) -> None:
     assert client.greatest_acceleration() <= 1.02
 
 
+@pytest.mark.slow
 def test_without_a_router_the_motion_goes_on_to_its_end_and_is_seen_again_later(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     with ExitStack() as stack:

@@ -48,6 +48,7 @@ def test_a_killed_planner_comes_back_with_its_scene(up: Up) -> None:
     assert status["services"]["planner"]["pid"] == new.pid
 
 
+@pytest.mark.slow
 def test_an_executor_killed_in_motion_comes_back_idle_where_the_robot_stopped(up: Up, tmp_path: Path) -> None:
     with Bus(up.endpoint) as bus:
         old = pid(bus, "executor")
@@ -77,6 +78,7 @@ def test_no_process_outlives_a_killed_launcher(doomed: Up) -> None:
     eventually(lambda: not doomed.family(), "every process of the launcher is gone")
 
 
+@pytest.mark.slow
 def test_up_ends_with_a_sentence_when_its_supervisor_is_killed(doomed: Up) -> None:
     supervisor = psutil.Process(doomed.process.pid).children()
     assert len(supervisor) == 1

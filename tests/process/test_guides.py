@@ -62,6 +62,7 @@ def test_one_that_cannot_be_read_is_noticed(words: list[str]) -> None:
         parse(words)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("guide", sampled(*FOLLOWED))
 def test_the_simulated_robot_moves_by_the_commands_as_written(

@@ -185,6 +185,7 @@ def free_neighbours() -> tuple[str, str]:
     return eventually(both, "two ports are free")
 
 
+@pytest.mark.slow
 def test_up_gives_each_service_a_port_of_its_own(tmp_path: Path) -> None:
     first, second = free_neighbours()
     with Up(free_endpoint(), tmp_path, ZARM_METRICS=first) as up:

@@ -235,6 +235,7 @@ def test_an_unknown_robot_is_one_line_with_the_remedy(start: Start) -> None:
     assert "path of a .yaml" in log[0]
 
 
+@pytest.mark.slow
 def test_without_a_router_there_is_one_line_with_the_remedy(start: Start) -> None:
     endpoint = free_endpoint()
     code, log = ended(start(connect=endpoint))

@@ -291,6 +291,7 @@ def driven(cell: Cell) -> Iterator[Callable[[str], None]]:
     cell.client.strategy("emulator")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["joint_speed", "joint_pose"])
 def test_a_driver_is_led_as_well(cell: Cell, driven: Callable[[str], None], strategy: str) -> None:
     driven(strategy)

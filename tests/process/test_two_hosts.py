@@ -105,6 +105,7 @@ def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab
         assert command.wait(PATIENCE) == 0
 
 
+@pytest.mark.slow
 def test_a_robot_whose_driver_is_beyond_the_wire_rests_and_is_in_fault(place: Lab) -> None:
     told: list[JointState] = []
     place.workstation.bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: told.append(state))
@@ -126,6 +127,7 @@ def test_a_robot_whose_driver_is_beyond_the_wire_rests_and_is_in_fault(place: La
         place.goes_on()
 
 
+@pytest.mark.slow
 def test_a_stream_from_beyond_the_wire_ends_at_its_deadline(place: Lab) -> None:
     command = [sys.executable, str(STREAM), "--connect", LOCAL, "--seconds", "60", "--deadline", "1"]
     with place.workstation.runs(*command, "--joints", *ROBOT.descriptor.joints):
@@ -141,6 +143,7 @@ def test_a_stream_from_beyond_the_wire_ends_at_its_deadline(place: Lab) -> None:
     place.goes_on()
 
 
+@pytest.mark.slow
 def test_without_the_wire_nothing_is_planned_from_old_joints_and_nothing_executed(place: Lab) -> None:
     found = place.plan(*AWAY)
     place.wire.become(CUT)

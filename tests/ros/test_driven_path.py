@@ -67,6 +67,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
         yield Lab(running.ros, told, Actions(running.ros.node))
 
 
+@pytest.mark.slow
 def test_tutorial_4_with_the_driver_plan_stream_cancel_switch_and_back_to_the_emulator(lab: Lab) -> None:
     lab.switch("joint_speed")
     lab.plan(FAR)

@@ -143,6 +143,7 @@ def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_rob
     lab.goes_on()
 
 
+@pytest.mark.slow
 def test_a_robot_whose_driver_tells_only_what_cannot_be_read_is_stopped(lab: Lab) -> None:
     lab.new_driver(HOME)
     lab.switch("joint_speed")

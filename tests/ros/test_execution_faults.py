@@ -157,6 +157,7 @@ def test_a_goal_whose_executor_is_started_again_is_aborted_with_its_word(zarm: Z
     assert Actions(zarm.node).send().ended()[0] == SUCCEEDED
 
 
+@pytest.mark.slow
 def test_a_goal_whose_executor_stands_still_is_aborted_and_what_it_asked_for_is_withdrawn(zarm: Zarm) -> None:
     executor, _ = zarm.start("executor", "ros_bridge")
     zarm.robot.plan()
@@ -170,6 +171,7 @@ def test_a_goal_whose_executor_stands_still_is_aborted_and_what_it_asked_for_is_
     assert max(abs(a - b) for a, b in zip(zarm.robot.joints(), before, strict=True)) < 0.05
 
 
+@pytest.mark.slow
 def test_a_bridge_that_is_told_to_end_aborts_its_goal_and_the_robot_goes_on(zarm: Zarm) -> None:
     _, bridge = zarm.start("executor", "ros_bridge")
     goal = zarm.goal_under_way()

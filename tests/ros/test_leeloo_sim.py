@@ -181,6 +181,7 @@ def test_it_plays_the_positions_of_a_trajectory_that_has_no_velocities(arm: Arm)
     eventually(lambda: np.allclose(arm.position(arm.states[-1]), there[-1], atol=1e-3), "the arm arrives")
 
 
+@pytest.mark.slow
 def test_it_plays_positions_for_a_robot_whose_driver_does_and_tells_no_progress(node: Node, tmp_path: Path) -> None:
     with driven(node, tmp_path, "--plays", "position", robot="ur5e") as arm:
         there = aside(arm.at_rest())
@@ -201,6 +202,7 @@ def test_silenced_it_moves_on_and_tells_nothing_until_it_is_in_order_again(arm: 
     assert arm.states[len(silenced)].position[0] - silenced[-1] > 90 * 0.01 * SPEED[0]
 
 
+@pytest.mark.slow
 def test_stalled_it_stands_and_goes_on_afterwards(arm: Arm) -> None:
     began = arm.at_rest()
     arm.command(trajectory(velocities=[SPEED] * 100))

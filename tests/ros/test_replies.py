@@ -58,6 +58,7 @@ def test_a_reply_is_sent_again_until_it_goes_out() -> None:
     assert tried == [("service", "reply")] * 3
 
 
+@pytest.mark.slow
 def test_a_client_that_cannot_be_found_is_given_up_and_the_log_says_what_it_lacks(
     running: Stack, bridge: ServiceProcess, node: Node
 ) -> None:

@@ -109,6 +109,7 @@ with Ros("short_lived", workers=1) as ros:
 """
 
 
+@pytest.mark.slow
 def test_a_client_sees_a_bridge_that_was_killed_as_gone_after_a_lease_of_5_s_instead_of_20(node: Node) -> None:
     client = node.create_client(Trigger, "/short_lived/work")
     server = subprocess.Popen([sys.executable, "-c", SERVER], stdin=subprocess.PIPE)

@@ -71,6 +71,7 @@ def test_a_bridge_joins_a_bus_that_runs(tmp_path: Path, node: Node) -> None:
         assert bridge.process.returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("missing", "said"),
     [

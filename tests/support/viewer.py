@@ -108,16 +108,25 @@ def opened(chromium: Browser, address: str, size: tuple[int, int] = SIZE) -> Pag
 
 def drawn_tip(page: Page, robot: str = ROBOT.descriptor.name) -> tuple[float, ...] | None:
     """Where (m) the tip of a robot is in the page's scene graph, in the robot's base frame; None where it is not there yet."""
-    found = page.evaluate(_TIP, f"/{robot}")
+    return _drawn(page, robot, "robot", "tip_axes")
+
+
+def drawn_ghost(page: Page) -> tuple[float, ...] | None:
+    """Where (m) the tip of the goal's ghost is in the scene graph, in the robot's base frame."""
+    return _drawn(page, ROBOT.descriptor.name, "goal_ghost", ROBOT.descriptor.tip_link)
+
+
+def _drawn(page: Page, robot: str, arm: str, node: str) -> tuple[float, ...] | None:
+    found = page.evaluate(_PLACE, [f"/{robot}", arm, node])
     return None if found is None else tuple(found)
 
 
-_TIP = """root => {
+_PLACE = """([root, arm, node]) => {
     const nodes = window.__viserMutable?.nodeRefFromName ?? {};
-    const tip = nodes[Object.keys(nodes).find(name => name.startsWith(`${root}/robot/`) && name.endsWith("/tip_axes"))];
+    const found = nodes[Object.keys(nodes).find(name => name.startsWith(`${root}/${arm}/`) && name.endsWith(`/${node}`))];
     const base = nodes[root];
-    if (!tip || !base) return null;
+    if (!found || !base) return null;
     base.updateWorldMatrix(true, false);
-    tip.updateWorldMatrix(true, false);
-    return base.matrixWorld.clone().invert().multiply(tip.matrixWorld).elements.slice(12, 15);
+    found.updateWorldMatrix(true, false);
+    return base.matrixWorld.clone().invert().multiply(found.matrixWorld).elements.slice(12, 15);
 }"""

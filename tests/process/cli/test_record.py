@@ -69,6 +69,7 @@ def test_a_record_ends_after_the_seconds_that_were_asked_for(client: Client, end
     assert list(read_record(file))
 
 
+@pytest.mark.slow
 def test_a_record_goes_on_when_the_router_is_back(tmp_path: Path) -> None:
     endpoint, file = free_endpoint(), tmp_path / "one.mcap"
     with ExitStack() as stack:

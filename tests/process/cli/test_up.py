@@ -67,6 +67,7 @@ def test_ctrl_c_stops_the_executor_first_and_leaves_no_process(tmp_path: Path) -
         assert [line.split()[0] for line in lines] == ["executor", "servo", "planner"]
 
 
+@pytest.mark.slow
 def test_an_unknown_strategy_ends_the_whole_launch_with_its_reason_where_logs_are_json_too(tmp_path: Path) -> None:
     arguments = ("up", "--strategy", "telepathy", "--listen", free_endpoint(), "--state", str(tmp_path))
     with Command(*arguments, folder=tmp_path, ZARM_LOG_FORMAT="json") as up:
@@ -77,6 +78,7 @@ def test_an_unknown_strategy_ends_the_whole_launch_with_its_reason_where_logs_ar
     assert {json.loads(line)["robot"] for line in lines} == {ROBOT}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", sampled(signal.SIGTERM, signal.SIGINT))
 def test_an_interrupt_before_anything_is_ready_leaves_no_process(tmp_path: Path, number: signal.Signals) -> None:
     arguments = ("up", "--listen", free_endpoint(), "--state", str(tmp_path))

@@ -31,6 +31,8 @@ SAYS = {
 """What is in the output of each, besides success."""
 OF_ITS_OWN = "09_two_robots"
 """Takes a second `zarm up`, as a test of the commands does."""
+QUICK = ("01_plan", "04_scene", "10_stream")
+"""What the others do, tests of the commands and of the client do as well."""
 
 
 def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
@@ -40,7 +42,7 @@ def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
     assert [name for name in names if f"`{name}.py`" not in readme] == []
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == OF_ITS_OWN)) for name in SAYS])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in SAYS])
 def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(
     name: str, up: Up, empty_scene: None, tmp_path: Path
 ) -> None:

@@ -194,6 +194,7 @@ def test_ctrl_c_stops_the_robot_before_the_program_goes_on(robot: zarm.Robot, up
     assert robot.state().mode == "idle"
 
 
+@pytest.mark.slow
 def test_a_second_ctrl_c_leaves_an_executor_that_hangs_and_says_what_that_means(
     robot: zarm.Robot, up: Up, observer: Bus
 ) -> None:

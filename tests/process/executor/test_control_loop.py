@@ -6,6 +6,8 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
 from support.executor.driven import THERE, Driven
 from support.faults.arena import STEP
 from support.harness import PATIENCE, ServiceProcess, eventually
@@ -61,6 +63,7 @@ def test_a_control_loop_that_hangs_shows_in_health_ends_the_process_and_the_driv
             assert arm.client.state().mode == "idle"
 
 
+@pytest.mark.slow
 def test_a_process_that_stood_still_as_a_whole_is_not_ended(endpoint: str, bus: Bus, tmp_path: Path) -> None:
     arm = Driven(bus, endpoint, tmp_path, "joint_speed")
     with arm.new_driver() as driver:

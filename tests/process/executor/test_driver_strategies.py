@@ -207,6 +207,7 @@ def test_an_executor_that_is_to_start_with_a_driver_waits_for_it(bus: Bus, endpo
             assert Client(bus).state().strategy == "joint_speed"
 
 
+@pytest.mark.slow
 def test_noise_on_the_keys_of_the_driver_does_no_harm(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     noise = [
         b"{",
@@ -244,6 +245,7 @@ def example(bus: Bus, endpoint: str) -> Iterator[list[JointState]]:
         process.wait(PATIENCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_the_example_of_a_driver_moves_its_arm(bus: Bus, endpoint: str, tmp_path: Path, strategy: str) -> None:
     with (

@@ -54,6 +54,7 @@ def test_a_motion_that_does_not_start_where_the_robot_comes_to_rest_is_refused_a
     assert shared.state().mode == "idle"
 
 
+@pytest.mark.slow
 def test_a_motion_outside_the_limits_leaves_the_running_goal_alone(shared: Client) -> None:
     first = shared.execute(FAR)
     shared.under_way(first)
@@ -64,6 +65,7 @@ def test_a_motion_outside_the_limits_leaves_the_running_goal_alone(shared: Clien
     assert shared.statuses(first) == ["accepted", "running", "succeeded"]
 
 
+@pytest.mark.slow
 def test_where_nothing_runs_it_is_an_ordinary_execution(shared: Client) -> None:
     assert shared.ended(shared.execute(FAR, preempt=True)).status == "succeeded"
 

@@ -65,6 +65,7 @@ def seen(client: Client, goal_id: str) -> GoalState:
     return eventually(end, f"{goal_id} has ended")
 
 
+@pytest.mark.slow
 def test_the_example_of_a_client_is_followed_to_its_end(client: Client, endpoint: str) -> None:
     process = run_example(endpoint, 3.0)
     assert process.wait(PATIENCE) == 0

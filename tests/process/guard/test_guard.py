@@ -64,6 +64,7 @@ def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_
     cell.rests()
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell: Cell) -> None:
     goal = cell.way()
     cell.client.command(KEYS.pause)

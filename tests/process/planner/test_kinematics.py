@@ -31,6 +31,7 @@ def libraries(process: ServiceProcess) -> str:
     return Path(f"/proc/{process.process.pid}/maps").read_text()
 
 
+@pytest.mark.slow
 def test_torch_is_loaded_by_the_first_request_for_it_and_answers_as_the_kernels_do(
     planner: ServiceProcess, bus: Bus
 ) -> None:

@@ -62,6 +62,7 @@ def enter(page: Page, number: int, value: str) -> None:
     field.press("Enter")
 
 
+@pytest.mark.slow
 def test_spheres_pairs_and_home_are_corrected_and_saved(page: Page, file: Path) -> None:
     before = load_robot(str(file)).descriptor
     enter(page, RADIUS, "0.0912")

@@ -86,6 +86,7 @@ def test_pages_from_elsewhere_cannot_speak_to_it(address: str, tls: ssl.SSLConte
         assert refused.value.response.status_code == code
 
 
+@pytest.mark.slow
 def test_what_a_viewer_may_not_do_the_router_refuses_and_stop_it_may(
     address: str, cell: Cell, chromium: Browser
 ) -> None:

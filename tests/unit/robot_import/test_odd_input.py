@@ -59,6 +59,7 @@ def test_a_broken_surface_is_contained_as_tightly_as_a_sound_one(tmp_path: Path,
     assert sorted(box.size) == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.lengthy
 def test_a_mesh_with_too_many_triangles_is_contained_by_what_is_made_of_fewer(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(7, 0.1)
