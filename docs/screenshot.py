@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from playwright.sync_api import Page, expect, sync_playwright
 
 IMAGES = Path(__file__).parent / "images"
 PATIENCE = 120e3
+"""ms for whatever is waited for."""
 ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE, SMALL = (1280, 800), (832, 520)
 PLAYS, LAST = 4000, 2000
@@ -69,10 +71,11 @@ def demo() -> Iterator[str]:
             [sys.executable, "-c", script], stdout=log, stderr=log, start_new_session=True
         )
         try:
-            said = ""
+            said, until = "", time.monotonic() + PATIENCE / 1e3
             while not (found := re.search(r"http://\S+", said)) or "stays open" not in said:
-                if process.poll() is not None:
-                    sys.exit(said)
+                if process.poll() is not None or time.monotonic() > until:
+                    sys.exit(f"the demo has not come to its end:\n{said}")
+                time.sleep(0.1)
                 log.seek(0)
                 said = log.read()
             yield found[0]

@@ -29,6 +29,6 @@ def furnish(server: viser.ViserServer, robots: int) -> None:
         plane="xy",
     )
     camera, away = server.initial_camera, 1.3 * across
-    camera.position = (1.65 + away, -1.0 - across / 4, 1.2 + away / 2)
+    camera.position = (1.45 + away, -0.82 - across / 4, 1.08 + away / 2)
     camera.look_at = (0.35, 0.15 + across / 2, 0.45)
     gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
