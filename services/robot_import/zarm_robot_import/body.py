@@ -8,24 +8,27 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.stats import qmc
 
 from zarm_robot_import.kernels.winding import winding
 from zarm_robot_import.meshes import points_on
 
 Array = NDArray[np.float64]
 
-_CELLS = 12_000
+_POINTS = 12_000
 _BESIDE = 0.005
-"""The grid reaches so far (m) beyond the surface."""
+"""The points reach so far (m) beyond the surface."""
+FAR = 0.008
+"""What is farther (m) outside counts with the fourth power of its distance, what is nearer with the square."""
 _AROUND = 1000
 """Points outside that are enough to compare shapes by."""
-_WOUND = 700
+_WOUND = 2000
 """Triangles by which it is told what is inside."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """The triangles (n, 3, 3) of a link, and points (m, 3) of a grid over the box around them.
+    """The triangles (n, 3, 3) of a link, and points (m, 3) spread over the box around them (Halton's, as those of a grid lie in planes).
 
     `distance` (m,) of those to the surface, and whether they are `out` (m,) of it; each stands for `cell` (m^3). `surface` holds
     points on the surface; the link's true one may be `off` (m) from it.
@@ -44,14 +47,14 @@ class Body:
         """Where the surface is open, what it mostly winds around counts as inside."""
         surface = cKDTree(points_on(triangles, 20_000)[0])
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
-        points = grid_in(lower, upper, _CELLS)
+        points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
         cell = float((upper - lower).prod() / len(points))
         out = np.abs(winding(points, thinned(triangles, _WOUND))) < 0.5
         return cls(triangles, points, surface.query(points)[0], out, cell, surface, off)
 
     def around(self, points: Array) -> tuple[Array, Array]:
-        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each the square of its distance
-        (n,) times its volume, the largest first."""
+        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each what its distance (n,)
+        costs (see FAR) times its volume, the largest first."""
         low, high = points.min(axis=0), points.max(axis=0)
         more = 0.2 * (high - low).max()
         near = np.flatnonzero(
@@ -59,7 +62,8 @@ class Body:
         )
         some = near[:: 1 + len(near) // _AROUND]
         some = some[np.argsort(-self.distance[some])]
-        return self.points[some], self.distance[some] ** 2 * (self.cell * len(near) / max(len(some), 1))
+        cost = self.distance[some] ** 2 * (1 + (self.distance[some] / FAR) ** 2)
+        return self.points[some], cost * (self.cell * len(near) / max(len(some), 1))
 
 
 def thinned(triangles: Array, most: int) -> Array:
@@ -73,12 +77,3 @@ def thinned(triangles: Array, most: int) -> Array:
         triangles = cells[kept] * size
         size *= 1.4
     return triangles
-
-
-def grid_in(lower: Array, upper: Array, count: int) -> Array:
-    """About `count` points (n, 3) of a grid over a box."""
-    size = np.maximum(upper - lower, 1e-3)
-    step = float((size.prod() / count) ** (1 / 3))
-    axes = [np.linspace(a, b, max(3, round((b - a) / step))) for a, b in zip(lower, upper, strict=True)]
-    found: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return found

@@ -29,7 +29,7 @@ from zarm_contract.robot import (
 )
 from zarm_geometry.frames import rotation_to
 from zarm_geometry.shapes import link_shape
-from zarm_robot_import.body import Body, thinned
+from zarm_robot_import.body import FAR, Body, thinned
 from zarm_robot_import.kernels.enclosing import around, oriented
 from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.kernels.outside import least_outside, within
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
 """A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
-COUNT = 60
+COUNT = 130
 """... nor one of so many primitives."""
 _POINTS = 250
 """Points that stand for the surface while planes are looked for."""
@@ -56,7 +56,7 @@ _TOUCHING = 0.001
 """Boxes that are so near (m) to each other touch."""
 _ORDERS = ([1, 2, 0], [2, 0, 1], [0, 1, 2])
 _FLAT = 0.002
-"""All volume counts as if it were so far (m) outside: between the points of the body's grid there is room for thin shapes."""
+"""All volume counts as if it were so far (m) outside: between the body's points there is room for thin shapes."""
 
 
 def written(row: Array) -> CollisionPrimitive:
@@ -125,49 +125,68 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
     axes = _axes(body.surface.data, body.triangles, np.empty((0, 3, 3)))
     measure = Measure(body)
     cells = [_piece(body.triangles, axes, body)]
+    outs: dict[_Cell, Out] = {}
     while len(cells) < COUNT:
-        outs = measure.all([cell.row for cell in cells])
-        worth = [out.most for out in outs]
-        if max(worth) <= MOST:
-            worth = [out.total for out in outs]
-            if Out.together(outs).mean <= MEAN:
+        _add_missing(outs, cells, measure)
+        worth = {cell: out.most for cell, out in outs.items()}
+        if max(worth.values()) <= MOST:
+            worth = {cell: out.total for cell, out in outs.items()}
+            if Out.together(list(outs.values())).mean <= MEAN:
                 break
-        left = [i for i, cell in enumerate(cells) if not cell.final]
+        left = [cell for cell in cells if not cell.final]
         if not left:
             break
-        worst = max(left, key=lambda i: worth[i])
-        halves = _halves(cells[worst], axes, body, measure.outside(cells[worst].row))
+        worst = max(left, key=lambda cell: worth[cell])
+        halves = _halves(worst, axes, body, measure.outside(worst.row))
         if halves:
-            cells[worst : worst + 1] = halves
+            cells = [cell for cell in cells if cell is not worst] + halves
+            outs = {cell: out for cell, out in outs.items() if not _adjoin(cell, worst)}
         else:
-            cells[worst].final = True
+            worst.final = True
     return [written(cell.row) for cell in _merged(cells, axes, body, measure)]
 
 
 def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> list[_Cell]:
     """The same with cells made one again where that stands out no more than is wanted, or than what there is."""
-    tried: dict[tuple[_Cell, _Cell], _Cell | None] = {}  # None where they had better stay two
-    while len(cells) > 1:
-        outs = dict(zip(cells, measure.all([cell.row for cell in cells]), strict=True))
+    far = body.points[body.out & (body.distance > MOST)]
+    far = far[~within(far, _rows(cells), 0.0)]  # and there it stays
+
+    def union_of(a: _Cell, b: _Cell) -> _Cell | None:
+        union = _union(a, b, axes, body) if _adjoin(a, b) else None
+        return None if union is None or within(far, union.row[None], 0.0).any() else union
+
+    unions: dict[tuple[_Cell, _Cell], _Cell | None] = {}  # None where they had better stay two
+    outs: dict[_Cell, Out] = {}
+    while True:
+        pairs = list(combinations(cells, 2))
+        for pair in pairs:
+            if pair not in unions:
+                unions[pair] = union_of(*pair)
+        _add_missing(outs, cells, measure)
         now = Out.together(list(outs.values()))
-        best, chosen = np.inf, None
-        for a, b in combinations(cells, 2):
-            if (a, b) not in tried:
-                tried[a, b] = _union(a, b, axes, body) if _adjoin(a, b) else None
-            union = tried[a, b]
-            if union is None or (added := union.out - a.out - b.out) >= best:
-                continue
+        spare = max(MEAN * now.area, now.total) - now.total
+        made = [(a, b, union) for a, b in pairs if (union := unions[a, b])]
+        for a, b, union in sorted(made, key=lambda one: one[2].out - one[0].out - one[1].out):
             rest = [cell for cell in cells if cell not in (a, b)]
-            out = measure.one(union.row, np.array([cell.row for cell in rest]).reshape(-1, 17))
-            allowed = max(MEAN * now.area, now.total) - now.total + outs[a].total + outs[b].total
-            if out.most <= max(MOST, outs[a].most, outs[b].most) and out.total <= allowed:
-                best, chosen = added, [*rest, union]
-            else:
-                tried[a, b] = None
-        if chosen is None:
-            break
-        cells = chosen
-    return cells
+            out = measure.one(union.row, _rows(rest))
+            if out.most <= max(MOST, outs[a].most, outs[b].most) and out.total <= spare + outs[a].total + outs[b].total:
+                cells = [*rest, union]
+                outs = {cell: outs[cell] for cell in rest if not _adjoin(cell, union)}
+                break
+            unions[a, b] = None
+        else:
+            return cells
+
+
+def _add_missing(outs: dict[_Cell, Out], cells: list[_Cell], measure: Measure) -> None:
+    """Measure those cells that have not been since something near to them has changed."""
+    for i, cell in enumerate(cells):
+        if cell not in outs:
+            outs[cell] = measure.one(cell.row, _rows(cells[:i] + cells[i + 1 :]))
+
+
+def _rows(cells: Sequence[_Cell]) -> Array:
+    return np.array([cell.row for cell in cells]).reshape(-1, 17)
 
 
 @dataclass(frozen=True)
@@ -195,7 +214,7 @@ class Measure:
     def __init__(self, body: Body) -> None:
         corners = body.triangles.reshape(-1, 3)
         self._cloud = cKDTree(np.concatenate([points_on(body.triangles, 20_000)[0], corners[:100_000]]))
-        self._coarse = thinned(body.triangles, 700)
+        self._coarse = thinned(body.triangles, 2000)
         self._known: dict[bytes, _Skin] = {}
 
     def all(self, rows: Sequence[Array]) -> list[Out]:
@@ -213,12 +232,13 @@ class Measure:
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
 
     def outside(self, row: Array) -> tuple[Array, Array]:
-        """Points (n, 3) on a primitive (17,) that are outside of the body, and for each the integral (n,) of the squared distance to the
-        body over what lies below it, in m^5: where the body's grid is too coarse for a thin primitive, these are not."""
+        """Points (n, 3) on a primitive (17,) that are outside of the body, and for each the integral (n,) of what the distance to
+        the body costs over what lies below it, in m^5: where the body's points are too few for a thin primitive, these are not."""
         self.one(row, np.empty((0, 17)))
         skin = self._skin(row)
         out = skin.out > 0.0
-        return skin.points[out], skin.each * skin.out[out] ** 3 / 3
+        depth = skin.out[out]
+        return skin.points[out], skin.each * (depth**3 / 3 + depth**5 / (5 * FAR**2))
 
     def _skin(self, row: Array) -> _Skin:
         if (key := row.tobytes()) not in self._known:
@@ -339,7 +359,7 @@ def _grown(row: Array, by: float) -> Array:
 def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) -> list[_Cell]:
     """A cell cut in two by the plane that leaves the least outside of the body; nothing where there is none.
 
-    `outside` is what counts beside the body's grid: points (n, 3) on the cell's primitive, and how much (n,) each.
+    `outside` is what counts beside the body's points: points (n, 3) on the cell's primitive, and how much (n,) each.
     """
     best, chosen = np.inf, None
     points, weights = (np.concatenate(each) for each in zip(body.around(cell.points), outside, strict=True))
@@ -391,7 +411,7 @@ def _form(points: Array, axes: Array) -> _Form:
 def _tightest(points: Array, form: _Form, outer: tuple[Array, Array], most: float = np.inf) -> tuple[int, float]:
     """The primitive around points that has the least outside of the body: which, and how much; -1 and `most` where all have more.
 
-    `outer` are points outside, and what each counts. It is the integral over the primitive of the squared distance to the body, in m^5.
+    `outer` are points outside, and what each counts. It is the integral over the primitive of what the distance to the body costs, in m^5.
     """
     rows = around(points, *form)
     return least_outside(rows, _FLAT**2 * _volumes(rows), *outer, most)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from zarm_geometry.rows import distances
-from zarm_robot_import.body import grid_in
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.meshes import areas, points_on
 from zarm_robot_import.primitives import triangles_of
@@ -62,7 +61,16 @@ def _within(row: Array, count: int) -> Array:
     """About `count` points (n, 3) of a grid over the box around a shape (17,), along its axes: thin ones have some, too."""
     half = row[12:15] + row[16] + (row[15], row[15], 0.0)
     frame = row[:12].reshape(3, 4)
-    found: Array = (grid_in(-half, half, count) - frame[:, 3]) @ frame[:, :3]
+    found: Array = (_grid(-half, half, count) - frame[:, 3]) @ frame[:, :3]
+    return found
+
+
+def _grid(lower: Array, upper: Array, count: int) -> Array:
+    """About `count` points (n, 3) of a grid over a box."""
+    size = np.maximum(upper - lower, 1e-3)
+    step = float((size.prod() / count) ** (1 / 3))
+    axes = [np.linspace(a, b, max(3, round((b - a) / step))) for a, b in zip(lower, upper, strict=True)]
+    found: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return found
 
 

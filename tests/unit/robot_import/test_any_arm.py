@@ -39,7 +39,7 @@ ARMS = {
     "universal_ur3e": ("airo-models", "airo_models/arms/ur3e/ur3e.urdf"),
     "universal_ur5e": ("airo-models", "airo_models/arms/ur5e/ur5e.urdf"),
 }
-MEAN, MOST = 0.005, 0.025
+MEAN, MOST = 0.005, 0.015
 """The exact geometry stands out of the meshes by less than this (m)."""
 MOTIONS = 3
 
