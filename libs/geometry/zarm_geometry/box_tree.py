@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from zarm_geometry import rows
 from zarm_geometry.kernels.arrays import WorldArrays
+from zarm_geometry.kernels.halving import halved
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -35,7 +36,7 @@ class BoxTree(NamedTuple):
     def over(cls, shapes: Array) -> Self:
         """The tree over shapes (n, 17)."""
         lower, upper = rows.bounds(shapes)
-        order = _along_a_curve((lower + upper) / 2)
+        order = halved(np.ascontiguousarray((lower + upper) / 2), BRANCHES)
         return cls(shapes[order], order, *_nodes(lower[order], upper[order]))
 
     @classmethod
@@ -60,20 +61,6 @@ class BoxTree(NamedTuple):
         shapes[:, rows.WIDTH - 1] = self.rows[:, rows.WIDTH - 1] + margin
         boxes[:, 3:] += margin
         return WorldArrays(shapes, boxes.astype(np.float32), self.skip, self.leaf)
-
-
-def _along_a_curve(points: Array) -> NDArray[np.intp]:
-    """The order of points (n, 3) along Morton's curve, so that neighbours in it are neighbours in space."""
-    low = points.min(axis=0, initial=0.0)
-    high = points.max(axis=0, initial=0.0)
-    cells = ((points - low) / np.maximum(high - low, 1e-9) * 1023).astype(np.int64)
-    for shift, mask in _SPREAD:
-        cells = (cells | cells << shift) & mask
-    return np.argsort(cells @ np.array([1, 2, 4]), kind="stable")
-
-
-_SPREAD = ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249))
-"""Steps that put two zeros between the bits of a number below 1024."""
 
 
 def _nodes(lower: Array, upper: Array) -> tuple[Array, Index, Index]:

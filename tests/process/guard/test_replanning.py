@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from support.cell import SLOWLY, Cell
+from support.harness import eventually
 from support.planner.client import BEHIND_POST, HOME, POST, load, plan
 from support.planner.second_opinion import link_pose
 from support.trajectories import ROBOT
@@ -21,6 +22,7 @@ def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) 
     load(cell.bus, POST)
     assert cell.client.ended(goal).status == "succeeded"
     np.testing.assert_allclose(cell.client.position(), BEHIND_POST, atol=1e-6)
+    eventually(lambda: cell.client.goals[-1].done, "the end has been told")
     states = [state for state in cell.client.goals if state.goal_id == goal]
     assert not any(state.hold for state in states)
     assert {state.status for state in states} == {"accepted", "running", "succeeded"}

@@ -1,0 +1,35 @@
+"""The order that trees of boxes are built in: a permutation whose aligned runs are parts of space beside each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.halving import halved
+
+BRANCHES = 4
+
+
+def _points(kind: str, count: int) -> NDArray[np.float64]:
+    if kind == "equal":
+        return np.zeros((count, 3))
+    if kind == "grid":
+        side = int(np.ceil(count ** (1 / 3)))
+        return np.argwhere(np.ones((side, side, side)))[:count].astype(float)
+    return np.random.default_rng(count).normal(size=(count, 3))
+
+
+@pytest.mark.parametrize("kind", ["random", "grid", "equal"])
+@pytest.mark.parametrize("count", [0, 1, 4, 5, 63, 64, 65, 3000])
+def test_every_point_is_there_once_and_a_plane_parts_the_halves_of_every_node(kind: str, count: int) -> None:
+    points = _points(kind, count)
+    order = halved(points, BRANCHES)
+    assert sorted(order.tolist()) == list(range(count))
+    sorted_points = points[order]
+    for width in BRANCHES ** np.arange(7):
+        for low in range(0, count, width * BRANCHES):
+            node = sorted_points[low : low + width * BRANCHES]
+            half = (-(-len(node) // width) + 1) // 2 * width
+            if half < len(node):
+                assert (node[:half].max(axis=0) <= node[half:].min(axis=0)).any()
