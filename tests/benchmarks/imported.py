@@ -134,7 +134,7 @@ def clearances(surface: Surface) -> tuple[Array, Array]:
     """Points (n, 3) outside of a link's meshes, and how far (n,) they are from them."""
     rng = np.random.default_rng(0)
     points = points_on(surface.triangles, POINTS)[0] + rng.uniform(-REACH, REACH, (POINTS, 3))
-    points = points[np.abs(winding(points, thinned(surface.triangles, 2000))) < 0.5]
+    points = points[np.abs(winding(points, thinned(surface.triangles))) < 0.5]
     return points, cKDTree(points_on(surface.triangles, 100_000)[0]).query(points)[0]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zarm_geometry import rows
 from zarm_geometry.kernels.arrays import WorldArrays
-from zarm_geometry.kernels.halving import halved
+from zarm_geometry.kernels.median_split import median_split
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -36,7 +36,7 @@ class BoxTree(NamedTuple):
     def over(cls, shapes: Array) -> Self:
         """The tree over shapes (n, 17)."""
         lower, upper = rows.bounds(shapes)
-        order = halved(np.ascontiguousarray((lower + upper) / 2), BRANCHES)
+        order = median_split(np.ascontiguousarray((lower + upper) / 2), BRANCHES)
         return cls(shapes[order], order, *_nodes(lower[order], upper[order]))
 
     @classmethod

@@ -2,8 +2,10 @@
 
 From one moment on the old trajectory is left on a quintic that meets the new one in position, velocity and acceleration a
 blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit, that of jerk
-too. Where the new trajectory continues the old one there is nothing to blend, and it is followed exactly. The path speed goes on
-as it was, so what the follower promises of a trajectory inside the limits holds on the way over too.
+too. Where none is, as for one that brakes at the limits itself and comes a moment late, the robot comes to rest on the old
+trajectory and goes on to where the new one ends. Where the new trajectory continues the old one there is nothing to blend, and it is
+followed exactly. The path speed goes on as it was, so what the follower promises of a trajectory inside the limits holds on the way
+over too.
 """
 
 from __future__ import annotations
@@ -37,8 +39,9 @@ def blended(
     `chunk` has its own time 0 at the path time `start`; where `now` is later, what it holds before is passed over. Both
     rest at their ends for as long as need be.
 
-    Raises ExecutionRefused (`limit_violated`) where no blending time is inside the limits, and InvalidRequest where `chunk`
-    starts later than `LONGEST_REST` after the end of `trajectory`.
+    Raises ExecutionRefused (`limit_violated`) where no blending time is inside the limits, and `trajectory` does not come to rest
+    shortly before and beside the end of `chunk` either; and InvalidRequest where `chunk` starts later than `LONGEST_REST` after
+    the end of `trajectory`.
     """
     if start > trajectory.duration + LONGEST_REST:
         raise InvalidRequest(
@@ -56,6 +59,9 @@ def blended(
     with np.errstate(all="ignore"):
         first = limits.first_inside(coefficients(before, after, BLENDS), BLENDS)
     if first is None:
+        by_rest = _by_rest(trajectory, now, begin, chunk.begun_at(start), limits)
+        if by_rest is not None:
+            return by_rest
         off = float(np.abs(here[1][0] - here[0][0]).max())
         raise ExecutionRefused(
             f"the chunk is {off:.4f} rad from the motion that it must continue, at {begin:.2f} s of the stream, and cannot "
@@ -80,6 +86,36 @@ def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, s
             code="start_state_mismatch",
         )
     return _followed_by(trajectory, now, start, here[1], other.begun_at(start), start, _CLOSE)
+
+
+def _by_rest(
+    trajectory: TimedTrajectory, now: float, begin: float, chunk: TimedTrajectory, limits: Limits
+) -> TimedTrajectory | None:
+    """`trajectory` until it rests for the first time from `begin` (s) on, and from there straight to the end of `chunk`.
+
+    None where that rest is later than that of `chunk`, or more than the longest blending time before it, or further from it than can be
+    gone in that time.
+    """
+    rest, end = _rests(trajectory, begin), _moves_until(chunk)
+    way = TimedTrajectory.standing(chunk.end, chunk.duration - chunk.begin).approached_from(
+        trajectory.at(rest)[0], limits.velocity, limits.acceleration, limits.jerk
+    )
+    longest = float(BLENDS[-1])
+    if not (rest <= end <= rest + longest and way.time[-2] <= longest):
+        return None
+    return _followed_by(trajectory, now, rest, way.states[:, :1], way.begun_at(rest), rest, _CLOSE)
+
+
+def _rests(trajectory: TimedTrajectory, begin: float) -> float:
+    """The first time (s) from `begin` on at which a trajectory is at rest."""
+    times = np.append(begin, trajectory.time[trajectory.time > begin])
+    return float(times[np.flatnonzero((_states(trajectory, times)[1:] == 0.0).all(axis=(0, 2)))[0]])
+
+
+def _moves_until(trajectory: TimedTrajectory) -> float:
+    """The time (s) from which on a trajectory stays at rest."""
+    moving = np.flatnonzero(_states(trajectory, trajectory.time)[1:].any(axis=(0, 2)))
+    return float(trajectory.time[moving[-1] + 1]) if moving.size else trajectory.begin
 
 
 def _continues(before: Array, after: Array) -> bool:

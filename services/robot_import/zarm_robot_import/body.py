@@ -19,11 +19,11 @@ _POINTS = 12_000
 _BESIDE = 0.005
 """The points reach so far (m) beyond the surface."""
 FAR = 0.008
-"""What is farther (m) outside counts with the fourth power of its distance, what is nearer with the square."""
+"""Volume at a distance d (m) outside of the body costs d^2 (1 + (d / FAR)^2): what stands out far counts more."""
 _AROUND = 1000
 """Points outside that are enough to compare shapes by."""
-_WOUND = 2000
-"""Triangles by which it is told what is inside."""
+_THINNED = 2000
+"""Triangles are enough to tell by what is inside."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Body:
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
         points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
         cell = float((upper - lower).prod() / len(points))
-        out = np.abs(winding(points, thinned(triangles, _WOUND))) < 0.5
+        out = np.abs(winding(points, thinned(triangles))) < 0.5
         return cls(triangles, points, surface.query(points)[0], out, cell, surface, off)
 
     def around(self, points: Array) -> tuple[Array, Array]:
@@ -66,11 +66,11 @@ class Body:
         return self.points[some], cost * (self.cell * len(near) / max(len(some), 1))
 
 
-def thinned(triangles: Array, most: int) -> Array:
-    """At most `most` triangles near to these, whose corners are gathered in cells."""
+def thinned(triangles: Array) -> Array:
+    """At most `_THINNED` triangles near to these, whose corners are gathered in cells."""
     size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 200, 1e-5)
     given = triangles
-    while len(triangles) > most:
+    while len(triangles) > _THINNED:
         cells = np.round(given / size).astype(np.int64)
         a, b, c = cells.transpose(1, 0, 2)
         kept = (a != b).any(axis=1) & (b != c).any(axis=1) & (c != a).any(axis=1)

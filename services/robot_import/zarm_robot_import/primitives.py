@@ -214,7 +214,7 @@ class Measure:
     def __init__(self, body: Body) -> None:
         corners = body.triangles.reshape(-1, 3)
         self._cloud = cKDTree(np.concatenate([points_on(body.triangles, 20_000)[0], corners[:100_000]]))
-        self._coarse = thinned(body.triangles, 2000)
+        self._coarse = thinned(body.triangles)
         self._known: dict[bytes, _Skin] = {}
 
     def all(self, rows: Sequence[Array]) -> list[Out]:

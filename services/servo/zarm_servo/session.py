@@ -132,7 +132,7 @@ class Session:
         find = partial(find_global_plan, plan, self._joints, request.margin)
         self._local_goal = LocalGoal(self._model, find, partial(self._scene.is_free, margin=request.margin), self._pool)
         self._streamed = StreamedTrajectory(0.0, self._controller.state, self._controller.braking)
-        self._joins: OrderedDict[int, tuple[float, Array]] = OrderedDict()
+        self._ends: OrderedDict[int, tuple[float, Array]] = OrderedDict()
         self._followed: tuple[int, TimedTrajectory] | None = None
         self._astray = False
         self._clock = StreamClock(delay)
@@ -199,9 +199,9 @@ class Session:
     def hear_trajectory(self, message: GoalTrajectory) -> None:
         """What the executor follows, after every chunk: whether that is what was checked."""
         trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
-        start, state = self._joins.get(message.number, (-1.0, np.empty(0)))
-        if start >= trajectory.time[0]:
-            self._astray = float(np.abs(trajectory.at(start) - state)[0].max()) > _ASTRAY
+        time_there, state = self._ends.get(message.number, (-1.0, np.empty(0)))
+        if time_there >= trajectory.time[0]:
+            self._astray = float(np.abs(trajectory.at(time_there) - state)[0].max()) > _ASTRAY
         self._followed = message.number, trajectory
 
     def hear_speed(self, state: ExecutorState) -> None:
@@ -338,9 +338,9 @@ class Session:
     ) -> None:
         self._sequence += 1
         self._sent_at = time.monotonic()
-        self._joins[self._sequence] = start, trajectory.states[:, 0]
-        if len(self._joins) > _REMEMBERED:
-            self._joins.popitem(last=False)
+        self._ends[self._sequence] = self._streamed.time, self._controller.state
+        if len(self._ends) > _REMEMBERED:
+            self._ends.popitem(last=False)
         self._chunks.put(
             StreamChunk(
                 goal_id=self.goal_id,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 
 import numpy as np
 
@@ -91,7 +92,10 @@ class Client:
             state = self.goal(goal_id)
             return state if state.done else None
 
-        return eventually(last, f"{goal_id} has ended")
+        end = eventually(last, f"{goal_id} has ended")
+        if self.statuses(goal_id):  # else this client came late
+            eventually(lambda: self.statuses(goal_id)[-1] == end.status, f"the end of {goal_id} is told")
+        return end
 
     def under_way(self, goal_id: str, progress: float = 0.3) -> None:
         """Wait until a goal is in the middle of its motion."""
@@ -107,10 +111,8 @@ class Client:
         return eventually(reached, f"the executor is in the mode {mode}")
 
     def position(self) -> np.ndarray:
-        """The next measured position."""
-        seen = len(self.measured)
-        eventually(lambda: len(self.measured) > seen, "the joints are measured")
-        return np.array(self.measured[-1].position)
+        """A position that was measured after this was called."""
+        return np.array(self._measured_next(1)[-1].position)
 
     def statuses(self, goal_id: str) -> list[str]:
         """The statuses that a goal went through, in order."""
@@ -119,11 +121,19 @@ class Client:
         ]
 
     def stands(self, samples: int = 20) -> bool:
-        """Whether the next measured states are all the same and at rest."""
-        seen = len(self.measured)
-        eventually(lambda: len(self.measured) >= seen + samples, "the joints are measured")
-        states = self.measured[seen:]
+        """Whether the robot is at rest, in the same place, in so many states that were measured after this was called."""
+        states = self._measured_next(samples)
         return len({state.position for state in states}) == 1 and not any(any(state.velocity) for state in states)
+
+    def _measured_next(self, samples: int) -> list[JointState]:
+        """So many joint states from now on; what was measured before may still be on its way."""
+        now, seen = time.time(), len(self.measured)
+
+        def fresh() -> list[JointState] | None:
+            states = [state for state in self.measured[seen:] if state.stamp > now]
+            return states if len(states) >= samples else None
+
+        return eventually(fresh, "the joints are measured")
 
     def greatest_acceleration(self) -> float:
         """Of all measured so far, as a share of the limit; gaps in which the robot was not commanded are passed over."""

@@ -101,6 +101,13 @@ def test_a_chunk_out_of_reach_is_refused() -> None:
     assert refusal.value.code == "limit_violated"
 
 
+def test_a_chunk_out_of_reach_does_not_complete_the_motion_that_it_replaces() -> None:
+    moving = swing(1.5)
+    now = 0.3 * moving.duration
+    with pytest.raises(ExecutionRefused):
+        blended(moving, now, TimedTrajectory.standing(moving.end), now, LIMITS)
+
+
 def test_a_chunk_that_starts_long_after_the_motion_is_refused() -> None:
     with pytest.raises(InvalidRequest) as refusal:
         blended(chunk(0.0), 0.1, chunk(0.0), 1e6, LIMITS)

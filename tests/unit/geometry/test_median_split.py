@@ -1,4 +1,4 @@
-"""The order that trees of boxes are built in: a permutation whose aligned runs are parts of space beside each other."""
+"""The order that bounding volume hierarchies are built in: a permutation in which a plane parts the halves of every node."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.halving import halved
+from zarm_geometry.kernels.median_split import median_split
 
 BRANCHES = 4
 
@@ -24,7 +24,7 @@ def _points(kind: str, count: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 63, 64, 65, 3000])
 def test_every_point_is_there_once_and_a_plane_parts_the_halves_of_every_node(kind: str, count: int) -> None:
     points = _points(kind, count)
-    order = halved(points, BRANCHES)
+    order = median_split(points, BRANCHES)
     assert sorted(order.tolist()) == list(range(count))
     sorted_points = points[order]
     for width in BRANCHES ** np.arange(7):

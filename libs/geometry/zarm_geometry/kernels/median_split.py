@@ -1,4 +1,4 @@
-"""The order in which a tree of boxes over points is built: neighbours in it are neighbours in space."""
+"""Recursive median split: the order of primitives in which a bounding volume hierarchy is built over them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.compiled import inlined, kernel
 
 _DEEPEST = 128
-"""Parts that wait to be halved, at most: two for each halving of 2^64 points."""
+"""Parts on the stack, at most: two for each split of 2^64 points."""
 
 
 @inlined
-def _part(order: NDArray[np.int64], along: NDArray[np.float64], low: int, high: int, k: int) -> None:
+def _quickselect(order: NDArray[np.int64], along: NDArray[np.float64], low: int, high: int, k: int) -> None:
     """Reorder `order[low:high]` so that what lies before its place `k` is not further `along`, and what lies behind not less far.
 
     Hoare, "Algorithm 65: FIND", 1961.
@@ -36,22 +36,22 @@ def _part(order: NDArray[np.int64], along: NDArray[np.float64], low: int, high: 
 
 
 @kernel
-def halved(points: NDArray[np.float64], branches: int) -> NDArray[np.int64]:
-    """The order (n,) of points (n, 3) after they were halved again and again across the longest extent of each part, at the median.
+def median_split(points: NDArray[np.float64], branches: int) -> NDArray[np.int64]:
+    """The order (n,) of points (n, 3) after each part was split, recursively, at the median across its longest extent.
 
-    The borders of parts lie at multiples of powers of `branches`, as those of a tree's nodes do whose children are that many (Samet,
-    "Foundations of Multidimensional and Metric Data Structures", 2006, on k-d trees).
+    Splits lie at multiples of powers of `branches`, as the borders of a tree's nodes do that have so many children (Samet, "Foundations
+    of Multidimensional and Metric Data Structures", 2006, on k-d trees).
     """
     order = np.arange(len(points))
-    waiting = np.empty((_DEEPEST, 3), np.int64)
+    stack = np.empty((_DEEPEST, 3), np.int64)
     width = 1
     while width * branches < len(points):
         width *= branches
-    waiting[0, 0], waiting[0, 1], waiting[0, 2] = 0, len(points), width
-    count = 1
-    while count > 0:
-        count -= 1
-        low, high, width = waiting[count, 0], waiting[count, 1], waiting[count, 2]
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, len(points), width
+    size = 1
+    while size > 0:
+        size -= 1
+        low, high, width = stack[size, 0], stack[size, 1], stack[size, 2]
         while width > 1 and width >= high - low:
             width //= branches
         children = -(-(high - low) // width)
@@ -65,8 +65,8 @@ def halved(points: NDArray[np.float64], branches: int) -> NDArray[np.int64]:
             if most - least > longest:
                 axis, longest = k, most - least
         half = (children + 1) // 2 * width
-        _part(order, points[:, axis], low, high, low + half)
+        _quickselect(order, points[:, axis], low, high, low + half)
         for begin, end in ((low, low + half), (low + half, high)):
-            waiting[count, 0], waiting[count, 1], waiting[count, 2] = begin, end, width
-            count += 1
+            stack[size, 0], stack[size, 1], stack[size, 2] = begin, end, width
+            size += 1
     return order
