@@ -7,6 +7,8 @@ from zarm_contract.messages import JointState
 _OF_TIMEOUT = 0.6
 """Two that are passed on while the robot stands are so much of the descriptor's `joint_state_timeout` apart: 17 Hz for 0.1 s. Who
 hears where a robot stands learns nothing new from more, and each costs the executor some 0.3 ms of CPU."""
+_LONGEST = 0.1
+"""And never further apart (s), however long the executor waits: a planner takes joints for old after half a second."""
 _TOLERANCE = 1.1
 """So many times as far apart they may be where the driver is not quite regular."""
 _PAUSE = 0.03
@@ -20,7 +22,7 @@ class Standing:
     """Tells which joint states are to be passed on to an executor that waits for them for `timeout` (s)."""
 
     def __init__(self, timeout: float) -> None:
-        self._period = _OF_TIMEOUT * timeout
+        self._period = min(_OF_TIMEOUT * timeout, _LONGEST)
         self._passed: JointState | None = None
         self._passed_at = self._came_at = 0.0
         self.pause: float | None = None

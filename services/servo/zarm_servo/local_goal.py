@@ -24,6 +24,12 @@ _STUCK = 0.4
 """A robot is stuck where it has moved by less than `_MOVED` for so long (s)."""
 _MOVED = 0.01
 """rad, the joint that moves most."""
+_RATE_OVER = 1.0
+"""The rate at which it comes nearer to a target is that of the last so many s."""
+_CRAWLS = 3.0
+"""A robot that would take longer (s) at that rate to a target that rests is stuck too, as beside a singularity."""
+_PER_RAD = 0.2
+"""m of distance that one rad of turning counts as."""
 _REACHED = 0.0005, 0.005, 0.001
 """m, rad, rad of a joint: so near, nothing has to be planned."""
 _REFRESHED = 0.2
@@ -56,6 +62,7 @@ class LocalGoal:
         self._point: Array | None = None
         self._steps = self._asked_at = 0
         self._anchor, self._anchored = np.full(model.dof, np.inf), 0
+        self._before: tuple[int, PoseTarget | JointTarget | None, float] = 0, None, np.inf
         self._attempts = 0
         self._revision: SceneRevision | None = None
         self.problem: Problem | None = None
@@ -125,9 +132,23 @@ class LocalGoal:
         plan = self._plan
         if plan is not None and (revision != self._revision or _apart(wanted, plan.target, _SAME)):
             return True
+        if plan is None and self._crawls(wanted, position):
+            return True
         if (self._steps - self._anchored) * PERIOD < _STUCK or (plan is not None and plan.left < _MOVED):
             return False
         return bool(np.any(np.greater(self._errors(wanted, position), _REACHED)))
+
+    def _crawls(self, wanted: PoseTarget | JointTarget, position: Array) -> bool:
+        """Whether a target that rests would not be reached for long at the present rate; told once for each `_RATE_OVER`."""
+        since, before, left_before = self._before
+        if (self._steps - since) * PERIOD < _RATE_OVER:
+            return False
+        errors = self._errors(wanted, position)
+        left = errors[0] + _PER_RAD * errors[1] + errors[2]
+        rests = before is not None and not _apart(wanted, before, _SAME)
+        self._before = self._steps, wanted, left if rests else np.inf
+        late = left_before < np.inf and left > _CRAWLS * (left_before - left) / _RATE_OVER
+        return rests and late and bool(np.any(np.greater(errors, _REACHED)))
 
     def _errors(self, wanted: PoseTarget | JointTarget, position: Array) -> tuple[float, float, float]:
         if isinstance(wanted, JointTarget):
@@ -144,6 +165,7 @@ class LocalGoal:
     def _forget(self) -> None:
         self._plan = self._asked_for = self.problem = None
         self._attempts, self._anchored = 0, self._steps
+        self._before = self._steps, None, np.inf
         if self._asked is not None and self._asked.done():
             self._asked = None
 

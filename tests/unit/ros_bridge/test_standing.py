@@ -13,9 +13,9 @@ from zarm_ros_bridge.standing import Standing
 TIMEOUT = 0.1
 
 
-def passed(at: Callable[[float], float], speed: float = 0.0) -> int:
+def passed(at: Callable[[float], float], speed: float = 0.0, timeout: float = TIMEOUT) -> int:
     """How many of a second at 100 Hz are, where the second joint is `at` a position (rad) by the time (s)."""
-    standing, count = Standing(TIMEOUT), 0
+    standing, count = Standing(timeout), 0
     for step in range(100):
         state = JointState(stamp=step, joint_names=("a", "b"), position=(1.0, at(step / 100)), velocity=(0.0, speed))
         count += standing.passes(state, step / 100)
@@ -24,6 +24,10 @@ def passed(at: Callable[[float], float], speed: float = 0.0) -> int:
 
 def test_of_a_robot_that_stands_some_are_passed_on() -> None:
     assert passed(lambda _: 0.5) == 17
+
+
+def test_they_come_often_enough_for_a_planner_however_long_the_executor_waits() -> None:
+    assert passed(lambda _: 0.5, timeout=5.0) == 10
 
 
 def test_they_come_more_often_the_sooner_the_executor_misses_them() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any, TypeVar
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
@@ -59,6 +61,22 @@ class Stuck:
 def test_a_robot_that_moves_on_is_led_to_the_target_itself() -> None:
     robot = Stuck()
     assert all(robot.local_goal.target(TARGET, position, "1-a") is TARGET for position in np.repeat(PATH, 10, axis=0))
+    assert robot.asked == 0
+
+
+@pytest.mark.parametrize(("seconds", "asks"), [(8.0, True), (5.0, False)])
+def test_a_robot_that_would_take_long_at_its_rate_is_stuck_though_it_moves(seconds: float, asks: bool) -> None:
+    robot = Stuck()
+    way = np.linspace(PATH[0], PATH[-1], int(seconds * SECOND))
+    for position in way[: 3 * SECOND + 1]:
+        robot.local_goal.target(TARGET, position, "1-a")
+    assert bool(robot.asked) == asks
+
+
+def test_a_robot_that_keeps_behind_a_target_that_moves_is_not_stuck() -> None:
+    robot = Stuck()
+    for position, ahead in itertools.pairwise(np.linspace(PATH[0], PATH[-1], 5 * SECOND)):
+        robot.local_goal.target(PoseTarget(MODEL.fk_tip(ahead + (PATH[-1] - PATH[0]))), position, "1-a")
     assert robot.asked == 0
 
 
