@@ -42,6 +42,7 @@ LINKS = "base_link, link_1, link_2, link_3, link_4, link_5, link_6"
 LINK_6 = "    - {kind: sphere, center: [0.0, 0.0, -0.0348], radius: 0.051}"
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("old", "new", "at", "fault"),
     [

@@ -60,6 +60,7 @@ def closure(wanted: list[str]) -> set[str]:
     return names
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("image", EXTRAS)
 def test_an_image_installs_all_that_its_service_needs_and_nothing_else(image: str) -> None:
     project = PROJECT["project"]

@@ -59,6 +59,7 @@ def test_what_happens_between_the_samples_counts() -> None:
     assert refusal.value.problem.code == "limit_violated"
 
 
+@pytest.mark.lengthy
 @given(
     distance=st.floats(-3.0, 3.0),
     start_velocity=st.floats(-0.5, 0.5),

@@ -145,6 +145,7 @@ def test_losing_the_folder_in_motion_costs_a_warning_and_not_the_motion(
         emulator.close()
 
 
+@pytest.mark.lengthy
 def test_two_that_save_at_once_take_nothing_from_each_other(tmp_path: Folder) -> None:
     file = saved_in(tmp_path)
     message = JointState(stamp=1.0, joint_names=("a",), position=(1.0,), velocity=(0.0,))

@@ -52,6 +52,7 @@ def guarded_for(bench: Bench, seconds: float, said: Authority) -> None:
         bench.run(0.1)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
 def test_it_rests_before_the_end_of_its_authority_and_goes_on_when_that_is_extended(bench: Bench, share: float) -> None:
     trajectory = bench.execute(scene=SCENE)

@@ -26,6 +26,7 @@ def test_calls_come_on_a_grid_of_the_clock_and_none_twice(period: float) -> None
     assert all(later > earlier for earlier, later in itertools.pairwise(periods))
 
 
+@pytest.mark.lengthy
 def test_no_call_comes_before_its_time() -> None:
     late: list[float] = []
     with Loop("test", PERIOD, lambda now: late.append(time.monotonic() - now)):

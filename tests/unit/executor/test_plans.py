@@ -35,6 +35,7 @@ def test_before_the_first_plan_an_empty_request_is_refused(plans: Plans) -> None
         plans.chosen(ExecuteRequest())
 
 
+@pytest.mark.lengthy
 def test_the_last_plans_are_known_by_their_id_and_older_ones_are_forgotten(plans: Plans) -> None:
     for number in range(REMEMBERED + 1):
         plans.add("", plan(f"plan-{number}", TRAJECTORY))

@@ -67,6 +67,7 @@ def test_the_robot_goes_over_to_another_trajectory_without_a_jump_and_its_goal_g
     assert (np.abs(acceleration) / LIMIT).max() < 1.02
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("case", [Case("joint_speed"), Case("joint_pose", "position", EVERY)], ids=str)
 def test_a_driver_that_is_streamed_to_goes_over_without_a_jump(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)

@@ -66,6 +66,7 @@ def test_a_message_that_nobody_would_read_for_its_size_is_left_out(key: str, mod
     assert payloads(ring) == [longest]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("length", sampled(100, 10, 1000))
 def test_the_size_of_the_ring_is_what_it_takes_of_memory(length: int) -> None:
     size = 4 * 2**20

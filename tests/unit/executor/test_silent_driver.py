@@ -42,6 +42,7 @@ def silent_for(bench: DriverBench, seconds: float) -> None:
     assert all(not command.time for command in unheard)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("after", sampled(0.9, 0.05, 1.7))
 @pytest.mark.parametrize("seconds", sampled(0.8, 0.35))
 def test_a_gap_in_the_joint_states_holds_the_motion_which_goes_on_to_the_goal_by_itself(
@@ -60,6 +61,7 @@ def test_a_gap_in_the_joint_states_holds_the_motion_which_goes_on_to_the_goal_by
     assert bench.acceleration() <= CEILING * 1.01
 
 
+@pytest.mark.lengthy
 def test_several_gaps_in_one_motion_are_held(bench: DriverBench) -> None:
     bench.execute()
     for _ in range(3):
@@ -115,6 +117,7 @@ def test_a_goal_that_is_paused_in_a_gap_is_held_until_it_is_resumed(bench: Drive
     np.testing.assert_allclose(bench.arm.position, FAR, atol=0.005)
 
 
+@pytest.mark.lengthy
 def test_a_paused_goal_goes_on_after_a_gap_only_when_it_is_resumed(bench: DriverBench) -> None:
     bench.execute()
     bench.run(0.9)

@@ -98,6 +98,7 @@ def test_a_paused_goal_is_held_and_goes_on_to_its_end(bench: DriverBench, after:
     np.testing.assert_allclose(bench.positions[-1], FAR, atol=0.005)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("ticks", sampled(1, 0, *range(2, 8), 40))
 @pytest.mark.parametrize("command", ["pause", "slower", "cancel"])
 def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
@@ -122,6 +123,7 @@ def test_a_command_just_after_the_start_of_a_planned_motion_is_carried_out(
         assert bench.commanded_acceleration() <= LIMIT * 1.01
 
 
+@pytest.mark.lengthy
 @at_every_phase
 @pytest.mark.parametrize("changes", sampled([0.6, 0.05, 1.0], [0.3], [0.5, 1.0], [0.9, 0.8, 0.7, 0.6]), ids=str)
 def test_the_speed_changes_in_motion_inside_the_limits_and_the_goal_is_reached(
@@ -194,6 +196,7 @@ def test_it_rests_before_the_end_of_its_authority_and_goes_on_to_its_end_when_th
     assert itself or bench.acceleration() <= LIMIT * 1.1
 
 
+@pytest.mark.lengthy
 def test_a_goal_that_reaches_its_end_where_it_could_not_stop_any_more_is_over(bench: DriverBench) -> None:
     path = bench.execute(timed=trapezoid)  # which brakes to its end at the limits
     bench.run(path.duration - 0.2)
@@ -204,6 +207,7 @@ def test_a_goal_that_reaches_its_end_where_it_could_not_stop_any_more_is_over(be
     assert sum(after and not before for before, after in pairwise(holds)) == 1
 
 
+@pytest.mark.lengthy
 @at_every_phase
 def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> None:
     bench.execute()
@@ -217,6 +221,7 @@ def test_it_goes_on_while_it_still_brakes_for_a_pause(bench: DriverBench) -> Non
         assert bench.commanded_acceleration() <= LIMIT * 1.001
 
 
+@pytest.mark.lengthy
 def test_a_goal_cancelled_as_soon_as_it_goes_on_again_ends_at_rest_without_a_fault(bench: DriverBench) -> None:
     bench.execute()
     bench.run(0.7)
@@ -284,6 +289,7 @@ def test_a_robot_that_stands_where_its_path_comes_by_again_has_not_reached_its_g
     assert bench.last().problem.code == "driver_stalled"
 
 
+@pytest.mark.lengthy
 def test_a_switch_in_motion_brings_the_robot_to_rest_first(bench: DriverBench) -> None:
     bench.execute()
     bench.run(1.0)
@@ -302,6 +308,7 @@ def test_a_switch_in_motion_brings_the_robot_to_rest_first(bench: DriverBench) -
     assert bench.last().status == "succeeded"
 
 
+@pytest.mark.lengthy
 def test_a_driver_strategy_that_cannot_open_leaves_the_former_one_active(tmp_path: Folder) -> None:
     for number, case in enumerate(MOVING[1:]):
         bench = DriverBench(case, tmp_path / str(number))
@@ -412,6 +419,7 @@ def test_a_streamed_target_is_followed_inside_the_limits_and_a_late_client_ends_
     assert bench.last().status == "succeeded"
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("case", STEERABLE, ids=str)
 def test_a_stream_is_held_slowed_and_switched_away_from_like_any_goal(case: Case, tmp_path: Folder) -> None:
     bench = DriverBench(case, tmp_path)

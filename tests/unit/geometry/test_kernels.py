@@ -73,6 +73,7 @@ def test_the_distances_that_kernels_are_held_against_are_those_of_fcl(kind: str)
                 assert gap < 2e-3
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("count", [0, 1, 5, 60])
 def test_a_configuration_is_free_exactly_when_no_sphere_touches(model: RobotModel, count: int) -> None:
     rng = np.random.default_rng(count)
@@ -174,6 +175,7 @@ def both(x: Single, s: Single, c: Single) -> None:
         store(pointer(c), i, cosine)
 
 
+@pytest.mark.lengthy
 def test_sine_and_cosine_hold_over_two_turns() -> None:
     x = np.linspace(-2 * np.pi, 2 * np.pi, LANES * 1000).astype(np.float32)
     s, c = np.empty_like(x), np.empty_like(x)

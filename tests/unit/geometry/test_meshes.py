@@ -219,6 +219,7 @@ FILES = {
 }
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("file", "says"),
     [

@@ -262,6 +262,7 @@ def pose(item: SceneObject) -> np.ndarray:
     return matrix(item.position, (0.0, 0.0, 0.0, 1.0) if isinstance(item, Sphere) else item.orientation)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("edit", "field", "says"),
     [

@@ -63,6 +63,7 @@ def test_solutions_on_torch_reach_their_poses_by_the_kernels_within_the_limits_n
         assert apart.min() > 0.09
 
 
+@pytest.mark.lengthy
 def test_torch_solves_what_it_is_given_and_leaves_little_to_the_kernels(
     ur5e: RobotModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

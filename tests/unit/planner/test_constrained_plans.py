@@ -94,6 +94,7 @@ def test_what_is_held_is_kept_around_an_obstacle(model: RobotModel) -> None:
     assert not any(collisions.at(q) for q in found.trajectory.sample(times)[0])
 
 
+@pytest.mark.lengthy
 def test_all_axes_but_one_make_a_straight_line(model: RobotModel) -> None:
     line = PathConstraint(axes=(True, True, True, False, True, True), position_tolerance=0.002, angle_tolerance=0.01)
     poses = tips(model, held_plan(model, moved(model, 0.2, 0.0, 0.0), line))
@@ -115,6 +116,7 @@ def test_waypoints_are_passed_without_a_stop_with_axes_held(model: RobotModel) -
         assert goal is through[-1] or np.abs(qd).max() > 0.01
 
 
+@pytest.mark.lengthy
 def test_a_budget_makes_no_held_motion_slower_and_loses_nothing(model: RobotModel) -> None:
     goal = moved(model, -0.3, 0.3, 0.2)
     quick, better = (held_plan(model, goal, UPRIGHT, optimize_s=seconds) for seconds in (0.0, 0.3))
@@ -137,6 +139,7 @@ def test_no_axis_held_is_a_plan_like_any_other(model: RobotModel) -> None:
     assert free.trajectory.duration <= held.trajectory.duration
 
 
+@pytest.mark.lengthy
 def test_an_axis_is_held_from_a_start_and_to_a_goal_near_a_table(model: RobotModel) -> None:
     tip = model.fk_tip(HOME)[:3, 3]
     table = Cuboid(

@@ -67,6 +67,7 @@ def test_a_goal_behind_what_the_first_joint_cannot_turn_past_is_refused_and_says
         plan(FreePlanner(), context, start, asked)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_what_a_cell_is_left_out_for_is_touched_everywhere_in_it(name: str, count: int) -> None:

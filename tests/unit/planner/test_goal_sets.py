@@ -55,6 +55,7 @@ def post_on_the_way(model: RobotModel, q: NDArray[np.float64]) -> SceneObject:
     return Cylinder(kind="cylinder", name="post", position=(x, y, z), radius=0.03, length=0.3)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("blocked", [False, True])
 def test_the_pose_that_is_chosen_is_the_one_whose_plan_alone_is_quickest(name: str, blocked: bool) -> None:

@@ -38,6 +38,7 @@ def ur5e() -> RobotModel:
     return RobotModel.of(load_robot("ur5e"))
 
 
+@pytest.mark.lengthy
 def test_every_pose_is_the_one_that_pytorch_kinematics_computes_from_the_urdf(model: RobotModel) -> None:
     import pytorch_kinematics as pk  # loads torch, for seconds: not where this file is only collected
     import torch

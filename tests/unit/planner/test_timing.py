@@ -71,6 +71,7 @@ def test_velocity_and_acceleration_hold_between_samples_too(points: Array, scale
     assert np.all(np.abs(between(motion, 2, fractions)) <= LIMITS.acceleration * 1.005)
 
 
+@pytest.mark.lengthy
 @examples(0.25)
 @given(waypoints, scales, deviations)
 def test_jerk_holds_between_samples_too(points: Array, scale: float, deviation: float) -> None:

@@ -29,6 +29,7 @@ def test_nothing_is_found_in_the_robots_that_zarm_brings(robot: str) -> None:
     assert findings(load_robot(robot)) == []
 
 
+@pytest.mark.lengthy
 def test_lengths_in_millimetres(tmp_path: Path) -> None:
     def in_millimetres(text: str) -> str:
         return text.replace('xyz="-0.425 0 0"', 'xyz="-425 0 0"')
@@ -37,11 +38,13 @@ def test_lengths_in_millimetres(tmp_path: Path) -> None:
     assert any(fault.startswith("urdf: an origin is 425 m from its parent") and "mm" in fault for fault in found)
 
 
+@pytest.mark.lengthy
 def test_a_link_that_hangs_in_the_air(tmp_path: Path) -> None:
     found = changed(tmp_path, urdf=lambda text: text.replace('xyz="-0.425 0 0"', 'xyz="-0.425 0 1.425"'))
     assert any(fault.startswith("collision.forearm_link: it never comes nearer") for fault in found)
 
 
+@pytest.mark.lengthy
 def test_home_at_a_limit(tmp_path: Path) -> None:
     limit = load_robot("ur5e").upper[0]
     found = changed(tmp_path, descriptor=lambda text: text.replace("home: [0.0,", f"home: [{limit - 0.001:.4f},"))
@@ -60,12 +63,14 @@ def test_spheres_that_are_too_small_or_elsewhere(tmp_path: Path) -> None:
     assert any(fault.startswith("spheres.wrist_3_link[0]: it stands out of the link") for fault in large)
 
 
+@pytest.mark.lengthy
 def test_a_home_in_contact(tmp_path: Path) -> None:
     home = "home: [0.0, -2.2, 1.9, -1.383, -1.57, 0.0]"
     found = changed(tmp_path, descriptor=lambda text: text.replace(home, "home: [0.0, -1.5, 3.1, -1.383, -1.57, 0.0]"))
     assert any(fault.startswith("home: ") and "in contact there" in fault for fault in found)
 
 
+@pytest.mark.lengthy
 def test_self_collision_everywhere(tmp_path: Path) -> None:
     own = "  wrist_3_link: *wrist_3_link"
     huge = "  wrist_3_link: [{kind: sphere, center: [0.0, 0.0, -0.0274], radius: 1.0}]"
@@ -73,11 +78,13 @@ def test_self_collision_everywhere(tmp_path: Path) -> None:
     assert any("of all configurations are free of self-collision" in fault for fault in found)
 
 
+@pytest.mark.lengthy
 def test_limits_in_degrees(tmp_path: Path) -> None:
     found = changed(tmp_path, urdf=lambda text: re.sub('lower="[^"]*" upper="[^"]*"', 'lower="-360" upper="360"', text))
     assert any(fault.startswith("elbow_joint: its range is 720 rad wide") for fault in found)
 
 
+@pytest.mark.lengthy
 def test_a_workspace_that_is_a_point(tmp_path: Path) -> None:
     near = 'lower="{0}" upper="{1}"'
 

@@ -51,6 +51,7 @@ def open_and_torn() -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, np.concatenate([BOX.faces[1:], [[a, b, len(BOX.vertices)]]]), process=False)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("mesh", [inside_out(), open_and_torn()], ids=["inside-out", "open, non-manifold"])
 def test_a_broken_surface_is_contained_as_tightly_as_a_sound_one(tmp_path: Path, mesh: trimesh.Trimesh) -> None:
     found = surface(tmp_path, mesh)

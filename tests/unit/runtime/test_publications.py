@@ -155,6 +155,7 @@ def test_a_watcher_of_a_family_sees_every_member_and_new_ones(bus: Bus, other: B
     assert inbox.get(timeout=PATIENCE)[0] == KEYS.goal("goal-2")
 
 
+@pytest.mark.lengthy
 def test_what_a_watcher_missed_while_its_link_was_down_is_told_when_that_is_back(bus: Bus, endpoint: str) -> None:
     state, goals = bus.latched(KEYS.executor_state, m.ExecutorState), bus.latched(KEYS.goal("*"), m.GoalState)
     state.set(IDLE)

@@ -235,6 +235,7 @@ def test_looking_around_reads_what_is_readable_and_changes_nothing(bus: Bus, pla
     assert changes == [m.SettingsChange()]
 
 
+@pytest.mark.lengthy
 def test_the_zenoh_command_line_client_can_call_a_service(bus: Bus, endpoint: str) -> None:
     serve(bus, lambda _: ANSWER)
     zenoh_cli = Path(sys.executable).with_name("zenoh")

@@ -116,6 +116,7 @@ def test_going_on_before_rest_is_reached_is_smooth_too() -> None:
     assert np.all(np.abs(accelerations(np.array(positions))) <= LIMIT * ROUNDING)
 
 
+@pytest.mark.lengthy
 @examples(0.2)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -192,6 +193,7 @@ def planned_path(seed: int, ramp: float | None = None) -> TimedTrajectory:
     )
 
 
+@pytest.mark.lengthy
 @examples(0.06)
 @given(seed=st.integers(0, 2**32 - 1), speed=st.sampled_from([0.5, 0.05, 1.0]))
 def test_at_every_tick_of_a_planned_motion_a_pause_comes_to_rest_and_going_on_comes_to_the_end(
@@ -228,6 +230,7 @@ def test_going_on_just_after_the_start_holds_the_acceleration_limits_and_takes_n
     assert len(positions) * TICK <= follower.trajectory.duration + 0.1
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("speed", [0.05, 0.5])
 def test_at_a_lower_path_speed_the_same_path_takes_so_much_longer(speed: float) -> None:
     path = curved_path(6)

@@ -25,6 +25,7 @@ def changed(before: str, after: str) -> list[str]:
     return [line for line in lines if line[0] in "+-" and line[:3] not in ("+++", "---")]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["doosan_m1013", "panda"])
 def test_what_is_corrected_is_read_back_and_the_exact_geometry_stays(name: str, tmp_path: Path) -> None:
     robot = copied(name, tmp_path)  # its spheres are aliases of its exact geometry
