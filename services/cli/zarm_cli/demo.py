@@ -33,7 +33,7 @@ _SCALE = 0.4  # of the robot's limits: slow enough to watch
 
 
 def demo(
-    view: Annotated[bool, typer.Option("--view", help="Play on a page in the browser, and wait there.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show it in the browser, and keep running.")] = False,
 ) -> None:
     """Watch an emulated robot plan around a post and move there. Nothing to set up, nothing left behind."""
     began = time.monotonic()

@@ -29,9 +29,7 @@ def execute(
     preempt: Annotated[
         bool, typer.Option("--preempt", help="Cancel the active goal first, and start when the robot rests.")
     ] = False,
-    replan: Annotated[
-        bool, typer.Option("--replan", help="Plan anew, in motion, when something is put in the way.")
-    ] = False,
+    replan: Annotated[bool, typer.Option("--replan", help="Replan during motion when an obstacle appears.")] = False,
     as_json: AsJson = False,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,

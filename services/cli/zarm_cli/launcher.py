@@ -214,8 +214,7 @@ def up(
         typer.Option(
             envvar="ZARM_METRICS",
             metavar="HOST:PORT",
-            help="Serve the planner's metrics for Prometheus there, and those of executor, bridge, driver and servo at the ports "
-            "that follow.",
+            help="Address of the planner's Prometheus metrics; executor, bridge, driver and servo use the ports after it.",
         ),
     ] = None,
     meshes: Annotated[
@@ -224,9 +223,7 @@ def up(
             metavar="FOLDER", help="A folder whose mesh files the scene may use, besides those in $ZARM_MESHES."
         ),
     ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Also serve a page in the browser that shows and moves it.")
-    ] = False,
+    view: Annotated[bool, typer.Option("--view", help="Also serve the browser page.")] = False,
     view_at: Annotated[
         str, typer.Option(envvar="ZARM_VIEW", metavar="HOST:PORT", help="Where the page is served.")
     ] = VIEW,

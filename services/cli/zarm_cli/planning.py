@@ -26,9 +26,7 @@ To = Annotated[
         "Given several times: one motion through all of them in this order, without stopping.",
     ),
 ]
-AnyOf = Annotated[
-    bool, typer.Option("--any", help="Of several --to, go to the one that is reached in the shortest time.")
-]
+AnyOf = Annotated[bool, typer.Option("--any", help="Of several --to, go to the one that takes the least time.")]
 JointsGoal = Annotated[
     str | None, typer.Option("--joints", metavar="A,B,C,...", help="Joint positions (rad), in the descriptor's order.")
 ]
@@ -49,14 +47,14 @@ def plan(
         str | None,
         typer.Option(
             metavar="AXIS,...",
-            help=f"Keep the tip's {', '.join(AXES)} (those you name) as at the start: a path constraint.",
+            help=f"Path constraint: hold these components of the tip pose ({', '.join(AXES)}) as at the start.",
         ),
     ] = None,
     hold_frame: Annotated[
         Literal["base", "tool"] | None, typer.Option(help="Frame of the path constraint (default: base).")
     ] = None,
     timeout: Annotated[float | None, typer.Option(help="Deadline for planning (s).")] = None,
-    optimize: Annotated[float | None, typer.Option(help="How long to look for faster trajectories (s).")] = None,
+    optimize: Annotated[float | None, typer.Option(help="Time to spend on faster trajectories (s).")] = None,
     velocity_scale: VelocityScale = None,
     seed: Annotated[int, typer.Option(help="The same seed, scene and request give the same plan.")] = 0,
     save: Annotated[Path | None, typer.Option(help="Write the plan to this file, for `zarm execute --plan`.")] = None,

@@ -21,7 +21,7 @@ def record(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Write what happens to the robot to an MCAP file, until Ctrl-C. Foxglove and `zarm replay` open it."""
+    """Record the robot's messages to an MCAP file, until Ctrl-C. Foxglove and `zarm replay` open it."""
     with connected(connect, name) as robot:
         path = file or Path(f"{robot.name}_{datetime.now(UTC):%Y%m%dT%H%M%S}Z.mcap")
         with robot.record(path) as recorder, suppress(KeyboardInterrupt):  # the usual end

@@ -25,23 +25,21 @@ def replay(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Publish the messages again as the robot NAME, except driver commands and streams.",
+            help="Republish the messages as the robot NAME, except driver commands and streams.",
         ),
     ] = None,
-    speed: Annotated[float | None, typer.Option(help="With --publish: how many times as fast.")] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Play it on a page in the browser: any moment, at any speed.")
-    ] = False,
+    speed: Annotated[float | None, typer.Option(help="With --publish: playback speed factor.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Play it in the browser.")] = False,
     robot: Annotated[
         str | None,
         typer.Option(
             metavar="DESCRIPTOR",
-            help="With --view: the robot's descriptor (default: that of its name, of those with zarm).",
+            help="With --view: the robot's descriptor (default: the one with its name that comes with zarm).",
         ),
     ] = None,
     connect: Connect = DEFAULT_ENDPOINT,
 ) -> None:
-    """Tell what happened in a record, play it on a page, or publish its messages again."""
+    """Summarise a record, play it in the browser, or republish its messages."""
     if view and publish is not None:
         raise typer.BadParameter("does not go with --publish", param_hint="--view")
     if robot is not None and not view:

@@ -40,17 +40,18 @@ class Geometry(StrEnum):
 def import_(
     file: Annotated[Path, typer.Argument(help="A URDF or xacro.", show_default=False)],
     name: Annotated[str | None, typer.Option(help="Name of the robot (default: as in the file).")] = None,
-    base: Annotated[str | None, typer.Option(help="The link that does not move (default: the root).")] = None,
-    tip: Annotated[str | None, typer.Option(help="The link that goals are for (default: where the arm ends).")] = None,
+    base: Annotated[str | None, typer.Option(help="Base link of the arm (default: the root).")] = None,
+    tip: Annotated[str | None, typer.Option(help="Link that goals refer to (default: the end of the arm).")] = None,
     output: Annotated[Path | None, typer.Option(help="Folder for the files (default: the name).")] = None,
     packages: Annotated[
-        list[Path] | None, typer.Option(metavar="FOLDER", help="Where ROS packages lie, for package:// and $(find).")
+        list[Path] | None, typer.Option(metavar="FOLDER", help="Folder of ROS packages, for package:// and $(find).")
     ] = None,
     fix: Annotated[
-        list[str] | None, typer.Option(metavar="JOINT=POSITION", help="Where a joint beside the arm stands (rad, m).")
+        list[str] | None,
+        typer.Option(metavar="JOINT=POSITION", help="Fixed position of a joint outside the arm (rad, m)."),
     ] = None,
     geometry: Annotated[
-        Geometry, typer.Option(help="auto: the collision meshes, with the visual ones where those stick out.")
+        Geometry, typer.Option(help="auto: collision meshes, plus visual meshes that stick out of them.")
     ] = Geometry.auto,
     spheres: Annotated[int, typer.Option(min=10, max=400, help="Spheres in the cover of the whole robot.")] = 80,
 ) -> None:
@@ -116,7 +117,7 @@ def check(
         list[str] | None,
         typer.Option(
             metavar="JOINTS=POSE",
-            help="Joints (rad) and where the tip was measured then: x,y,z (m) or x,y,z,qx,qy,qz,qw.",
+            help="Joint positions (rad) and the tip measured there: x,y,z (m) or x,y,z,qx,qy,qz,qw.",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -156,11 +157,11 @@ def edit(
         str,
         typer.Option(
             metavar="HOST:PORT",
-            help="Where the page is served; elsewhere than on this machine its address has a token.",
+            help="Address of the page; beyond loopback its URL has a token.",
         ),
     ] = VIEW,
 ) -> None:
-    """Serve a page on which spheres, pairs of links and home are corrected and saved; Ctrl-C ends it."""
+    """Serve a page to correct spheres, link pairs and home; Ctrl-C ends it."""
     require_viewer()
     if not file.is_file():
         raise InvalidRequest(

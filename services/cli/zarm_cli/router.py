@@ -30,7 +30,7 @@ def router(
         Path | None, typer.Option(metavar="FILE", help="A configuration file of Zenoh, such as deploy/router.json5.")
     ] = None,
 ) -> None:
-    """Run only a router, until Ctrl-C or SIGTERM. Broken links are restored by themselves."""
+    """Run only a router, until Ctrl-C or SIGTERM. It restores broken links."""
     settings = router_config(listen, link or (), config=config)
     with suppress(KeyboardInterrupt), run_router(settings):  # the ordinary end
         endpoints = [("endpoint", endpoint) for endpoint in listens_at(settings)]

@@ -115,17 +115,17 @@ def move(
     at: Annotated[str, typer.Option(metavar="X,Y,Z[,QX,QY,QZ,QW]", help="Pose of its centre in the base frame (m).")],
     speed: Annotated[
         float,
-        typer.Option(help="By how much its velocity may differ from the one that is given, in any direction (m/s)."),
+        typer.Option(help="Bound on how far its velocity deviates from --velocity, in any direction (m/s)."),
     ],
     velocity: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Its velocity in the base frame (m/s).")] = None,
     seconds: Annotated[
         float,
-        typer.Option("--for", min=0.0, help="Tell it 20 times a second for so long (s), moving with that velocity."),
+        typer.Option("--for", min=0.0, help="Publish 20 times a second for this long (s), moving at --velocity."),
     ] = 0.0,
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Tell where a moving object is, without an edit: `zarm scene move box --at 0.5,0,0.2 --speed 0.2`."""
+    """Publish the pose of a moving object, without an edit: `zarm scene move box --at 0.5,0,0.2 --speed 0.2`."""
     pose = floats(at, "--at", 3, 7)
     along = [0.0, 0.0, 0.0] if velocity is None else floats(velocity, "--velocity", 3)
     with connected(connect, name) as robot:

@@ -38,10 +38,8 @@ w s   x + -     u o   about x + -    1..9  choose a joint    + -    faster, slow
 a d   y + -     i k   about y + -    ] [   move it + -       t      base or tool
 r f   z + -     j l   about z + -    space  stop             q      end"""
 
-Margin = Annotated[float, typer.Option(help="Distance (m) to keep from everything.")]
-TakeOver = Annotated[
-    bool, typer.Option("--take-over", help="End the session that is open, if any, and lead the robot.")
-]
+Margin = Annotated[float, typer.Option(help="Distance to keep from obstacles (m).")]
+TakeOver = Annotated[bool, typer.Option("--take-over", help="Take over from another client's session.")]
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ def jog(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Move the robot with keys; it slows before what is near, and slides along it. It stops when the keys are left alone."""
+    """Jog the robot with keys. It slows down near obstacles, slides along them, and stops when you release the keys."""
     from rich.live import Live
 
     if not sys.stdin.isatty():
@@ -123,7 +121,7 @@ def jog(
 def track(
     to: To = None,
     joints_goal: JointsGoal = None,
-    timeout: Annotated[float, typer.Option(help="Give up after so long (s).")] = 30.0,
+    timeout: Annotated[float, typer.Option(help="Give up after this time (s).")] = 30.0,
     margin: Margin = 0.01,
     velocity_scale: VelocityScale = None,
     take_over: TakeOver = False,
@@ -131,7 +129,7 @@ def track(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Lead the robot to a pose or joint positions in a straight line; along a global plan where something is in the way."""
+    """Move the robot straight to a pose or joint positions, or along a global plan around obstacles."""
     typed = typed_goal(to, joints_goal, False)
     if len(typed.poses) > 1:
         raise typer.BadParameter("give one pose", param_hint="--to")

@@ -39,9 +39,9 @@ M = TypeVar("M", bound=Message)
 
 
 def status(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> int:
-    """Show the services of a robot, whether they fit together, its state and its scene.
+    """Show the services of a robot, whether they are compatible, its state and its scene.
 
-    Exit code 3 unless planner and executor are ready; 1 where services speak different contracts or have different files
+    Exit code 3 unless planner and executor are ready; 1 if services have different contracts or different files
     of the robot.
     """
     with connected(connect, name) as robot:
@@ -150,7 +150,7 @@ def health(
 
 
 def watch(as_json: AsJson = False, connect: Connect = DEFAULT_ENDPOINT, name: Name = None) -> None:
-    """Show live what the robot does, until Ctrl-C. With --json: ten lines a second."""
+    """Show the robot's state live, until Ctrl-C. With --json: ten lines a second."""
     with connected(connect, name) as robot:
         looks = _looks(robot)
         if as_json:

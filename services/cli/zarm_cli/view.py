@@ -32,15 +32,15 @@ def view(
         typer.Option(
             envvar="ZARM_VIEW",
             metavar="HOST:PORT",
-            help="Where the page is served; elsewhere than on this machine its address has a token.",
+            help="Address of the page; beyond loopback its URL has a token.",
         ),
     ] = VIEW,
     role: Annotated[
-        str | None, typer.Option(help="operator, or viewer: that sees everything and moves nothing.")
+        str | None, typer.Option(help="operator, or viewer, which sees everything and moves nothing.")
     ] = None,
     connect: Connect = DEFAULT_ENDPOINT,
 ) -> None:
-    """Serve a page that shows the robots on the bus, plans and moves them; Ctrl-C ends it, and no motion."""
+    """Serve a browser page that shows, plans and moves the robots on the bus. Ctrl-C ends the page, not a motion."""
     require_viewer()
     if role not in (None, "operator", "viewer"):
         raise InvalidRequest(f"{role} is neither operator nor viewer", field="--role")
