@@ -103,7 +103,7 @@ def test_certificates_of_another_authority_are_not_overwritten(tmp_path: Path) -
 def test_a_name_that_is_no_host_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     refused = zarm("certs", str(tmp_path / "certs"), "--host", "tcp/10.0.0.1:7447")
     assert refused.returncode == 1
-    assert "neither a host's name nor its address" in the_one_line(refused.stderr)
+    assert "neither a host name nor an address" in the_one_line(refused.stderr)
     assert not list(tmp_path.iterdir())
 
 

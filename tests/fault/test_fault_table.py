@@ -317,7 +317,7 @@ LEFT = "tolerance_violated", "path_tolerance"
 
 ROWS = (
     Row("executor killed", executor_killed, both(RUN_OUT, PLAYS_ON, "unavailable", "the executor ended")),
-    Row("executor frozen", executor_frozen, both(RUN_OUT, PLAYS_ON, "driver_stalled", "control loop was away")),
+    Row("executor frozen", executor_frozen, both(RUN_OUT, PLAYS_ON, "driver_stalled", "control loop stood still")),
     Row("planner killed", planner_killed, {STREAMED: Promise(*GOES_ON)}),
     Row("client killed", client_killed, both(GOES_ON, GOES_ON)),
     Row("second executor", second_executor, {STREAMED: Promise(*GOES_ON)}),

@@ -72,7 +72,7 @@ class Goals:
 
     def _unknown(self, why: str) -> Unavailable:
         return Unavailable(
-            f"the executor of {self._keys.robot} {why}; whether the robot still moves is not known: make sure that it stands "
+            f"the executor of {self._keys.robot} {why}; it is unknown whether the robot still moves: make sure that it stands "
             "still, then see `zarm status`"
         )
 

@@ -34,7 +34,7 @@ class Recorder:
 
     def __init__(self, connection: Connection, path: Path) -> None:
         if path.exists():
-            raise InvalidRequest(f"{path} is there already; name another file, or remove it", field="file")
+            raise InvalidRequest(f"{path} already exists; name another file, or remove it", field="file")
         self.path = path
         self.lost = 0
         """Messages that the disk was too slow for."""

@@ -48,7 +48,7 @@ def replay(
     of that robot is alive. Meanwhile none can start: the replay holds its place.
     """
     if not speed > 0:
-        raise InvalidRequest(f"{speed} is no speed; it is above 0", field="speed")
+        raise InvalidRequest(f"{speed} is not a speed; give one above 0", field="speed")
     waits = interrupts or CtrlC()
     with opened(endpoint, role) as bus:
         return _publish(bus, keys_of(name), _entries(Path(file), waits), speed, waits)

@@ -146,7 +146,7 @@ class Tracking(_Session):
                 on_progress(state)
             if not state.moving and _near(state):
                 return
-        raise DeadlineExceeded(f"the robot has not reached it after {timeout:g} s: {limited(self._state)}")
+        raise DeadlineExceeded(f"the robot has not reached the target after {timeout:g} s: {limited(self._state)}")
 
 
 class Jogging(_Session):

@@ -89,6 +89,6 @@ class Stream:
         while not self._publisher.heard():
             if time.monotonic() > deadline:
                 raise Unavailable(
-                    f"nobody takes streams of {self._connection.keys.robot}; `zarm status` shows whether its executor runs"
+                    f"no executor accepts streams for {self._connection.keys.robot}; `zarm status` shows whether its executor runs"
                 )
             time.sleep(_LOOK_SECONDS)

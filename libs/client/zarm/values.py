@@ -40,7 +40,7 @@ def numbers(values: Numbers, field: str) -> tuple[float, ...]:
     try:
         return tuple(map(float, values))
     except (TypeError, ValueError) as error:
-        raise InvalidRequest(f"numbers in a row are needed, not {values!r:.200}", field=field) from error
+        raise InvalidRequest(f"a list of numbers is needed, not {values!r:.200}", field=field) from error
 
 
 def joints_of(values: Numbers | None, field: str) -> tuple[float, ...] | None:
@@ -54,7 +54,7 @@ def rows(values: Rows, field: str) -> tuple[tuple[float, ...], ...]:
     try:
         return tuple(numbers(row, field) for row in (values if whole is None else whole()))
     except TypeError as error:
-        raise InvalidRequest(f"rows of numbers are needed, not {values!r:.200}", field=field) from error
+        raise InvalidRequest(f"a list of rows of numbers is needed, not {values!r:.200}", field=field) from error
 
 
 def invalid(kind: str, error: ValidationError, data: object = None) -> InvalidRequest:

@@ -247,5 +247,5 @@ def parse_alive(key: str) -> tuple[str, str, str]:
     """`(robot, service, instance)` of a liveliness token's key; ValueError for any other key."""
     chunks = key.split("/")
     if len(chunks) != 5 or chunks[0] != "zarm" or chunks[3] != "@alive":
-        raise ValueError(f"{key} is no liveliness token")
+        raise ValueError(f"{key} is not a liveliness token")
     return chunks[1], chunks[2], chunks[4]

@@ -99,8 +99,8 @@ class Meshes:
         digest = hashlib.sha256(content).hexdigest()
         if item.sha256 not in (None, digest):
             raise InvalidRequest(
-                f"{item.name}: the file {item.file} is not the one with the given sha256; put that one back, or leave "
-                "sha256 out to take the file as it is now",
+                f"{item.name}: the file {item.file} is not the one with the given sha256; restore that one, or leave "
+                "sha256 out to use the present one",
                 field=f"{field}.sha256",
             )
         known = self._known.get((digest, item.scale))
@@ -164,7 +164,7 @@ def _held(item: Mesh, content: bytes, field: str) -> _Read:
     vertices = np.asarray(loaded.vertices) * item.scale
     used = vertices[faces]
     if not np.isfinite(used).all():
-        raise refused(f"{item.file} has corners that are no numbers; export it again")
+        raise refused(f"{item.file} has vertices that are not numbers; export it again")
     if np.abs(used).max() > FARTHEST:
         raise refused(
             f"{item.file} reaches further than {FARTHEST:g} m from its origin; meshes are in m, so give one that is in mm "

@@ -54,7 +54,7 @@ class Arrivals:
                 try:
                     take(message, next(self._numbers))
                 except Exception:  # whatever goes wrong with one, the next is to be taken
-                    log.exception("a message could not be taken")
+                    log.exception("a message could not be handled")
 
     @staticmethod
     def _drained(keys: list[tuple[Any, Callable[[Any, int], None]]]) -> list[tuple[Any, Callable[[Any, int], None]]]:

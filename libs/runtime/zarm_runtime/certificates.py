@@ -89,8 +89,8 @@ class Certificates:
         except ssl.SSLCertVerificationError as error:
             if error.verify_code in _OTHER_NAME:
                 return (
-                    f"the certificate of the router there does not hold the name {host}; where its authority's key is, "
-                    f"`zarm certs {self.folder} --host {host}` makes one that does"
+                    f"the certificate of the router there does not hold the name {host}; run "
+                    f"`zarm certs {self.folder} --host {host}` on the machine with its authority's key to add it"
                 )
             return (
                 f"the certificate of the router there is not to be trusted ({error.verify_message}); {_ONE_AUTHORITY}"
@@ -129,8 +129,8 @@ class Certificates:
         except ssl.SSLCertVerificationError as error:
             if error.verify_code in _TIMES:
                 raise InvalidRequest(
-                    f"{self.certificate} {_TIMES[error.verify_code]}; where its authority's key is, `zarm certs {self.folder}` "
-                    "renews it (and see that the clock of this machine is right)",
+                    f"{self.certificate} {_TIMES[error.verify_code]}; run `zarm certs {self.folder}` on the machine with its "
+                    "authority's key to renew it (and check the clock of this machine)",
                     field="ZARM_CERTS",
                 ) from None
             raise self._unusable(f"{self.certificate} was not made by the authority of {self.authority}") from None
@@ -154,12 +154,11 @@ def _require_readable(file: Path, folder: Path) -> None:
         file.open("rb").close()
     except FileNotFoundError:
         raise InvalidRequest(
-            f"{file} is missing; `zarm certs {folder}` makes it, and where a machine has the files of its own role alone, "
-            f"copy it there",
+            f"{file} is missing; copy it to this machine, or make it with `zarm certs {folder}`",
             field="ZARM_CERTS",
         ) from None
     except OSError as error:
         raise InvalidRequest(
-            f"{file} cannot be read ({error.strerror}); it is to belong to whom the process runs as, with mode 600 for a key",
+            f"{file} cannot be read ({error.strerror}); it must belong to the user of the process, with mode 600 for a key",
             field="ZARM_CERTS",
         ) from None

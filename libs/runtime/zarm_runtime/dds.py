@@ -31,7 +31,7 @@ def join() -> None:
     reach = "LOCALHOST" if os.environ.get(_LOCALHOST_ONLY) == "1" else os.environ.get(RANGE, "SUBNET")
     if reach == "LOCALHOST" and not said & {*_PEERS}:
         os.environ |= {RANGE: "SYSTEM_DEFAULT", _LOCALHOST_ONLY: "", _PROFILES[0]: LOCALHOST}
-        log.info("DDS keeps to this machine others=%s", f"{RANGE}=SUBNET")
+        log.info("DDS is limited to this machine others=%s", f"{RANGE}=SUBNET")
         return
     os.environ[_PROFILES[0]] = NETWORK
     if reach not in ("LOCALHOST", "OFF"):

@@ -27,11 +27,11 @@ class Quota:
         with self._lock:
             left, held = self._total - self._held.total(), self._held[client]
             if not left:
-                raise Busy(f"{self._key} has {self._total} requests in hand; try again later")
+                raise Busy(f"{self._key} has {self._total} pending requests; try again later")
             if self._shared and held >= left:
                 raise Busy(
-                    f"{self._key} has {held} requests of this client in hand, and room for {left} more that is kept for "
-                    "others; wait for an answer, or cancel one, before you ask for more"
+                    f"{self._key} has {held} pending requests of this client, and the {left} free places are for others; wait "
+                    "for an answer, or cancel one, before you send more"
                 )
             self._held[client] += 1
 

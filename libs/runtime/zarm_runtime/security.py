@@ -27,5 +27,5 @@ def client_role() -> Role:
     wanted = os.environ.get("ZARM_ROLE") or "operator"
     role = next((role for role in ROLES if role == wanted), None)
     if role is None:
-        raise InvalidRequest(f"ZARM_ROLE={wanted} is not a role; there are {', '.join(ROLES)}", field="ZARM_ROLE")
+        raise InvalidRequest(f"ZARM_ROLE={wanted} is not a role; choose one of {', '.join(ROLES)}", field="ZARM_ROLE")
     return role

@@ -102,8 +102,8 @@ def run_router(config: zenoh.Config) -> zenoh.Session:
     """
     if exposed := _open_to_all(config):
         log.warning(
-            "WARNING: whoever reaches %s from another machine may move the robot, as nobody is asked for a certificate there; "
-            "`zarm certs FOLDER` makes some, then set ZARM_SECURITY=on and ZARM_CERTS=FOLDER, or listen on loopback",
+            "WARNING: anyone who reaches %s from another machine can move the robot, because no certificate is required; "
+            "run `zarm certs FOLDER` and set ZARM_SECURITY=on and ZARM_CERTS=FOLDER, or listen on loopback",
             " and ".join(exposed),
         )
     os.environ.setdefault("ZENOH_RUNTIME", _ROUTER_RUNTIME)  # Zenoh reads it when a process opens its first session

@@ -117,8 +117,8 @@ class StateFile(Generic[M]):
         version = document.get("version", 0)
         if version > len(self._migrations):
             raise Unavailable(
-                f"{self.path} is of version {version}, which zarm {document.get('written_by')} wrote, and this one reads none "
-                f"above {len(self._migrations)}; run that version of zarm, or move the file away to begin without it"
+                f"{self.path} has version {version}, written by zarm {document.get('written_by')}, and this zarm reads versions up "
+                f"to {len(self._migrations)}; run that version of zarm, or move the file away to begin without it"
             )
         content = document["content"] if version > 0 else document
         for migration in self._migrations[version:]:
@@ -166,7 +166,7 @@ def owned(folder: Path, service: str) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         file = (folder / f"{service}.lock").open("ab")
     except OSError as error:
-        raise Unavailable(f"cannot keep anything in {folder}: {error.strerror or error}; {_REMEDY}") from error
+        raise Unavailable(f"cannot save state in {folder}: {error.strerror or error}; {_REMEDY}") from error
     with file:  # its end, however the process comes to it, gives the lock back
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

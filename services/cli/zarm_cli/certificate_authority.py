@@ -156,7 +156,7 @@ def _host(host: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
         if not _HOST.fullmatch(host):
-            raise InvalidRequest(f"{host!r} is neither a host's name nor its address", field="--host") from None
+            raise InvalidRequest(f"{host!r} is neither a host name nor an address", field="--host") from None
         return x509.DNSName(host.lower())
 
 

@@ -87,7 +87,7 @@ def floats(text: str, option: str, *counts: int) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise typer.BadParameter(f"{text!r} must be numbers with commas between them", param_hint=option) from None
+        raise typer.BadParameter(f"{text!r} must be comma-separated numbers", param_hint=option) from None
     if counts and len(values) not in counts:
         expected = " or ".join(str(count) for count in counts)
         raise typer.BadParameter(f"{text!r} holds {len(values)} numbers where {expected} are needed", param_hint=option)

@@ -79,7 +79,7 @@ class Stack:
                 err.print(f"zarm: the {service} has ended ({how}) and is started again", soft_wrap=True)
             pause(1.0)
         raise InternalError(
-            f"the {fallen[0]} ends again and again, at last with: {self.supervisor.last_words(fallen[0])}"
+            f"the {fallen[0]} keeps ending, the last time with: {self.supervisor.last_words(fallen[0])}"
         )
 
 

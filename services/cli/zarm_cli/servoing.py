@@ -94,7 +94,7 @@ def jog(
     from rich.live import Live
 
     if not sys.stdin.isatty():
-        raise typer.BadParameter("keys are read from a terminal; run it in one", param_hint="standard input")
+        raise typer.BadParameter("jogging reads keys from a terminal; run it in one", param_hint="standard input")
     with connected(connect, name) as robot:
         joints, keys = len(robot.joint_state().position), Keys()
         scale = 1.0 if velocity_scale is None else velocity_scale

@@ -60,6 +60,6 @@ def require_viewer() -> None:
     """Raise Unavailable where the packages of the page are not installed."""
     if missing := [package for package in _PACKAGES if find_spec(package) is None]:
         raise Unavailable(
-            f"there is no page, because {' and '.join(missing)} cannot be imported here; `pip install 'zarm[viewer]'` "
+            f"the page cannot be served, because {' and '.join(missing)} cannot be imported here; `pip install 'zarm[viewer]'` "
             "installs what is needed"
         )

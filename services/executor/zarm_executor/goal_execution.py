@@ -124,7 +124,7 @@ class GoalExecution:
         earliest = strategy.braking_from().time
         if at < earliest:
             raise ExecutionRefused(
-                f"the trajectory takes over at {at:.3f} s, and what the robot does until {earliest:.3f} s is certain; plan from a "
+                f"the trajectory takes over at {at:.3f} s, but the robot is committed until {earliest:.3f} s; plan from a "
                 "later state",
                 code="start_state_mismatch",
             )
@@ -146,7 +146,7 @@ class GoalExecution:
         goal, time = self.goal, self._strategy.progress().time
         if goal.hold is None or not goal.waits:
             raise Busy(
-                f"{goal.goal_id} does not wait at rest for its way to be free; say from when on to replace its trajectory"
+                f"{goal.goal_id} is not waiting at rest for an obstruction to clear; say from when on to replace its trajectory"
             )
         self._strategy.admit()
         trajectory = trajectory.begun_at(time)
@@ -159,7 +159,7 @@ class GoalExecution:
 
     def _demand_no_end(self) -> None:
         if self.goal.outcome is not None or self.goal.pausing:
-            raise Busy(f"{self.goal.goal_id} is told to end or to pause; its trajectory stays as it is")
+            raise Busy(f"{self.goal.goal_id} is ending or pausing, so its trajectory cannot be replaced")
 
     def _go_on(self, begin: float, until: float | None) -> None:
         """Take the new trajectory, which begins at the path time `begin` (s), as free up to its time `until` (s), None: to its end."""
@@ -259,7 +259,7 @@ class GoalExecution:
                 self._brake_in_time(now)
         elif self._free(progress, guarded=guarded):
             goal.hold, goal.waits = None, False
-            log.info("the goal goes on goal_id=%s", goal.goal_id)
+            log.info("the goal continues goal_id=%s", goal.goal_id)
             if goal.moving:
                 goal.monitor.go_on()
                 if not progress.finished:

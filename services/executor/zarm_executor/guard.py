@@ -130,6 +130,6 @@ def given_up(hold: Hold, patience: float) -> Problem:
     where = "" if found is None else f" of {found.link} at {found.time:.2f} s of the trajectory"
     return Problem(
         code="stale_plan",
-        message=f"{what} is in the way{where}, and was for {patience:g} s (execution.obstruction_timeout); take it away, or "
+        message=f"{what} is in the way{where}, and has been for {patience:g} s (execution.obstruction_timeout); remove it, or "
         "plan again from where the robot is",
     )

@@ -90,7 +90,7 @@ class Machine:
             if self._problem is not None and not self._can_leave_fault():
                 raise Unavailable(f"the executor is in fault: {self._problem.message}")
             if self._motion is not None and not preempt:
-                raise Busy(f"{self._motion.goal.goal_id} is not at its end; cancel it or wait, then execute again")
+                raise Busy(f"{self._motion.goal.goal_id} has not ended; cancel it or wait, then execute again")
             if self._switching:
                 raise Busy("the strategy is being switched; execute again in a moment")
             self._strategy.admit()
@@ -115,7 +115,7 @@ class Machine:
             self._motion = motion
             self._begun.notify_all()
             if self._problem is not None:
-                log.warning("the fault is left goal_id=%s reason=%s", goal.goal_id, self._problem.message)
+                log.warning("fault cleared goal_id=%s reason=%s", goal.goal_id, self._problem.message)
                 self._leave_fault()
             authority = self._guard.of(goal.goal_id)
             if authority is not None:
@@ -203,8 +203,8 @@ class Machine:
             followed = None if motion is None else motion.goal.number
             if motion is None or followed != number:
                 raise ExecutionRefused(
-                    f"trajectory {number} of {goal_id} is not followed, {f'{followed} is' if followed else 'it has ended'}; plan for "
-                    "what is followed now (executor/trajectory)",
+                    f"trajectory {number} of {goal_id} is not active, {f'{followed} is' if followed else 'it has ended'}; plan from "
+                    "the active one (executor/trajectory)",
                     code="stale_plan",
                 )
             if isinstance(start, Monitor):
@@ -465,7 +465,7 @@ def _cancelled(why: str) -> Outcome:
 
 def _stalled(dt: float) -> ExecutionFailed:
     return ExecutionFailed(
-        f"the executor's control loop was away for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); find "
+        f"the executor's control loop stood still for {dt:.2f} s while the robot moved (at most {STALL_LIMIT:g} s); find "
         "out what slows this machine down",
         code="driver_stalled",
     )

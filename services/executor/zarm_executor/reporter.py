@@ -76,7 +76,7 @@ class Reporter:
         if left is not None:
             problem = Problem(
                 code="unavailable",
-                message="the executor ended while this goal ran; it does not go on: plan again from where the robot is",
+                message="the executor ended while this goal ran, and does not resume it; plan again from where the robot is",
             )
             with self._lock:
                 self._publish_goal(left.model_copy(update={"status": "aborted", "problem": problem}))

@@ -274,7 +274,7 @@ class Handlers:
                 self._check_links(names, "edit.names")
                 if not enabled and {*self._model.links} <= {*names, *self._store.scene.ignored_links}:
                     raise InvalidRequest(
-                        "no link would be checked any more, so that nothing would keep the robot from colliding; leave one",
+                        "this would turn off collision checking for every link; keep at least one",
                         field="edit.names",
                     )
             case AttachObject(name=name, touch_links=touch_links):
@@ -294,7 +294,7 @@ class Handlers:
         for i, name in enumerate(names):
             if name not in links:
                 raise InvalidRequest(
-                    f"{name} is not a link that can collide; those are {', '.join(links)}", field=f"{field}.{i}"
+                    f"{name} is not a link with collision geometry; those are {', '.join(links)}", field=f"{field}.{i}"
                 )
 
     def change_settings(self, change: SettingsChange) -> PlannerSettings:

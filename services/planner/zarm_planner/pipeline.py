@@ -122,5 +122,5 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:
     return PlanningFailed(
-        f"every path that was found had to be given up: {failure}; ask for a larger margin or more time", code="no_path"
+        f"every path that was found was rejected: {failure}; ask for a larger margin or more time", code="no_path"
     )

@@ -74,7 +74,7 @@ def parse(text: str, dof: int) -> Measured:
     norm = math.hypot(*pose[3:])
     if len(joints) != dof or len(pose) not in (3, 7) or not all(map(math.isfinite, (*joints, *pose))):
         raise InvalidRequest(
-            f"{text!r} is no measured pose; write {dof} joints (rad), =, and x,y,z (m) or x,y,z,qx,qy,qz,qw of the tip in the base "
+            f"{text!r} is not a measured pose; write {dof} joints (rad), =, and x,y,z (m) or x,y,z,qx,qy,qz,qw of the tip in the base "
             "frame",
             field="--calibrate",
         )

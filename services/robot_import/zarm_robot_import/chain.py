@@ -73,7 +73,7 @@ def choose_chain(
     path = robot.path(base, tip)
     if path is None:
         raise InvalidRequest(
-            f"{robot.source.path}: {tip} does not hang on {base}; choose --base and --tip on one branch"
+            f"{robot.source.path}: {tip} is not connected to {base}; choose --base and --tip on one branch"
         )
     start = next((joint for joint in path if joint.type in ("floating", "planar")), None)
     if base == robot.root and start is not None:
@@ -84,7 +84,7 @@ def choose_chain(
         if joint.type in ("floating", "planar"):
             raise robot.source.fault(
                 joint.element,
-                f"joint {joint.name} is {joint.type}, which no arm's joint is; start behind it: --base {joint.child}",
+                f"joint {joint.name} is {joint.type}, which an arm's joint cannot be; start after it: --base {joint.child}",
             )
         if joint.mimic:
             raise robot.source.fault(
@@ -93,7 +93,8 @@ def choose_chain(
             )
     if not joints and start is not None:
         raise robot.source.fault(
-            start.element, f"joint {start.name} is {start.type}, which no arm's joint is, and behind it none moves"
+            start.element,
+            f"joint {start.name} is {start.type}, which an arm's joint cannot be, and no joint after it moves",
         )
     if not joints:
         raise InvalidRequest(f"{robot.source.path}: no joint moves between {base} and {tip}; choose another --tip")

@@ -148,7 +148,7 @@ def describe(source: Source) -> Description:
     if len(roots) > 1:
         raise source.fault(
             links[roots[1]].element,
-            f"{' and '.join(roots)} hang on nothing; a URDF has one root, so join them with a joint",
+            f"{' and '.join(roots)} have no parent; a URDF has one root, so join them with a joint",
         )
     kept = {roots[0]}
     description = Description(source, root.get("name") or source.path.stem, roots[0], links, carried, children)

@@ -119,6 +119,6 @@ def _name(text: str) -> str:
 def _checked(name: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
         raise InvalidRequest(
-            f"{name!r} is no name for a robot; use small letters, digits and _, a letter first", field="--name"
+            f"{name!r} is not a robot name; use lower case letters, digits and _, a letter first", field="--name"
         )
     return name

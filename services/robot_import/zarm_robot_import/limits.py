@@ -49,7 +49,7 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
     elif lower is None or upper is None or lower == upper:
         if joint.type == "prismatic":
             raise robot.source.fault(
-                joint.element, f"joint {joint.name} slides without limits; write <limit lower= upper=>"
+                joint.element, f"joint {joint.name} is prismatic and has no limits; write <limit lower= upper=>"
             )
         lower, upper = -math.pi, math.pi
         assumed.append("range")

@@ -214,7 +214,7 @@ def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Pa
     if file.suffix.lower() not in SUFFIXES:
         raise InvalidRequest(f"{place}: link {link}: {file.name} is of no known format; convert it to STL, OBJ or DAE")
     if any(factor == 0.0 for factor in geometry.scale):
-        raise InvalidRequest(f"{place}: link {link}: the scale {geometry.scale} makes nothing of the mesh; write 1 1 1")
+        raise InvalidRequest(f"{place}: link {link}: the scale {geometry.scale} collapses the mesh; write 1 1 1")
     try:
         triangles = _load(file)
     except _Unreadable as error:

@@ -48,4 +48,4 @@ class Availability:
 
 
 def _refuse(_: Any) -> None:
-    raise InvalidRequest(f"{AVAILABLE} is told, not set; wait until it is true")
+    raise InvalidRequest(f"{AVAILABLE} is read-only; wait until it is true")

@@ -193,7 +193,7 @@ def check_plans(planner: str) -> None:
     """Raises InvalidRequest for a planner that makes no trajectory."""
     if planner in CLOSED_LOOP:
         raise InvalidRequest(
-            f"the planner {planner} closes a loop and makes no trajectory; send a goal of execute_trajectory or mpc_move, or choose "
+            f"the planner {planner} runs in closed loop and makes no trajectory; send a goal of execute_trajectory or mpc_move, or choose "
             "another planner with set_planner",
             field="planner_type",
         )

@@ -209,7 +209,7 @@ class ExecutionActions:
             try:
                 return self._started(run, ExecuteRequest(plan_id=plan.plan_id))
             except ExecutionRefused as error:
-                log.info("planned anew plan_id=%s reason=%s", plan.plan_id, error)
+                log.info("replanned plan_id=%s reason=%s", plan.plan_id, error)
         feedback.planning()
         return self._started(run, ExecuteRequest(plan_id=motions.plan(asked, run.plan).plan_id))
 

@@ -78,7 +78,7 @@ class Motions:
         """Raises InvalidRequest where the last plan was cleared, and none has been made since."""
         with self._turn:
             if self._cleared is not None:
-                raise InvalidRequest("the last plan was cleared; plan anew, or give the goal a target")
+                raise InvalidRequest("the last plan was cleared; plan again, or give the goal a target")
 
     def _published(self, key: str, payload: bytes) -> None:
         if self._cleared is not None:

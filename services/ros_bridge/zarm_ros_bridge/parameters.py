@@ -183,7 +183,7 @@ class Parameters:
         effects = [(change, self._effects[change.name]) for change in changes if change.name in self._effects]
         if len(effects) > 1:
             names = ", ".join(change.name for change, _ in effects)
-            raise InvalidRequest(f"{names} take effect at once and not together; change one at a time")
+            raise InvalidRequest(f"{names} cannot be changed together; change one at a time")
         for change, effect in effects:
             effect(change.value)
             log.info("parameter name=%s value=%s", change.name, change.value)

@@ -40,8 +40,8 @@ def insistent(send: Callable[..., None]) -> Callable[..., None]:
             waited = time.monotonic() - began
             if waited > PATIENCE:
                 raise Unanswered(
-                    f"a client of {getattr(handle, 'name', 'an action')} has no reply: for {waited:.1f} s DDS has found no way to "
-                    "it; see that it asks with the default QoS of services"
+                    f"a client of {getattr(handle, 'name', 'an action')} has no reply: DDS has not matched it for {waited:.1f} s; "
+                    "check that it uses the default QoS of services"
                 )
             time.sleep(min(max(waited, _SOON), _LATE))
 

@@ -27,8 +27,8 @@ def reread_robot(engine: Engine) -> str:
     changed = [name for name in _FIXED if getattr(robot.descriptor, name) != getattr(engine.robot.descriptor, name)]
     if changed or robot.urdf != engine.robot.urdf:
         raise Unavailable(
-            f"{changed[0] if changed else 'urdf'} has changed in {robot.path}, which what is served on ROS is built on; restart "
-            "zarm to take it"
+            f"{changed[0] if changed else 'urdf'} has changed in {robot.path}, and the ROS interface depends on it; restart "
+            "zarm to apply it"
         )
     strategy = engine.client.strategy().active
     renewed = []

@@ -139,7 +139,7 @@ class SceneServices:
             response.applied_links = applied
         if response.unknown_links:
             raise InvalidRequest(
-                f"{', '.join(response.unknown_links)} cannot collide or is no link; those are {', '.join(known)}",
+                f"{', '.join(response.unknown_links)} has no collision geometry or is no link; choose among {', '.join(known)}",
                 field="link_names",
             )
         state = "looked at" if request.enabled else "no longer looked at"

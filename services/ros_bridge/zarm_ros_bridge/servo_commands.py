@@ -123,7 +123,7 @@ class ServoCommands:
     def _hear(self, topic: str, read: Callable[[Any, Any], Send], punctuality: Punctuality, message: Any) -> None:
         now, stamp = time.monotonic(), message.header.stamp
         if punctuality.late(stamp.sec + stamp.nanosec / NANOSECONDS, now):
-            self._refuse(f"a message on {topic} came more than {STALE:g} s late; see what holds it up")
+            self._refuse(f"a message on {topic} came more than {STALE:g} s late; find out what delays it")
             return
         try:
             command = _Command(topic, now, read(message, self._engine.robot.descriptor))

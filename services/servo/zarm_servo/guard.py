@@ -266,8 +266,8 @@ class Guard:
                 validity.until or 0.0,
             )
         if state.scene_lost and not (before and before.scene_lost):
-            log.warning("the planner is gone or has lost its scene; what is known of it still counts")
+            log.warning("the planner is gone or has lost its scene; the last known scene still counts")
         for name in set(state.lost_objects) - set(before.lost_objects if before else ()):
-            log.warning("no pose of a moving object comes any more object=%s", name)
+            log.warning("a moving object is lost, its poses no longer arrive object=%s", name)
         self._state = state
         self._states.set(state)

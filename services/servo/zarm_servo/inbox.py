@@ -75,7 +75,7 @@ class Inbox:
         if under_way > STALE:
             raise InvalidRequest(
                 f"target {message.sequence} came {under_way:.3f} s later than others that were made before it (at most "
-                f"{STALE:g} s); see what holds it up, or start a new session where the clock of the client was set back",
+                f"{STALE:g} s); find out what delays it, or start a new session where the clock of the client was set back",
                 field="stamp",
             )
         target = self._read(message)

@@ -120,18 +120,18 @@ class MovingObjects:
         late = wall - message.stamp
         if late < -AGREE:
             raise InvalidRequest(
-                f"the pose of {name} is from {-late:.3f} s later than now; make the clocks of both machines agree within {AGREE:g} s",
+                f"the pose of {name} is stamped {-late:.3f} s in the future; make the clocks of both machines agree within {AGREE:g} s",
                 field="stamp",
             )
         if late > LOST:
             raise InvalidRequest(
-                f"the pose of {name} is {late:.3f} s old (at most {LOST:g} s); see what holds it up, and whether the clocks agree",
+                f"the pose of {name} is {late:.3f} s old (at most {LOST:g} s); find out what delays it, and whether the clocks agree",
                 field="stamp",
             )
         item = self._monitor.snapshot(now).objects.get(name)
         if item is None:
             raise InvalidRequest(
-                f"there is no object {name} in the scene; add it first, then tell its poses", field="name"
+                f"there is no object {name} in the scene; add it first, then publish its poses", field="name"
             )
         with self._lock:
             before = self._movers.get(name)
@@ -148,7 +148,7 @@ class MovingObjects:
         """The object at the pose that was told, and how far (m) its points are from its origin."""
         if isinstance(item, Voxels):
             raise InvalidRequest(
-                f"{item.name} consists of voxels, which do not move; add it as a primitive or a mesh", field="name"
+                f"{item.name} consists of voxels, which cannot move; add it as a primitive or a mesh", field="name"
             )
         if isinstance(item, Sphere):
             return item.model_copy(update={"position": message.position}), 0.0

@@ -182,7 +182,7 @@ class Session:
         """Bring the robot to rest and end; returns once that is done. Raises Busy where it takes too long."""
         self._give_up()
         if not self._done.wait(_RESTS):
-            raise Busy(f"the session {self.goal_id} is not at its end yet; see where the robot is, then try again")
+            raise Busy(f"the session {self.goal_id} has not ended yet; see where the robot is, then try again")
 
     def _give_up(self) -> None:
         self._closing = True
@@ -281,7 +281,7 @@ class Session:
         if self._held or (goal is not None and goal.done):
             return False
         if time.monotonic() - self._heard_at > _SILENT:
-            log.warning("the executor tells nothing of the session goal_id=%s", self.goal_id)
+            log.warning("the executor reports nothing about the session goal_id=%s", self.goal_id)
             return False
         return not self._closing or self._snapshot.moving
 
@@ -291,7 +291,7 @@ class Session:
         if target is not None and age is not None and age <= STALE:
             self._used = now
         elif now - self._used > _UNUSED:
-            log.info("the session ends, no target has come seconds=%g goal_id=%s", _UNUSED, self.goal_id)
+            log.info("the session ends, no targets arrive seconds=%g goal_id=%s", _UNUSED, self.goal_id)
             self._closing = True
         commanded = self._clock.time(now)
         if self._astray and not self._found(commanded, now):

@@ -108,7 +108,7 @@ class SessionScene:
             try:
                 self.catch_up()
             except ZarmError:
-                log.exception("the scene cannot be kept; the session ends")
+                log.exception("the session's scene failed; the session ends")
                 self._failed()
 
     def _moved(self, now: float, ahead: float, scale: float) -> list[MovingObject]:

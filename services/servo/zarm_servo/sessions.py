@@ -81,7 +81,7 @@ class Sessions:
             executor = self._free_executor()
             if self._guard.monitor.snapshot(time.monotonic()).revision is None:
                 raise Unavailable(
-                    "the scene is not known, so nothing could be kept away from; start the planner, then start the session again"
+                    "the scene is unknown, so collisions could not be avoided; start the planner, then start the session again"
                 )
             goal_id = request.goal_id or f"servo-{secrets.token_hex(8)}"
             session = Session(
@@ -150,11 +150,9 @@ class Sessions:
             self._news.wait_for(lambda: self._executor is not None and self._goal() is None, _NEWS)
             executor, goal = self._executor, self._goal()
         if executor is None:
-            raise Unavailable(
-                "the executor is not heard; start it (`zarm status` shows it), then start the session again"
-            )
+            raise Unavailable("no executor answers; start it (`zarm status` shows it), then start the session again")
         if goal is not None:
-            raise Busy(f"{goal} is not at its end; cancel it or wait, then start the session again")
+            raise Busy(f"{goal} has not ended; cancel it or wait, then start the session again")
         return executor
 
     def _goal(self) -> str | None:

@@ -55,7 +55,7 @@ class Desk:
     def robot(self) -> Robot:
         """The robot on the bus. Raises Unavailable for a record."""
         if self.client is None:
-            raise Unavailable("this is a record; `zarm view` shows a robot that can be asked")
+            raise Unavailable("this page plays a record; `zarm view` shows a live robot")
         return self.client
 
     def note(self, event: str) -> None:

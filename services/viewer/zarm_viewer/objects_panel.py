@@ -92,7 +92,7 @@ class ObjectsPanel:
 
     def _name(self) -> str:
         if self._choice.value == _NOTHING:
-            raise InvalidRequest("no object is chosen; choose one by its name, or click on it")
+            raise InvalidRequest("no object is selected; select one by name, or click it")
         return self._choice.value
 
     def _choose(self) -> None:
@@ -127,7 +127,7 @@ class ObjectsPanel:
     def _resize(self) -> None:
         if (item := self._object()) is None:
             raise InvalidRequest(
-                "what is carried keeps its size; detach it first, or choose an object that stands in the scene"
+                "attached objects cannot be resized; detach it first, or select an object in the scene"
             )
         self._replace(_resized(item, self._size.value))
 
@@ -179,7 +179,7 @@ def _resized(item: SceneObject, size: tuple[float, float, float]) -> SceneObject
             return item.model_copy(update={"scale": size})
         case "voxels":
             raise InvalidRequest(
-                "voxels come in one size; remove them, and add those of another resolution", field="size"
+                "voxels cannot be resized; remove them, and add new ones with another resolution", field="size"
             )
         case _:
             return item.model_copy(update={"radius": size[0]} | ({"length": size[2]} if item.kind != "sphere" else {}))

@@ -316,7 +316,7 @@ def test_a_control_loop_that_was_away_in_motion_ends_in_fault_without_a_jump(ben
     stood = bench.arm.exact.position
     bench.tick(STALL_LIMIT + 2.0)
     np.testing.assert_array_equal(bench.arm.exact.position, stood)
-    fails(bench, "driver_stalled", f"control loop was away for {STALL_LIMIT + 2.0:.2f} s")
+    fails(bench, "driver_stalled", f"control loop stood still for {STALL_LIMIT + 2.0:.2f} s")
 
 
 def test_a_control_loop_that_was_away_for_a_moment_goes_on_to_the_goal(bench: Bench) -> None:

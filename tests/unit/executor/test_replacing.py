@@ -136,14 +136,14 @@ def test_what_comes_too_late_jumps_or_is_for_another_trajectory_is_refused_and_t
     bench.run(0.4)
     now = bench.arm.follower.time
     replace = bench.machine.replace
-    with pytest.raises(ExecutionRefused, match="what the robot does until"):
+    with pytest.raises(ExecutionRefused, match="the robot is committed until"):
         replace("goal-1", 1, from_state(trajectory.at(now - 0.01)), SCENE, now - 0.01)
     with pytest.raises(ExecutionRefused, match="does not begin where"):
         replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, now + 0.1)
     for goal_id, number in (("goal-1", 2), ("goal-0", 1)):
-        with pytest.raises(ExecutionRefused, match="plan for what is followed"):
+        with pytest.raises(ExecutionRefused, match="plan from the active one"):
             replace(goal_id, number, from_state(trajectory.at(now + 0.1)), SCENE, now + 0.1)
-    with pytest.raises(Busy, match="does not wait at rest"):
+    with pytest.raises(Busy, match="is not waiting at rest"):
         replace("goal-1", 1, from_state(trajectory.at(now)), SCENE, Monitor(trajectory, ROBOT.descriptor))
     bench.run(trajectory.duration + 1.0)
     assert bench.machine.changes[-1].status == "succeeded"
@@ -159,5 +159,5 @@ def test_a_goal_that_was_told_to_end_or_to_pause_keeps_its_trajectory(bench: Ben
         bench.machine.cancel(None, "by a test", arrival())
     else:
         bench.machine.pause(arrival())
-    with pytest.raises(Busy, match="told to end or to pause"):
+    with pytest.raises(Busy, match="is ending or pausing"):
         bench.machine.replace("goal-1", 1, from_state(trajectory.at(at)), SCENE, at)

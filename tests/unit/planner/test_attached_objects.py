@@ -280,7 +280,7 @@ def pose(item: SceneObject) -> np.ndarray:
         ),
         (SceneEdit(edit=RemoveObjects(op="remove", names=("box", "load"))), "edit.names.1", "detach it"),
         (links("cover", "elbow"), "edit.names.1", "elbow is not a link .* stand, turret, upper"),
-        (links("stand", "turret", "upper", "fore", "cover", "rod"), "edit.names", "no link would be checked"),
+        (links("stand", "turret", "upper", "fore", "cover", "rod"), "edit.names", "collision checking for every link"),
     ],
 )
 def test_a_faulty_edit_is_refused_and_changes_nothing(

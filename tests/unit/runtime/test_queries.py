@@ -287,7 +287,7 @@ def test_one_client_has_its_share_of_requests_in_hand_and_another_is_served(bus:
         taken = [callers.submit(call, other) for _ in range(2)]
         assert entered.acquire(timeout=PATIENCE)
         assert entered.acquire(timeout=PATIENCE)
-        with pytest.raises(Busy, match=r"2 requests of this client.*room for 2 more.*wait for an answer"):
+        with pytest.raises(Busy, match=r"2 pending requests of this client.*2 free places.*wait for an answer"):
             call(other)
         assert call(bus, timeout=PATIENCE / 2) == ANSWER
         release.set()

@@ -68,7 +68,7 @@ def test_each_version_leads_to_the_next(tmp_path: Path) -> None:
 def test_the_file_of_a_newer_zarm_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
     StateFile(tmp_path / "robot.json", JointState, migrations=(unchanged,) * 3).save(POSITION)
     before = beside(tmp_path)
-    with pytest.raises(Unavailable, match=r"version 3, which zarm 0\.1\.0 wrote.* none above 1; run that version"):
+    with pytest.raises(Unavailable, match=r"version 3, written by zarm 0\.1\.0.* up to 1; run that version"):
         file_in(tmp_path).load()
     assert beside(tmp_path) == before
 

@@ -33,7 +33,7 @@ def choose(
             fitting.setdefault(planner.names[goal.kind], planner)
     if not fitting and moving:
         raise InvalidRequest(
-            "no planner begins in motion and keeps a path constraint; leave one of them out", field="start_state"
+            "no planner supports a start in motion with a path constraint; leave one of them out", field="start_state"
         )
     chosen = next(iter(fitting), name) if name == AUTO else name
     if chosen not in fitting:

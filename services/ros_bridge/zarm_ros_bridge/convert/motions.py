@@ -188,7 +188,7 @@ def _axes(values: Sequence[int], field: str) -> list[tuple[bool, bool, bool, boo
     rest = len(values) % 6
     if rest:
         raise InvalidRequest(
-            f"{len(values)} constraints are no multiple of six; give {', '.join(_AXES)} for each", field=field
+            f"{len(values)} constraints are not a multiple of six; give {', '.join(_AXES)} for each", field=field
         )
     for i, value in enumerate(values):
         if value not in (0, 1):

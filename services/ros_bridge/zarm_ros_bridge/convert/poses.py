@@ -37,7 +37,7 @@ def pose_of(message: RosPose, field: str) -> Pose:
     length = math.hypot(*orientation)
     if abs(length - 1.0) > UNIT:
         raise InvalidRequest(
-            f"the quaternion (x, y, z, w) has the length {length:.6g}; normalise it to 1, or leave all four at 0 for no turn",
+            f"the quaternion (x, y, z, w) has the length {length:.6g}; normalise it to 1, or leave all four at 0 for no rotation",
             field=f"{field}.orientation",
         )
     return Pose(position=position, orientation=orientation)

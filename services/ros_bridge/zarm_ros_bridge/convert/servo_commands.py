@@ -96,7 +96,7 @@ def _frame(frame_id: str, frames: Mapping[str, str]) -> str:
     link = known_as(frame_id.removeprefix("/") or base, frames)
     if link not in frames:
         raise InvalidRequest(
-            f"the frame {frame_id!r} cannot be commanded in; use {' or '.join(frames)}", field="header.frame_id"
+            f"the frame {frame_id!r} is not supported for commands; use {' or '.join(frames)}", field="header.frame_id"
         )
     return frames[link]
 
