@@ -25,17 +25,17 @@ define run_tests
 @$(PYTEST) --cache-clear $(1) $(2) || { [ $$? = 1 ] && echo "== what failed, once more" && $(PYTEST) $(1) $(if $(2),--numprocesses=1) --last-failed; }
 endef
 
-# Every promise once. Tests mostly wait for robots, so that three at once are none too many for two cores; what is timed runs
+# Every promise once. Tests mostly wait for robots, so that four at once are none too many for two cores; what is timed runs
 # alone. Without the ROS bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	$(call run_tests,-m "not slow and not timed",--numprocesses=3)
+	$(call run_tests,-m "not slow and not timed",--numprocesses=4)
 	$(call run_tests,-m "timed and not slow")
 
 # What `make test` runs, what it leaves out as repetition, and more examples of each property.
 test-all: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	$(call run_tests,--hypothesis-profile=full -m "not timed",--numprocesses=3)
+	$(call run_tests,--hypothesis-profile=full -m "not timed",--numprocesses=4)
 	$(call run_tests,--hypothesis-profile=full -m timed)
 
 # The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.

@@ -130,7 +130,7 @@ def test_certificates_that_cannot_be_used_are_refused_with_the_remedy(
         Certificates("planner")
     here = tmp_path / "here"
     issue(certificates, here, "planner")
-    assert f"{here}/viewer.pem is missing; `zarm certs" in reason(here, "viewer")
+    assert f"{here}/viewer.pem is missing; copy it to this machine" in reason(here, "viewer")
     issue(certificates, here, "planner", now=today() - timedelta(days=20), lasts=timedelta(days=10))
     assert "planner.pem has ended" in reason(here, "planner")
     issue(certificates, here, "planner", now=today() + timedelta(days=20))
@@ -171,6 +171,6 @@ def test_whoever_listens_beyond_this_machine_without_certificates_is_warned(comm
     warned = zarm(command, "--listen", elsewhere)
     silent = zarm(command, "--listen", elsewhere, **with_security)
     assert (warned.returncode, silent.returncode) == (3, 3)
-    assert f"whoever reaches {elsewhere} from another machine may move the robot" in warned.stderr
+    assert f"anyone who reaches {elsewhere} from another machine can move the robot" in warned.stderr
     assert "zarm certs" in warned.stderr
-    assert "whoever" not in silent.stderr
+    assert "anyone" not in silent.stderr

@@ -117,6 +117,7 @@ def test_an_operator_changes_scene_and_speed_and_stops_the_robot(up: Up, operato
     done(up, "stop")
 
 
+@pytest.mark.slow  # the right is in test_rules.py
 def test_a_closed_loop_planner_streams_with_the_certificate_of_an_operator(up: Up, tmp_path: Path) -> None:
     done(up, "strategy", "emulator")
     followed = subprocess.run(
@@ -258,7 +259,7 @@ def test_the_driver_hears_commands_from_the_executor_alone(up: Up, operator: Bus
     operator.call(up.keys.strategy, StrategyRequest(strategy="joint_speed"), Strategies, timeout=PATIENCE)
 
 
-@pytest.mark.parametrize("role", ["viewer", "operator"])
+@pytest.mark.parametrize("role", sampled("operator", "viewer"))
 def test_nobody_poses_as_the_executor(up: Up, operator: Bus, role: Role) -> None:
     caught: list[str] = []
 
@@ -353,6 +354,7 @@ def test_a_client_of_another_authority_is_told_so(up: Up, tmp_path: Path) -> Non
     assert "of one authority" in the_one_line(refused.stderr)
 
 
+@pytest.mark.slow  # the reason is in test_certs.py
 def test_a_service_with_a_certificate_that_has_ended_says_so_and_ends(
     up: Up, certificates: Path, tmp_path: Path
 ) -> None:

@@ -146,6 +146,7 @@ def test_several_robots_of_one_process_are_told_apart_by_their_label() -> None:
     assert ("b", "right", None) not in seen
 
 
+@pytest.mark.slow  # what is measured is promised above
 def test_the_library_is_loaded_only_where_metrics_are_asked_for() -> None:
     program = (
         "import sys, zarm_planner.service, zarm_executor.service\n"

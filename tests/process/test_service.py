@@ -16,6 +16,7 @@ import pytest
 
 from support.harness import PATIENCE, eventually, free_endpoint
 from support.paths import PROGRAMS
+from support.tiers import sampled
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Health, Nothing
@@ -68,7 +69,7 @@ def ended(process: Process) -> tuple[int, list[str]]:
 # -- life and death --
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+@pytest.mark.parametrize("number", sampled(signal.SIGTERM, signal.SIGINT), ids=["SIGTERM", "SIGINT"])
 def test_a_signal_ends_a_service_cleanly(start: Start, bus: Bus, number: signal.Signals) -> None:
     process = start()
     eventually(lambda: health(bus), "the service is ready")

@@ -22,6 +22,7 @@ from curobo_msgs.srv import SetPlanner, SetRobotStrategy, TrajectoryGeneration
 from support.harness import PATIENCE, eventually
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, Actions, Robot, Sent
 from support.ros.stack import KEYS, Stack, stack
+from support.tiers import sampled
 from support.trajectories import patient
 from zarm_contract.messages import CancelRequest, ExecutorState, FkPoses, FkRequest
 from zarm_ros_bridge.convert.poses import ros_pose
@@ -203,6 +204,7 @@ def test_goals_that_a_closed_loop_cannot_follow_are_refused_with_the_field(arm: 
     assert arm.robot.rests()
 
 
+@pytest.mark.slow  # as of any goal, in one_stack
 def test_a_second_goal_takes_the_place_of_one_in_closed_loop_where_that_is_configured(arm: Arm) -> None:
     arm.choose(MPC)
     first = arm.execute.send(target_pose=arm.tip())
@@ -242,7 +244,7 @@ def test_joint_speed_carries_a_closed_loop_and_joint_trajectory_refuses_it_with_
     assert "switch to another" in result.message
 
 
-@pytest.mark.parametrize("frame", ["base_link", "link_6"])
+@pytest.mark.parametrize("frame", sampled("link_6", "base_link"))
 def test_a_twist_moves_the_tip_along_the_axes_of_its_frame_and_silence_brakes(arm: Arm, frame: str) -> None:
     statuses = arm.ros.heard(Int8, f"{NODE}/servo_status")
     start = arm.tip()

@@ -129,6 +129,7 @@ def lab(running: Stack, tmp_path: Path) -> Iterator[Lab]:
         one.switch("emulator")
 
 
+@pytest.mark.slow  # the executor's part is in fault/test_driver_faults.py
 @pytest.mark.parametrize("strategy", sampled("joint_speed", "joint_trajectory"))
 def test_a_goal_whose_driver_is_killed_is_aborted_and_a_new_driver_moves_the_robot_after_a_reset(
     lab: Lab, strategy: str

@@ -231,6 +231,7 @@ def test_a_second_bridge_for_a_robot_refuses_to_start(zarm: Zarm) -> None:
     assert Actions(zarm.node).send().ended()[0] == SUCCEEDED
 
 
+@pytest.mark.slow  # near to the goal without an executor
 def test_without_an_executor_version_1_fails_and_robot_type_is_as_before(zarm: Zarm) -> None:
     zarm.start("ros_bridge")
     parameters = AsyncParameterClient(zarm.node, "/unified_planner")

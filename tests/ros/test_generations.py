@@ -12,7 +12,6 @@ from action_msgs.msg import GoalStatus
 from support.harness import ServiceProcess, eventually, router
 from support.ros.generations import Typed, typed
 from support.ros.stack import KEYS
-from support.tiers import sampled
 from zarm_contract.robot import load_robot
 from zarm_ros_bridge.generations import installed
 from zarm_ros_bridge.generations.definitions import definitions
@@ -48,8 +47,8 @@ def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield address
 
 
-# Generation B is what all other tests of this folder speak.
-@pytest.fixture(scope="module", params=sampled("c", "a", "b"))
+# Generation B is what all other tests of this folder speak; the others say the same in their own messages.
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.slow) for name in "cab"])
 def arm(request: pytest.FixtureRequest, endpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Typed]:
     with Bus(endpoint) as bus, typed(request.param, endpoint, bus, tmp_path_factory.mktemp("typed")) as started:
         yield started

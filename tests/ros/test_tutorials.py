@@ -159,6 +159,7 @@ def test_version_1_doosan(bus: Bus) -> None:
     assert np.allclose(measured(bus), planned["trajectory"][-1]["position"], atol=0.02)
 
 
+@pytest.mark.slow  # as the parameter is, in one_stack
 def test_version_1_refuses_a_robot_type_that_is_none(bus: Bus) -> None:
     told = ros2(CHOOSE[""])
     assert "Setting parameter failed" in told

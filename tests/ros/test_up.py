@@ -33,12 +33,14 @@ def test_up_starts_the_bridge_and_status_shows_it(up: Up, node: Node) -> None:
     assert json.loads(status.stdout)["services"]["ros_bridge"]["ready"]
 
 
+@pytest.mark.slow  # as any second owner is, in test_service.py
 def test_a_second_bridge_beside_it_is_refused(up: Up, tmp_path: Path) -> None:
     with ServiceProcess("ros_bridge", up.endpoint, tmp_path, robot=ROBOT) as second:
         assert second.process.wait(PATIENCE) == 1
         assert "already on this bus" in second.output()
 
 
+@pytest.mark.slow  # as a planner is, in test_up_faults.py
 def test_a_bridge_that_dies_is_started_again(up: Up, node: Node) -> None:
     with Bus(up.endpoint) as bus:
         old = pid(bus, "ros_bridge")

@@ -11,6 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from support.command_line import the_one_line, zarm
+from support.tiers import sampled
 from zarm_cli.commands import MODULES, command_line
 from zarm_contract.codec import CONTRACT
 from zarm_runtime.version import version
@@ -35,7 +36,7 @@ def test_help_fits_a_terminal_of_80_columns(words: tuple[str, ...], monkeypatch:
     assert "…" not in shown.output
 
 
-@pytest.mark.parametrize("name", list(MODULES))
+@pytest.mark.parametrize("name", sampled(*MODULES))
 def test_a_command_that_is_loaded_alone_is_the_same(name: str) -> None:
     alone, among_all = (CliRunner().invoke(app, [name, "--help"]).output for app in (command_line([name]), ALL))
     assert alone == among_all

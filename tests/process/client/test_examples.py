@@ -31,7 +31,7 @@ SAYS = {
 """What is in the output of each, besides success."""
 OF_ITS_OWN = "09_two_robots"
 """Takes a second `zarm up`, as a test of the commands does."""
-QUICK = ("01_plan", "04_scene", "10_stream")
+QUICK = ("01_plan", "10_stream")
 """What the others do, tests of the commands and of the client do as well."""
 
 

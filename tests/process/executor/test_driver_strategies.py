@@ -51,6 +51,7 @@ def test_a_goal_is_reached_on_every_joint_and_what_is_measured_is_published(
         assert robot.commanded_acceleration() <= LIMIT * 1.01
 
 
+@pytest.mark.slow  # as joint_speed does; what it sends is in unit/executor
 def test_joint_pose_reaches_the_goal_on_the_simulated_driver_as_it_comes(
     bus: Bus, endpoint: str, tmp_path: Path
 ) -> None:

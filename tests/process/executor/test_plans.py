@@ -138,7 +138,7 @@ def test_a_plan_whose_scene_nobody_can_compare_with_the_present_one_is_refused(c
 # --- the ghost ---
 
 
-@pytest.mark.parametrize("strategy", ["emulator", "ghost"])
+@pytest.mark.parametrize("strategy", sampled("emulator", "ghost"))
 def test_every_plan_is_previewed_whatever_the_strategy_and_the_robot_stays(
     endpoint: str, bus: Bus, tmp_path: Path, strategy: str
 ) -> None:
