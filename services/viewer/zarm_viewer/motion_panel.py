@@ -103,7 +103,12 @@ class MotionPanel:
             choice.options = self._poses.names()
             put(choice, name.value)
 
+        def remove() -> None:
+            self._poses.remove(choice.value)
+            choice.options = self._poses.names()
+
         button(self._desk, "Keep the goal under this name", Icon.BOOKMARK, keep)
+        button(self._desk, "Remove the pose", Icon.TRASH, remove)
 
     def _add_joints(self) -> None:
         robot, gui = self._desk.description, self._desk.server.gui

@@ -16,6 +16,7 @@ PAIRED: Final = "gray"
 _SHEET = f"""<style>
 canvas[data-engine] {{ background: linear-gradient(#c3d0e0, #eef2f6 60%); }}
 button[style*="-{STOP}-"] {{ height: 3em !important; font-size: 1.25em !important; font-weight: 700 !important; letter-spacing: 0.1em; }}
+div:has(canvas[data-engine]) {{ transition: none !important; }}
 div:has(> .mantine-Button-root[style*="-{PAIRED}-"]) {{ display: inline-block; width: calc(50% - 1.5em); }}
 div:has(> .mantine-Button-root[style*="-{PAIRED}-"]) > .mantine-Button-root {{ touch-action: none; user-select: none; }}
 @media (max-width: 36em) {{
