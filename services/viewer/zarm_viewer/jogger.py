@@ -25,7 +25,7 @@ HOLD = 0.15
 """A request counts for so long (s); a page that holds a button sends one every 0.05 s."""
 LINGER = 1.0
 """So long (s) after the last request the session stays open."""
-SOONEST, LATEST = 0.01, 0.25
+SOONEST, LATEST = 0.01, 0.5
 """A request counts that comes so long (s) after the one before: one that comes sooner was held up, one that comes later is the first."""
 _TOLD = 3.0  # s between two words to somebody who cannot have it
 
@@ -37,12 +37,16 @@ class Held:
     """Whether somebody holds a button now, told by when their requests come."""
 
     def __init__(self) -> None:
-        self._before: tuple[int, float] | None = None
+        self._before: dict[int, float] = {}
 
     def asked(self, client_id: int, now: float) -> bool:
-        """Whether the request of a page that comes at `now` (s) counts."""
-        before, self._before = self._before, (client_id, now)
-        return before is not None and before[0] == client_id and SOONEST <= now - before[1] <= LATEST
+        """Whether the request of a page that comes at `now` (s, monotonic) counts."""
+        since, self._before[client_id] = now - self._before.get(client_id, -LATEST), now
+        return SOONEST <= since <= LATEST
+
+    def forget(self, client_id: int) -> None:
+        """This page is gone."""
+        self._before.pop(client_id, None)
 
 
 class Jogger:
@@ -75,9 +79,10 @@ class Jogger:
                 self._owner, self._kind, self._send, self._until = client.client_id, kind, send, now + hold
                 self._changed.notify()
 
-    def release(self, client_id: int | None) -> None:
+    def release(self, client_id: int) -> None:
         """This page jogs no more."""
         with self._changed:
+            self._held.forget(client_id)
             if self._owner == client_id:
                 self._until = 0.0
                 self._changed.notify()
