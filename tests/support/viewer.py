@@ -20,6 +20,8 @@ from zarm_runtime.session import open_router
 
 SIZE = (1000, 640)
 """Width and height (px) of a page: the less is drawn without a GPU, the sooner."""
+PANEL = 388
+"""Width (px) of the panels beside the picture."""
 expect.set_options(timeout=PATIENCE * 1e3)
 
 
@@ -46,8 +48,8 @@ class Cell:
         return self.stack.enter_context(ServiceProcess(service, self.endpoint, self.folder, robot, name))
 
     def serve(self, *arguments: str, script: Path | None = None, **environment: str) -> str:
-        """The address of a viewer that is started with these arguments."""
-        viewer = ServiceProcess(
+        """The address of a viewer that is started with these arguments; `viewer` is its process."""
+        self.viewer = viewer = ServiceProcess(
             "viewer",
             self.endpoint,
             self.folder,
@@ -81,7 +83,7 @@ class Cell:
 
     def pixel(self, point: tuple[float, ...]) -> tuple[float, float]:
         """Where a point of the scene (m) is on a page of `SIZE` that looks as at first."""
-        return pixel(point, *SIZE)
+        return pixel(point, SIZE[0] - PANEL, SIZE[1])
 
 
 def free_port() -> int:

@@ -15,7 +15,7 @@ from viser.transforms import SE3
 
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import IkRequest
-from zarm_viewer.arm import STILL, Arm
+from zarm_viewer.arm import STILL, Arm, Ghost
 from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import Array, message_of, pose_at
 
@@ -71,8 +71,9 @@ class Goal:
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         scene = desk.server.scene
-        self._ghost = Arm(scene, f"{desk.root}/goal_ghost", desk.description, FREE, 0.45)
-        self._ghost.visible = False
+        self._ghost = Ghost(
+            lambda: Arm(scene, f"{desk.root}/goal_ghost", desk.description, desk.body, FREE, opacity=0.45)
+        )
         self.gizmo = scene.add_transform_controls(f"{desk.root}/goal", scale=0.3, line_width=3.0, depth_test=False)
         self._changed = threading.Condition()
         self._wanted: tuple[SE3 | Array, Array] | None = None
@@ -117,7 +118,7 @@ class Goal:
         """No goal: the gizmo goes back to the tip and stays with it."""
         self.aimed = False
         self._followed = None
-        self._ghost.visible = False
+        self._ghost.hide()
         self.follow()
 
     def follow(self) -> None:
@@ -136,15 +137,14 @@ class Goal:
 
     def preview(self, joints: Array) -> None:
         """Show the ghost at joint positions (J,) on the way, as when a plan is scrubbed through."""
-        self._ghost.move(joints)
+        self._ghost.show(joints)
         self._ghost.paint(FREE)
-        self._ghost.visible = True
 
     def show(self, *, gizmo: bool) -> None:
         """Show the gizmo, or not."""
         self.gizmo.visible = gizmo
         if not gizmo:
-            self._ghost.visible = False
+            self._ghost.hide()
 
     def _want(self, wanted: SE3 | Array) -> None:
         branch = self._aim.branch
@@ -206,8 +206,7 @@ class Goal:
         branch = aim.branch
         with self._desk.server.atomic():
             if branch is not None:
-                self._ghost.move(branch.joints)
-                self._ghost.visible = True
+                self._ghost.show(branch.joints)
             self._ghost.paint(UNREACHABLE if branch is None else COLLIDING if branch.in_collision else FREE)
         self._aim = aim
         self.revision += 1

@@ -2,44 +2,30 @@
 
 from __future__ import annotations
 
-import logging
-import xml.etree.ElementTree as ET
-from dataclasses import dataclass
-from pathlib import Path
+import threading
+from collections.abc import Callable
 
 import numpy as np
 import viser
 from viser import MeshHandle, SceneNodeHandle
-from viser.transforms import SE3, SO3
+from viser.transforms import SE3
 
 from zarm_contract.robot import RobotDescription
-from zarm_viewer.drawing import Brush, Colour, file_mesh, link_mesh
+from zarm_viewer.body import Body
+from zarm_viewer.drawing import Brush, Colour, link_mesh
 from zarm_viewer.kinematics import Array, motion, origin
 
-log = logging.getLogger(__name__)
-
 SPHERES = (250, 176, 5)
-_FORMATS = (".stl", ".obj", ".dae")
 STILL = 1e-4
 """A joint that has moved less (rad or m) is not drawn anew."""
 
 
-@dataclass(frozen=True)
-class _Visual:
-    """A mesh for the eyes, in the frame of its link."""
-
-    file: Path
-    scale: tuple[float, float, float]
-    at: SE3
-
-
 class Arm:
-    """One drawing of a robot under the node `root`; the browser places each link in its parent, so that only joints are sent.
+    """One drawing of a robot under the node `root`; the browser places each link in its parent, so that only joints are sent."""
 
-    Links look like their visual meshes where the URDF names STL, OBJ or COLLADA files that are there, else like their exact geometry.
-    """
-
-    def __init__(self, api: viser.SceneApi, root: str, robot: RobotDescription, colour: Colour, opacity: float) -> None:
+    def __init__(
+        self, api: viser.SceneApi, root: str, robot: RobotDescription, body: Body, colour: Colour, opacity: float
+    ) -> None:
         self._frame = api.add_frame(root, show_axes=False)
         self._shapes: list[MeshHandle] = []
         self._at: Array | None = None
@@ -64,23 +50,10 @@ class Arm:
         self._api, self._robot = api, robot
         self._spheres: list[MeshHandle] = []
         self._axes: list[SceneNodeHandle] = []
-        visuals = _visuals(robot.urdf_path)
         for link, node in names.items():
-            self._draw_link(brush, node, robot, link, visuals.get(link, ()))
+            for index, (mesh, at) in enumerate(body.get(link, ())):
+                self._shapes.append(brush.mesh(f"{node}/shape_{index}", mesh, at))
         self.move(np.array(robot.descriptor.home))
-
-    def _draw_link(
-        self, brush: Brush, node: str, robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]
-    ) -> None:
-        try:
-            meshes = [(file_mesh(visual.file, visual.scale), visual.at) for visual in visuals]
-        except (ValueError, OSError) as error:
-            log.warning("visual mesh not drawn link=%s reason=%s", link, error)
-            meshes = []
-        for index, (mesh, at) in enumerate(meshes):
-            self._shapes.append(brush.mesh(f"{node}/visual_{index}", mesh, at))
-        if not meshes and (primitives := robot.descriptor.collision.get(link)):
-            self._shapes.append(brush.mesh(f"{node}/shape", link_mesh(primitives), SE3.identity()))
 
     def move(self, joints: Array) -> bool:
         """Draw the robot at joint positions (J,) in rad; whether that changes anything."""
@@ -134,32 +107,27 @@ class Arm:
             self._frame.visible = seen
 
 
-def _visuals(urdf: Path) -> dict[str, tuple[_Visual, ...]]:
-    """The visual meshes of each link; a link is left out where one of its visuals is anything else or cannot be had here."""
-    found: dict[str, tuple[_Visual, ...]] = {}
-    for link in ET.parse(urdf).getroot().findall("link"):  # noqa: S314 - the robot's own file, read by load_robot before
-        visuals = [_visual(element, urdf.parent) for element in link.findall("visual")]
-        known = tuple(visual for visual in visuals if visual is not None)
-        if known and len(known) == len(visuals):
-            found[link.get("name", "")] = known
-    return found
+class Ghost:
+    """A robot that is sent to the pages when it is first shown: they are opened sooner without. Safe from any thread."""
 
+    def __init__(self, make: Callable[[], Arm]) -> None:
+        self._make, self._making = make, threading.Lock()
+        self._arm: Arm | None = None
 
-def _visual(element: ET.Element, folder: Path) -> _Visual | None:
-    mesh, at = element.find("geometry/mesh"), element.find("origin")
-    if mesh is None:
-        return None
-    file = folder / mesh.get("filename", "").removeprefix("file://")
-    if file.suffix.lower() not in _FORMATS or not file.is_file():
-        return None
-    x, y, z = _numbers(mesh.get("scale", "1 1 1"))
-    place = SE3.identity()
-    if at is not None:
-        turn = SO3.from_rpy_radians(*_numbers(at.get("rpy", "0 0 0")))
-        place = SE3.from_rotation_and_translation(turn, np.array(_numbers(at.get("xyz", "0 0 0"))))
-    return _Visual(file, (x, y, z), place)
+    def show(self, joints: Array) -> None:
+        """Show it at joint positions (J,) in rad."""
+        with self._making:
+            if self._arm is None:
+                self._arm = self._make()
+        self._arm.move(joints)
+        self._arm.visible = True
 
+    def hide(self) -> None:
+        """Show it no more."""
+        if self._arm is not None:
+            self._arm.visible = False
 
-def _numbers(text: str) -> tuple[float, float, float]:
-    x, y, z = map(float, text.split())
-    return x, y, z
+    def paint(self, colour: Colour) -> None:
+        """Give it this colour, where it has been shown."""
+        if self._arm is not None:
+            self._arm.paint(colour)

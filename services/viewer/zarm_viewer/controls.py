@@ -8,11 +8,14 @@ from typing import Any
 from viser import GuiButtonHandle, GuiEvent, IconName
 
 from zarm_viewer.desk import Desk
+from zarm_viewer.style import MOVES
 
 
-def button(desk: Desk, label: str, icon: IconName, work: Callable[[], object]) -> GuiButtonHandle:
-    """A button that does `work`, and waits for it before it can be used again; what goes wrong is told on that page."""
-    handle = desk.server.gui.add_button(label, icon=icon)
+def button(
+    desk: Desk, label: str, icon: IconName, work: Callable[[], object], *, moves: bool = False
+) -> GuiButtonHandle:
+    """A button that does `work`, in another colour where that `moves` the robot, and waits for it before it can be used again; what goes wrong is told on that page."""
+    handle = desk.server.gui.add_button(label, icon=icon, color=MOVES if moves else None)
 
     @handle.on_click
     def _(event: GuiEvent[GuiButtonHandle]) -> None:

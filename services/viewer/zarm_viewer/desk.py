@@ -15,6 +15,7 @@ from viser import ClientHandle
 from zarm.robot import Robot
 from zarm_contract.errors import Unavailable, ZarmError
 from zarm_contract.robot import RobotDescription
+from zarm_viewer.body import Body, body_of
 from zarm_viewer.kinematics import Array, Chain
 
 log = logging.getLogger(__name__)
@@ -37,13 +38,14 @@ class Desk:
     moves: bool
     """Whether this page may move robots: its process is no mere viewer."""
     chain: Chain = field(init=False)
+    body: Body = field(init=False)
     joints: Array = field(init=False)
     measured: bool = False
     """Whether `joints` were measured; else they are the home position."""
     events: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
 
     def __post_init__(self) -> None:
-        self.chain = Chain(self.description)
+        self.chain, self.body = Chain(self.description), body_of(self.description)
         self.joints = np.array(self.description.descriptor.home)
 
     @property

@@ -66,8 +66,16 @@ class Brush:
 
 
 def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
-    """The exact geometry of a link as one mesh, in the link's frame: a browser draws few large meshes faster than many small ones."""
-    return cast(trimesh.Trimesh, trimesh.util.concatenate([_primitive(primitive) for primitive in primitives]))
+    """The exact geometry of a link as one mesh, in the link's frame: a browser draws few large meshes faster than many small ones.
+
+    Triangles that lie in another primitive are left out: nobody sees them, but through a ghost.
+    """
+    meshes = [_primitive(primitive) for primitive in primitives]
+    seen = [~_hidden(mesh, [other for other in meshes if other is not mesh]) for mesh in meshes]
+    for mesh, faces in zip(meshes, seen, strict=True):
+        mesh.update_faces(faces)
+        mesh.remove_unreferenced_vertices()
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes))
 
 
 def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
@@ -155,6 +163,18 @@ def _draw_mesh(brush: Brush, name: str, item: Mesh, at: SE3, meshes: tuple[Path,
             except (ValueError, OSError):
                 return None
     return None
+
+
+def _hidden(mesh: trimesh.Trimesh, others: Sequence[trimesh.Trimesh]) -> NDArray[np.bool_]:
+    """Which triangles of a mesh lie in one of the others, which are convex: behind the planes of all its faces."""
+    hidden = np.zeros(len(mesh.faces), dtype=np.bool_)
+    for other in others:
+        (low, high), (least, most) = mesh.bounds, other.bounds
+        if (low < most).all() and (least < high).all():
+            depth = np.einsum("ij,ij->i", other.face_normals, other.triangles[:, 0])
+            inside = (mesh.vertices @ other.face_normals.T < depth).all(axis=1)
+            hidden |= inside[mesh.faces].all(axis=1)
+    return hidden
 
 
 def _between(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[SE3, float]:

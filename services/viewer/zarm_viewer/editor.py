@@ -19,6 +19,7 @@ from zarm_contract.robot import CollisionSphere, RobotDescription, load_robot
 from zarm_runtime import signals
 from zarm_runtime.logs import setup_logging
 from zarm_viewer.arm import SPHERES, Arm
+from zarm_viewer.body import body_of
 from zarm_viewer.controls import put
 from zarm_viewer.corrections import Corrections
 from zarm_viewer.drawing import Brush, link_mesh
@@ -44,7 +45,7 @@ class Editor:
         self.server = gate.serve("zarm")
         self.address = gate.address(self.server.get_port())
         furnish(self.server, robots=1)
-        self._arm = Arm(self.server.scene, "/robot", robot, LINKS, opacity=0.6)
+        self._arm = Arm(self.server.scene, "/robot", robot, body_of(robot), LINKS, opacity=0.6)
         gui = self.server.gui
         gui.add_markdown(f"**{robot.path.name}**")
         save = gui.add_button("Save", icon=Icon.DEVICE_FLOPPY, hint="Write it into the file and look for what is wrong")

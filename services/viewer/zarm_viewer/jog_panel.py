@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from itertools import chain
 from typing import Any, Literal
 
-from viser import ClientHandle
+from viser import ClientHandle, GuiButtonHandle
 from viser.transforms import SE3
 
 from zarm.servoing import Jogging, Tracking, limited
@@ -14,6 +17,7 @@ from zarm_viewer.aim import Goal
 from zarm_viewer.desk import Desk
 from zarm_viewer.jogger import Jogger
 from zarm_viewer.kinematics import message_of
+from zarm_viewer.style import PAIRED
 
 LINEAR, ANGULAR, JOINT = 0.15, 0.6, 0.4
 """Speeds (m/s, rad/s, rad/s) at the scale 1."""
@@ -21,7 +25,8 @@ RATE = 20.0
 """Requests a second (Hz) of a page that holds a button."""
 KEY_HOLD = 0.3
 """A key counts for so long (s): until the browser repeats it."""
-_AXES = ("x", "y", "z", "about x", "about y", "about z")
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+_, _TOOL, _JOINTS = _WAYS = ("tip, axes of the base", "tip, axes of the tool", "joints")
 _KEYS = {"arrowup": (0, 1), "arrowdown": (0, -1), "arrowleft": (1, 1), "arrowright": (1, -1), "pageup": (2, 1), "pagedown": (2, -1)}  # fmt: skip
 
 
@@ -33,19 +38,21 @@ class JogPanel:
         self._jogger = Jogger(desk)
         gui = desk.server.gui
         self._limits = gui.add_markdown("Hold a button; let go to stop. Shift and arrows or page keys move the tip.")
-        self._along = gui.add_dropdown("along", [*_AXES, *desk.description.descriptor.joints])
-        for label, sign in (("− hold", -1), ("+ hold", 1)):
-            button = gui.add_button(label)
-            button.on_hold(self._held(sign), callback_hz=RATE)
-        self._frame = gui.add_dropdown("axes of", ["base", "tool"])
+        self._way = gui.add_dropdown("jog", _WAYS)
         self._scale = gui.add_slider("jog speed", 0.05, 1.0, 0.05, 0.3)
+        self._tip = [self._pair(axis, partial(self._twist, axis=at)) for at, axis in enumerate(_AXES)]
+        self._joints = [
+            self._pair(joint, partial(self._joint, joint=joint)) for joint in desk.description.descriptor.joints
+        ]
+        self._way.on_update(lambda _: self._choose())
+        self._choose()
         self._lead = gui.add_checkbox(
             "the robot follows the handle", False, hint="It moves while the handle is dragged."
         )
         goal.dragged = self._dragged
         for key, (axis, sign) in _KEYS.items():
             command = gui.add_command(f"Jog {'+' if sign > 0 else '-'}{_AXES[axis]}", hotkey=key, modifier="shift")  # type: ignore[arg-type]
-            command.on_trigger(self._pressed(axis, sign))
+            command.on_trigger(self._asks(partial(self._twist, axis=axis, sign=sign, hold=KEY_HOLD)))
 
     def draw(self, servo: ServoState | None) -> None:
         """Show what limits a session."""
@@ -56,26 +63,29 @@ class JogPanel:
             if self._limits.content != text:
                 self._limits.content = text
 
-    def _held(self, sign: int) -> Any:
-        async def hold(event: Any) -> None:  # in the server's own loop: what was asked in order comes in order
-            along = self._along.value
-            if along in _AXES:
-                self._twist(event.client, _AXES.index(along), sign)
-            else:
-                self._joint(event.client, along, sign)
+    def _choose(self) -> None:
+        """Show the buttons of what is jogged."""
+        for pairs, seen in ((self._tip, self._way.value != _JOINTS), (self._joints, self._way.value == _JOINTS)):
+            for button in chain.from_iterable(pairs):
+                button.visible = seen
 
-        return hold
+    def _pair(self, label: str, jog: Callable[..., None]) -> tuple[GuiButtonHandle, GuiButtonHandle]:
+        """Buttons that `jog` while they are held: down and up."""
+        down, up = (self._desk.server.gui.add_button(f"{sign} {label}", color=PAIRED) for sign in "−+")
+        down.on_hold(self._asks(partial(jog, sign=-1)), callback_hz=RATE)
+        up.on_hold(self._asks(partial(jog, sign=1)), callback_hz=RATE)
+        return down, up
 
-    def _pressed(self, axis: int, sign: int) -> Any:
-        async def press(event: Any) -> None:
-            self._twist(event.client, axis, sign, hold=KEY_HOLD)
+    def _asks(self, jog: Callable[..., None]) -> Any:
+        async def ask(event: Any) -> None:  # in the server's own loop: what was asked in order comes in order
+            jog(event.client)
 
-        return press
+        return ask
 
     def _twist(self, client: ClientHandle | None, axis: int, sign: int, **hold: float) -> None:
         vectors = [[0.0] * 3, [0.0] * 3]
         vectors[axis // 3][axis % 3] = sign * self._scale.value * (LINEAR if axis < 3 else ANGULAR)
-        frame: Literal["base", "tool"] = "tool" if self._frame.value == "tool" else "base"
+        frame: Literal["base", "tool"] = "tool" if self._way.value == _TOOL else "base"
 
         def send(session: Jogging | Tracking) -> None:
             if isinstance(session, Jogging):

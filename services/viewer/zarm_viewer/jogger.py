@@ -1,7 +1,8 @@
 """Jogging with a dead man's switch: the robot moves as long as the page keeps asking, and no longer.
 
 A page asks again and again while a button is held. Where it asks no more, as when it is closed or frozen, nothing is sent to the
-servo, whose target goes stale: the robot brakes. Who jogs has it, until a second after the last request.
+servo, whose target goes stale: the robot brakes. Requests that were held up on their way, as while the network or this process stood still,
+come all at once and move nothing. Who jogs has it, until a second after the last request.
 """
 
 from __future__ import annotations
@@ -24,10 +25,28 @@ HOLD = 0.15
 """A request counts for so long (s); a page that holds a button sends one every 0.05 s."""
 LINGER = 1.0
 """So long (s) after the last request the session stays open."""
+SOONEST, LATEST = 0.01, 0.5
+"""A request counts that comes so long (s) after the one before: one that comes sooner was held up, one that comes later is the first."""
 _TOLD = 3.0  # s between two words to somebody who cannot have it
 
 Kind = Literal["jog", "track"]
 Send = Callable[[Jogging | Tracking], None]
+
+
+class Held:
+    """Whether somebody holds a button now, told by when their requests come."""
+
+    def __init__(self) -> None:
+        self._before: dict[int, float] = {}
+
+    def asked(self, client_id: int, now: float) -> bool:
+        """Whether the request of a page that comes at `now` (s, monotonic) counts."""
+        since, self._before[client_id] = now - self._before.get(client_id, -LATEST), now
+        return SOONEST <= since <= LATEST
+
+    def forget(self, client_id: int) -> None:
+        """This page is gone."""
+        self._before.pop(client_id, None)
 
 
 class Jogger:
@@ -37,6 +56,7 @@ class Jogger:
         self._desk = desk
         self._changed = threading.Condition()
         self._owner: int | None = None
+        self._held = Held()
         self._kind: Kind = "jog"
         self._send: Send | None = None
         self._until = 0.0
@@ -55,12 +75,14 @@ class Jogger:
                     self._told = now
                     client.add_notification("Somebody else jogs", "Try again when they have let go.", color="orange")
                 return
-            self._owner, self._kind, self._send, self._until = client.client_id, kind, send, now + hold
-            self._changed.notify()
+            if self._held.asked(client.client_id, now):
+                self._owner, self._kind, self._send, self._until = client.client_id, kind, send, now + hold
+                self._changed.notify()
 
-    def release(self, client_id: int | None) -> None:
+    def release(self, client_id: int) -> None:
         """This page jogs no more."""
         with self._changed:
+            self._held.forget(client_id)
             if self._owner == client_id:
                 self._until = 0.0
                 self._changed.notify()

@@ -41,8 +41,8 @@ class MotionPanel:
         gui = desk.server.gui
         self._say = gui.add_markdown(NO_GOAL)
         button(self._desk, "Plan", Icon.ROUTE, self._plan_it)
-        button(self._desk, "Execute", Icon.PLAYER_PLAY, self._execute)
-        button(self._desk, "Plan and execute", Icon.PLAYER_TRACK_NEXT, self._plan_and_execute)
+        button(self._desk, "Execute", Icon.PLAYER_PLAY, self._execute, moves=True)
+        button(self._desk, "Plan and execute", Icon.PLAYER_TRACK_NEXT, self._plan_and_execute, moves=True)
         self._scrub = gui.add_slider("time (s)", 0.0, 1.0, 0.01, 0.0, disabled=True, hint="Look through the plan")
         changed(desk, self._scrub, "look through the plan", self._scrub_to)
         robot = desk.robot
@@ -103,7 +103,12 @@ class MotionPanel:
             choice.options = self._poses.names()
             put(choice, name.value)
 
+        def remove() -> None:
+            self._poses.remove(choice.value)
+            choice.options = self._poses.names()
+
         button(self._desk, "Keep the goal under this name", Icon.BOOKMARK, keep)
+        button(self._desk, "Remove the pose", Icon.TRASH, remove)
 
     def _add_joints(self) -> None:
         robot, gui = self._desk.description, self._desk.server.gui

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Joints, Message, Name
 from zarm_runtime.state_file import StateFile
 
@@ -31,8 +32,16 @@ class NamedPoses:
         """Those of a pose (rad); of one that is gone, home."""
         return self._home if name == "home" else self._poses.get(name, self._home)
 
+    def remove(self, name: str) -> None:
+        """Keep a pose no longer. Raises InvalidRequest for home, and Unavailable where the file cannot be written."""
+        if name == "home":
+            raise InvalidRequest("home is the descriptor's and stays", field="pose")
+        self._save(Poses(poses={each: joints for each, joints in self._poses.items() if each != name}))
+
     def keep(self, name: str, joints: tuple[float, ...]) -> None:
         """Keep joint positions under a name. Raises Unavailable where the file cannot be written."""
-        poses = Poses(poses={**self._poses, name: joints})
+        self._save(Poses(poses={**self._poses, name: joints}))
+
+    def _save(self, poses: Poses) -> None:
         self._file.save(poses)
         self._poses = dict(poses.poses)

@@ -30,6 +30,7 @@ from zarm_viewer.record_panel import RecordPanel
 from zarm_viewer.room import BESIDE, furnish
 from zarm_viewer.status_panel import EventsPanel, StatusPanel
 from zarm_viewer.stop import Stop
+from zarm_viewer.style import STOP
 from zarm_viewer.watching import News, Watching
 
 log = logging.getLogger(__name__)
@@ -60,14 +61,6 @@ class Folders:
     meshes: tuple[Path, ...]
     state: Path
     records: Path
-
-
-_STOP_IN_REACH = """<style>
-@media (max-width: 40em) {
-  button[style*="-red-"] { position: fixed; right: 0.7em; bottom: 0.7em; width: 45vw; height: 3em !important; z-index: 1000; }
-}
-</style>"""
-"""On a phone, where all panels are one that scrolls, STOP keeps its place on the screen."""
 
 
 class Page:
@@ -103,11 +96,10 @@ class Page:
         gui = self.server.gui
         beside = gui.add_panel()  # a window of its own: what is long on the page scrolls, and this does not
         with beside.add_tab("Stop"):
-            always = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
+            always = gui.add_button("STOP", color=STOP, icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         beside.float(x=15, y=-15, width=220)
         beside.expand()  # on a phone it is the last part of the one that scrolls, and would be shut
-        gui.add_html(_STOP_IN_REACH)
-        first = gui.add_button("STOP", color="red", icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
+        first = gui.add_button("STOP", color=STOP, icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         escape = self.server.gui.add_command("Stop", hotkey="escape", description="Brake every robot to rest now")
 
         async def stop(_: object) -> None:  # in the server's own loop: no thread of a pool is waited for

@@ -9,7 +9,7 @@ import numpy as np
 
 from zarm_contract.messages import Trajectory, Vector3
 from zarm_trajectory.trajectory import TimedTrajectory
-from zarm_viewer.arm import Arm
+from zarm_viewer.arm import Arm, Ghost
 from zarm_viewer.desk import Desk
 from zarm_viewer.kinematics import Array
 from zarm_viewer.scene_view import SceneView
@@ -29,9 +29,9 @@ class Picture:
     def __init__(self, desk: Desk, meshes: tuple[Path, ...]) -> None:
         self._desk = desk
         scene = desk.server.scene
-        self.arm = Arm(scene, f"{desk.root}/robot", desk.description, MEASURED, 1.0)
-        self._ghost = Arm(scene, f"{desk.root}/ghost", desk.description, GHOST, 0.35)
-        self._ghost.visible = False
+        robot, body = desk.description, desk.body
+        self.arm = Arm(scene, f"{desk.root}/robot", robot, body, MEASURED, 1.0)
+        self._ghost = Ghost(lambda: Arm(scene, f"{desk.root}/ghost", robot, body, GHOST, 0.35))
         scene.add_frame(f"{self.arm.tip}/tip_axes", axes_length=0.12, axes_radius=0.004)
         self.scene = SceneView(desk, self.arm.tip, meshes)
         self._trail: deque[Array] = deque(maxlen=TRAIL_POINTS)
@@ -47,10 +47,10 @@ class Picture:
         if news.preview is not None:
             self._preview = news.preview
         if self._preview is not None:
-            apart = float(np.abs(self._preview - self._desk.joints).max()) > _APART
-            if apart:
-                self._ghost.move(self._preview)
-            self._ghost.visible = apart
+            if float(np.abs(self._preview - self._desk.joints).max()) > _APART:
+                self._ghost.show(self._preview)
+            else:
+                self._ghost.hide()
         if news.scene is not None:
             self.scene.draw(news.scene)
         if news.plan is not None:

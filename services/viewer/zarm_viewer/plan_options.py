@@ -11,6 +11,7 @@ from zarm_viewer.desk import Desk
 
 _DEFAULT = PlannerSettings()
 _HOLD = "What is ticked stays as it is at the start, all the way"
+_PLANNER = "auto takes the first that can reach the goal"
 _REPLAN = "When something is put in the way, plan anew in motion and swerve; else the robot waits until the way is free"
 
 
@@ -19,6 +20,7 @@ class PlanOptions:
 
     def __init__(self, desk: Desk) -> None:
         gui, default = desk.server.gui, _DEFAULT
+        self._planner = gui.add_text("planner", default.planner, hint=_PLANNER)
         self._replan = gui.add_checkbox("replan on the way", False, hint=_REPLAN)
         self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, default.velocity_scale)
         self._acceleration = gui.add_slider("acceleration", 0.05, 1.0, 0.05, default.acceleration_scale)
@@ -38,6 +40,7 @@ class PlanOptions:
     def settings(self) -> Settings:
         """What is set for the plan."""
         return Settings(
+            planner=self._planner.value,
             velocity_scale=self._velocity.value,
             acceleration_scale=self._acceleration.value,
             margin=self._margin.value,

@@ -91,8 +91,9 @@ class Playback:
         measured = newest.get(self._keys.joint_states)
         joints = in_order(measured, joint_names) if isinstance(measured, JointState) else None
         return News(
-            joints=None if joints is None else joints[0],
-            velocity=None if joints is None else joints[1],
+            joints=None if joints is None else joints.position,
+            velocity=None if joints is None else joints.velocity,
+            measured_at=None if joints is None else joints.stamp,
             preview=np.array(goals[-1].joint_command) if goals else None,
             state=newest.get(self._keys.executor_state),
             strategies=newest.get(self._keys.strategy),

@@ -19,9 +19,31 @@ QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 SECONDS, RATE = 10.0, 10.0
 """So much of the past (s) is shown live, at so many samples a second."""
 SAMPLES = 150
-LIVE = ("position", "velocity", "tracking error (mrad)")
+LIVE = (*QUANTITIES, "tracking error (mrad)")
 TICKS = "tick lateness (ms)"
 _COLOURS = ("#e03131", "#2f9e44", "#1971c2", "#f08c00", "#9c36b5", "#0c8599", "#495057")
+
+
+class Measured:
+    """Velocities that were measured, and what they tell of acceleration and jerk: differences over at least 1 / `RATE` s, (J,) in rad/s^n."""
+
+    def __init__(self, joints: int) -> None:
+        self._velocity = self._before = self._acceleration = self._jerk = np.zeros(joints)
+        self._at: float | None = None
+
+    def add(self, velocity: Array, at: float) -> None:
+        """Take what was measured at a time (s); earlier than the last is another record, or the same again."""
+        self._velocity = velocity
+        if self._at is None or at < self._at:
+            self._before, self._at = velocity, at
+        elif (passed := at - self._at) >= 1 / RATE:
+            acceleration = (velocity - self._before) / passed
+            self._jerk, self._acceleration = (acceleration - self._acceleration) / passed, acceleration
+            self._before, self._at = velocity, at
+
+    def rates(self) -> tuple[Array, Array, Array]:
+        """Velocity, acceleration and jerk."""
+        return self._velocity, self._acceleration, self._jerk
 
 
 class PlotsPanel:
@@ -34,10 +56,10 @@ class PlotsPanel:
         self._middle, half = (upper + lower) / 2, (upper - lower) / 2
         self._limits = (half, np.array(cspace.velocity), np.array(cspace.acceleration), np.array(cspace.jerk))
         self._plan: Plan | None = None
-        self._past: deque[tuple[float, Array, Array, Array]] = deque(maxlen=int(SECONDS * RATE))
+        self._past: deque[tuple[float, Array]] = deque(maxlen=int(SECONDS * RATE))
         self._command: Array | None = None
         self._ticks: deque[tuple[float, float]] = deque(maxlen=int(SECONDS * RATE))
-        self._velocity = np.zeros(len(lower))
+        self._measured = Measured(len(lower))
         gui = desk.server.gui
         self._choice = gui.add_dropdown("of the plan", QUANTITIES, initial_value="velocity")
         self._choice.on_update(lambda _: self._draw_plan())
@@ -53,7 +75,8 @@ class PlotsPanel:
         if news.plan is not None:
             self._plan = news.plan
             self._draw_plan()
-        self._velocity = self._velocity if news.velocity is None else news.velocity
+        if news.velocity is not None and news.measured_at is not None:
+            self._measured.add(news.velocity, news.measured_at)
         now = time.monotonic()
         for goal in news.goals:
             self._command = None if goal.done else np.array(goal.joint_command)
@@ -63,17 +86,16 @@ class PlotsPanel:
             return
         joints = self._desk.joints
         error = np.zeros(len(joints)) if self._command is None else 1e3 * (joints - self._command)
-        self._past.append(
-            (now, 100 * (joints - self._middle) / self._limits[0], 100 * self._velocity / self._limits[1], error)
-        )
+        shares = 100 * np.array([joints - self._middle, *self._measured.rates()]) / self._limits
+        self._past.append((now, np.array([*shares, error])))
         shown = self._live.value
         for plot, visible in ((self._of_now, shown in LIVE), (self._of_ticks, shown == TICKS)):
             if plot.visible != visible:
                 plot.visible = visible
         if shown in LIVE and len(self._past) > 1:
-            column = LIVE.index(shown) + 1
-            times = np.array([row[0] for row in self._past]) - now
-            self._of_now.data = (times, *np.array([row[column] for row in self._past]).T)
+            row = LIVE.index(shown)
+            times = np.array([at for at, _ in self._past]) - now
+            self._of_now.data = (times, *np.array([rows[row] for _, rows in self._past]).T)
         if shown == TICKS and len(self._ticks) > 1:
             times, late = np.array(self._ticks).T
             self._of_ticks.data = (times - now, late)

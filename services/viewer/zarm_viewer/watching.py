@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,12 @@ from zarm_viewer.kinematics import Array
 
 @dataclass(frozen=True)
 class News:
-    """What is new since the page was drawn last; None is what is not. Joints are (J,) in rad, in the order of the descriptor."""
+    """What is new since the page was drawn last; None is what is not. Joints are (J,) in rad, in the order of the descriptor,
+    and were `measured_at` a time (Unix, s)."""
 
     joints: Array | None = None
     velocity: Array | None = None
+    measured_at: float | None = None
     preview: Array | None = None
     state: ExecutorState | None = None
     strategies: Strategies | None = None
@@ -75,9 +77,10 @@ class Watching:
         joints = self._new_joints("joints", self._joints.received(), joint_names)
         preview = self._new_joints("preview", self._preview.received(), joint_names)
         return News(
-            joints=None if joints is None else joints[0],
-            velocity=None if joints is None else joints[1],
-            preview=None if preview is None else preview[0],
+            joints=None if joints is None else joints.position,
+            velocity=None if joints is None else joints.velocity,
+            measured_at=None if joints is None else joints.stamp,
+            preview=None if preview is None else preview.position,
             goals=goals,
             **newest,
         )
@@ -88,7 +91,7 @@ class Watching:
 
     def _new_joints(
         self, name: str, received: tuple[JointState, float] | None, joint_names: tuple[str, ...]
-    ) -> tuple[Array, Array] | None:
+    ) -> Ordered | None:
         if received is None or received[1] == self._taken.get(name):
             return None
         state, self._taken[name] = received
@@ -106,9 +109,17 @@ class Watching:
             self._goals[goal.goal_id] = goal
 
 
-def in_order(state: JointState, joint_names: tuple[str, ...]) -> tuple[Array, Array] | None:
-    """Positions and velocities (J,) in the order of `joint_names`; None where the state is one of other joints."""
+class Ordered(NamedTuple):
+    """A joint state (J,) in the order of the descriptor."""
+
+    position: Array
+    velocity: Array
+    stamp: float
+
+
+def in_order(state: JointState, joint_names: tuple[str, ...]) -> Ordered | None:
+    """A joint state in the order of `joint_names`; None where it is one of other joints."""
     if set(state.joint_names) != set(joint_names):
         return None
     order = [state.joint_names.index(joint) for joint in joint_names]
-    return np.array(state.position)[order], np.array(state.velocity)[order]
+    return Ordered(np.array(state.position)[order], np.array(state.velocity)[order], state.stamp)

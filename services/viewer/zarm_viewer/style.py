@@ -1,0 +1,35 @@
+"""How the page looks: one sheet of CSS over viser's own. What it changes it finds by the colour of a button, as viser has no other handle."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from viser import GuiApi
+
+STOP: Final = "red"
+"""The colour of buttons that are large."""
+MOVES: Final = "green"
+"""The colour of those that move the robot."""
+PAIRED: Final = "gray"
+"""The colour of those that stand side by side, two and two."""
+
+_SHEET = f"""<style>
+canvas[data-engine] {{ background: linear-gradient(#c3d0e0, #eef2f6 60%); }}
+button[style*="-{STOP}-"] {{ height: 3em !important; font-size: 1.25em !important; font-weight: 700 !important; letter-spacing: 0.1em; }}
+div:has(canvas[data-engine]) {{ transition: none !important; }}
+div:has(> .mantine-Button-root[style*="-{PAIRED}-"]) {{ display: inline-block; width: calc(50% - 1.5em); }}
+div:has(> .mantine-Button-root[style*="-{PAIRED}-"]) > .mantine-Button-root {{ touch-action: none; user-select: none; }}
+@media (max-width: 36em) {{
+  button[style*="-{STOP}-"] {{ position: fixed; right: 0; bottom: 0; width: 100vw; border-radius: 0; z-index: 1000; }}
+  div[style*="width: 20em"] {{ width: 100% !important; }}
+  div[style*="position: fixed"][style*="width: 20em"] {{ bottom: 3.6em !important; max-height: 50% !important; }}
+}}
+</style>"""
+"""The sky is drawn behind the canvas, which costs nothing. On a phone, where all panels are one that scrolls, it is as wide as the screen
+and ends above STOP, which keeps its place.
+"""
+
+
+def dress(gui: GuiApi) -> None:
+    """Give the page its looks."""
+    gui.add_html(_SHEET)
