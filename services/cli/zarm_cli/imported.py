@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from zarm_robot_import.report import Report
 
 _SUFFIXES = (".urdf", ".xacro", ".xml")
-_MESHES = (".stl", ".dae", ".obj", ".xacro")
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zarm" / "robots"
 
 
@@ -46,12 +46,8 @@ def descriptor_of(robot: str) -> str:
     file = Path(robot)
     if file.suffix not in _SUFFIXES or not file.is_file():
         return robot
-    # The meshes count by the time of their last change; they lie beside the file, or in its package.
-    digest = hashlib.sha256(file.read_bytes() + f"{file.resolve()}{version()}".encode())
-    for mesh in sorted(path for path in file.resolve().parent.parent.rglob("*") if path.suffix.lower() in _MESHES)[
-        :1000
-    ]:
-        digest.update(f"{mesh}{mesh.stat().st_mtime_ns}".encode())
+    digest = hashlib.sha256(f"{file.resolve()}{version()}".encode())
+    digest.update(_importing("source").fingerprint(file))
     folder = _CACHE / digest.hexdigest()[:16]
     if not (made := next(iter(folder.glob("*.yaml")), None)):
         made, _ = run_import(file, folder, options())
@@ -59,11 +55,10 @@ def descriptor_of(robot: str) -> str:
     return str(made)
 
 
-def _importing() -> ModuleType:
+def _importing(name: str = "importing") -> ModuleType:
     try:
-        from zarm_robot_import import importing
+        return import_module(f"zarm_robot_import.{name}")
     except ImportError as error:
         raise Unavailable(
             f"robots cannot be imported, because {error.name} cannot be imported here; `pip install 'zarm[planner,import]'`"
         ) from error
-    return importing

@@ -46,6 +46,7 @@ def import_(
     packages: Annotated[
         list[Path] | None, typer.Option(metavar="FOLDER", help="Folder of ROS packages, for package:// and $(find).")
     ] = None,
+    arg: Annotated[list[str] | None, typer.Option(metavar="NAME:=VALUE", help="An argument of the xacro.")] = None,
     fix: Annotated[
         list[str] | None,
         typer.Option(metavar="JOINT=POSITION", help="Fixed position of a joint outside the arm (rad, m)."),
@@ -61,6 +62,7 @@ def import_(
         base=base,
         tip=tip,
         packages=packages or (),
+        arguments=dict(map(_argument, arg or ())),
         fixed=dict(map(_position, fix or ())),
         geometry=str(geometry),
         spheres=spheres,
@@ -92,6 +94,13 @@ def import_(
         sep="\n",
     )
     out.print(f"Next: zarm up --robot {descriptor}, or zarm robot edit {descriptor} to correct it", soft_wrap=True)
+
+
+def _argument(text: str) -> tuple[str, str]:
+    name, sign, value = text.partition(":=")
+    if not name or not sign:
+        raise InvalidRequest(f"{text!r} is no argument of a xacro; write --arg ur_type:=ur5e", field="--arg")
+    return name, value
 
 
 def _position(text: str) -> tuple[str, float]:

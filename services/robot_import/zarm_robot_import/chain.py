@@ -40,7 +40,8 @@ class Chain:
     """The arm: its moving joints, and every link in the frame of the link that moves with it.
 
     `carriers` (dof + 1) are the base link and the child of each moving joint. `origins` (dof, 4, 4) are the joints' frames in
-    the carrier before. `fixed` are the joints that move in the URDF and stand still here, with their positions.
+    the carrier before. `fixed` are the joints that move in the URDF and stand still here, with their positions; `free` those
+    that float or move in a plane, and stand at their origins.
     """
 
     base: str
@@ -50,7 +51,7 @@ class Chain:
     origins: tuple[Array, ...]
     mounted: tuple[Mounted, ...]
     fixed: tuple[tuple[str, float], ...]
-    others: tuple[str, ...]
+    free: tuple[Joint, ...]
 
     def poses(self, q: Array) -> dict[str, Array]:
         """Of every link (n, 4, 4), in the frame of the base, at positions of the joints (n, dof)."""
@@ -75,7 +76,9 @@ def choose_chain(
         raise InvalidRequest(
             f"{robot.source.path}: {tip} is not connected to {base}; choose --base and --tip on one branch"
         )
-    start = next((joint for joint in path if joint.type in ("floating", "planar")), None)
+    start = next((joint for joint in path if joint.type != "fixed"), None)
+    if start is not None and start.type not in ("floating", "planar"):
+        start = None
     if base == robot.root and start is not None:
         # A base that floats, as simulators write it: the arm stands on what floats.
         base, path = start.child, path[path.index(start) + 1 :]
@@ -89,7 +92,8 @@ def choose_chain(
         if joint.mimic:
             raise robot.source.fault(
                 joint.element,
-                f'joint {joint.name} mimics {joint.mimic[0]} within the chain; give it type="fixed" or drop <mimic>',
+                f"joint {joint.name} of the chain mimics {joint.mimic[0]}, so it cannot be planned for; "
+                'give it type="fixed", drop <mimic>, or choose a --tip before it',
             )
     if not joints and start is not None:
         raise robot.source.fault(
@@ -131,10 +135,12 @@ def _tip(robot: Description, base: str) -> str:
             continue
         if (len(longest) > 1 and count < _ARM) or count == 0:
             ends = [end for branch in branches for end in _ends(robot, branch.child)]
-            shown = ", ".join(f"--tip {end}" for end in ends[:12]) or "none"
-            raise InvalidRequest(
-                f"{robot.source.path}: {'several chains start' if branches else 'nothing moves'} at {link}; choose one: {shown}"
-            )
+            if not ends:
+                raise robot.source.fault(
+                    robot.links[link].element, f"no joint behind {link} moves; an arm has revolute or prismatic joints"
+                )
+            shown = ", ".join(f"--tip {end}" for end in ends[:12])
+            raise InvalidRequest(f"{robot.source.path}: several chains start at {link}; choose one: {shown}")
         break
     fixed = _rigid(robot, link)
     leaves = [end for end in fixed if not any(j.child in fixed for j in robot.children.get(end, ()))]
@@ -188,13 +194,17 @@ def _assembled(
 
     stands: dict[str, float] = {}
 
-    def position(joint: Joint) -> float:
+    def position(joint: Joint, mimics: tuple[str, ...] = ()) -> float:
+        if joint.name in mimics:
+            raise robot.source.fault(
+                joint.element, f"joint {joint.name} mimics itself, by way of {' and '.join(mimics)}; drop one <mimic>"
+            )
         if joint.name in stands:
             return stands[joint.name]
         if joint.name in positions:
             value = positions[joint.name]
         elif joint.mimic and joint.mimic[0] in every and joint.mimic[0] not in moving:
-            value = joint.mimic[1] * position(every[joint.mimic[0]]) + joint.mimic[2]
+            value = joint.mimic[1] * position(every[joint.mimic[0]], (*mimics, joint.name)) + joint.mimic[2]
         else:
             low, high = joint.lower, joint.upper
             value = min(max(0.0, low), high) if low is not None and high is not None and low <= high else 0.0
@@ -224,12 +234,8 @@ def _assembled(
         mounted.append(Mounted(link, body, np.linalg.inv(pose[carriers[body]]) @ pose[link]))
     origins = tuple(np.linalg.inv(pose[carriers[i]]) @ pose[joint.child] for i, joint in enumerate(joints))
     fixed = tuple((name, value) for name, value in stands.items())
-    others = tuple(
-        joint.name
-        for joint in robot.joint_of_child.values()
-        if joint.type in ("floating", "planar") and joint not in path
-    )
-    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, others)
+    free = tuple(joint for joint in every.values() if joint.type in ("floating", "planar"))
+    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, free)
 
 
 def _outwards(robot: Description, base: str, order: Sequence[str]) -> list[str]:

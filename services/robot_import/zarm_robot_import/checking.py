@@ -15,6 +15,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import distance
 from zarm_geometry.world import World
 from zarm_robot_import.kernels.balls import around_shapes
+from zarm_robot_import.limits import WIDEST
 from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.source import read_source
 from zarm_robot_import.spheres import depths
@@ -25,8 +26,6 @@ SAMPLES = 1000
 """Random configurations; of what is true in more than 0.5 % of all, one shows it with 99 % confidence."""
 LARGEST, SMALLEST = 6.0, 0.05
 """No arm reaches further, and none less far (m): beyond it lengths are most likely in another unit."""
-WIDEST = 100.0
-"""No joint turns so far (rad), or slides so far (m)."""
 OUTSIDE = 0.004
 """Exact geometry that stands out of its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
 _FINEST = 0.0005

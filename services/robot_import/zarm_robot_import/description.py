@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from zarm_contract.errors import InvalidRequest
 from zarm_robot_import.source import Source
 
 Array = NDArray[np.float64]
@@ -130,15 +129,16 @@ def describe(source: Source) -> Description:
         joints[joint.name] = carried[joint.child] = joint
         children.setdefault(joint.parent, []).append(joint)
     for joint in joints.values():
-        seen, above = {joint.child}, joint.parent
-        while above in carried:
-            if above in seen:
-                raise source.fault(
-                    joint.element,
-                    f"joint {joint.name} closes a loop over the link {above}; a URDF is a tree, so cut it there",
-                )
-            seen.add(above)
+        loop, above = {joint.name: joint}, joint.parent
+        while above in carried and carried[above].name not in loop:
+            loop[carried[above].name] = carried[above]
             above = carried[above].parent
+        if above == joint.child:
+            last = max(loop.values(), key=lambda one: source.lines[one.element])
+            raise source.fault(
+                last.element,
+                f"the joints {', '.join(reversed(loop))} close a loop; a URDF is a tree, so take one of them out",
+            )
     roots = [name for name in links if name not in carried]
     if not links:
         raise source.fault(root, "there is no <link> in this file; is it a robot?")
@@ -165,6 +165,15 @@ def _link(source: Source, element: ET.Element) -> Link:
 
 
 def _geometries(source: Source, link: ET.Element, tag: str, name: str) -> Iterator[Geometry]:
+    for geometry in _stated(source, link, tag, name):
+        if any(size < 0.0 for size in geometry.size):
+            raise source.fault(
+                geometry.element, f"link {name}: a <{geometry.kind}> has a negative size; write it positive"
+            )
+        yield geometry
+
+
+def _stated(source: Source, link: ET.Element, tag: str, name: str) -> Iterator[Geometry]:
     for item in link.findall(tag):
         shape = next(iter(item.findall("geometry/*")), None)
         if shape is None:
@@ -251,10 +260,10 @@ def _numbers(
     owner: str,
     default: tuple[float, ...] | None = None,
 ) -> tuple[float, ...]:
-    text = element.get(name) if element is not None else None
-    if element is None or text is None:
+    if element is None or (text := element.get(name)) is None:
         if default is None:
-            raise InvalidRequest(f"{source.path}: {owner} has no {name}=; write it")
+            where = source.root if element is None else element
+            raise source.fault(where, f"{owner}: its <{where.tag}> has no {name}=; write it")
         return default
     try:
         values = tuple(map(float, text.split()))
@@ -262,7 +271,8 @@ def _numbers(
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
         hint = "; this is a xacro file: name it .xacro" if "$" in text else ""
-        raise source.fault(element, f"{owner}: {name}={text!r} must be {count} finite number(s){hint}")
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise source.fault(element, f"{owner}: {name}={text!r} must be {wanted}{hint}")
     return values
 
 

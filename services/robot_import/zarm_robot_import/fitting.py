@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,15 +32,18 @@ class Fitted:
     cover_out: Out
 
 
-def fit(surfaces: Sequence[Surface], budget: int, done: Callable[[str], None]) -> list[Fitted]:
-    """Fit all links, with `budget` balls in all covers; `done` is told each link whose exact geometry is found."""
+def fit(
+    surfaces: Sequence[Surface], budget: int, standing: Collection[str], done: Callable[[str], None]
+) -> list[Fitted]:
+    """Fit all links, with `budget` balls at most in all covers, few of them for the links in `standing`, which do not move; `done`
+    is told each link whose exact geometry is found."""
     bodies = {surface.link: Body.of(surface.triangles, surface.off) for surface in surfaces}
     primitives: dict[str, list[CollisionPrimitive]] = {}
     for link, body in bodies.items():
         primitives[link] = fit_primitives(body)
         done(link)
     rows = {link: rows_of(each) for link, each in primitives.items()}
-    covers = fit_covers(rows, budget)
+    covers = fit_covers(rows, budget, standing)
     found = []
     for link, body in bodies.items():
         measure = Measure(body)

@@ -39,6 +39,7 @@ class Options:
     base: str | None = None
     tip: str | None = None
     packages: Sequence[Path] = ()
+    arguments: Mapping[str, str] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
     geometry: str = "auto"
     spheres: int = BUDGET
@@ -54,20 +55,28 @@ def import_robot(
     """
     begun = time.process_time()
     progress("reading", 0.0)
-    robot = describe(read_source(file, options.packages))
+    robot = describe(read_source(file, options.packages, options.arguments))
     chain = choose_chain(robot, options.base, options.tip, options.fixed)
     limits = limits_of(robot, chain.joints)
     controller = trajectory_controller(robot, [joint.name for joint in chain.joints])
     name = _checked(options.name) if options.name else _name(robot.name)
     if (folder / f"{name}.urdf").resolve() == file.resolve():
         raise InvalidRequest(f"{file} would be overwritten; choose another --output or --name")
-    surfaces = []
+    surfaces, left_out = [], []
     for index, mounted in enumerate(chain.mounted):
         progress(f"meshes of {mounted.link}", 0.2 * index / len(chain.mounted))
-        if surface := link_surface(robot.source, robot.links[mounted.link], options.geometry):
+        link = robot.links[mounted.link]
+        if surface := link_surface(robot.source, link, options.geometry):
             surfaces.append(surface)
+        elif link.collision or link.visual:
+            left_out.append(
+                f"{link.name}: its geometry is smaller than 1 mm, so it is left out; look at its size and scale"
+            )
     if not surfaces:
-        raise InvalidRequest(f"{file}: no link of the arm has geometry; zarm needs <collision> or <visual> elements")
+        raise robot.source.fault(
+            robot.source.root,
+            left_out[0] if left_out else "no link of the arm has geometry; zarm needs <collision> or <visual> elements",
+        )
     contacts = Contacts(chain, limits, surfaces)
     surfaces = without_contradictions(surfaces, contacts)
     fitted_links = 0
@@ -77,7 +86,8 @@ def import_robot(
         fitted_links += 1
         progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
 
-    fitted = fit(surfaces, options.spheres, counted)
+    standing = [mounted.link for mounted in chain.mounted if mounted.body == 0]
+    fitted = fit(surfaces, options.spheres, standing, counted)
     meshes = {surface.link: surface.triangles for surface in surfaces}
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".import-") as draft:
@@ -100,7 +110,17 @@ def import_robot(
         draw(work / f"{name}.png", model, home, meshes, fitted)
         source = file.name
         report = Report(
-            name, source, chain, surfaces, fitted, limits, pairs, home, time.process_time() - begun, controller
+            name,
+            source,
+            chain,
+            surfaces,
+            fitted,
+            limits,
+            pairs,
+            home,
+            left_out,
+            time.process_time() - begun,
+            controller,
         )
         (work / f"{name}.md").write_text(report.markdown(), encoding="utf-8")
         for made in sorted(work.iterdir()):

@@ -17,6 +17,9 @@ JERK_RAMP = 0.1
 MOST_ACCELERATION = 5.0
 """No higher acceleration is assumed (rad/s²): what the driver of the UR arms calls conservative."""
 
+WIDEST, FASTEST = 100.0, 30.0
+"""No joint turns so far (rad), or slides so far (m), and none moves so fast (rad/s, m/s): beyond it limits are most likely in degrees."""
+
 
 @dataclass(frozen=True)
 class JointLimits:

@@ -208,9 +208,12 @@ def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Pa
         return _primitive(geometry), None
     file = source.file(geometry.file)
     if file is None:
-        raise _Missing(
-            f"{place}: link {link}: there is no file {geometry.file}; name the folder that holds its package with --packages"
+        remedy = (
+            "name the folder that holds its package with --packages"
+            if geometry.file.startswith(("package://", "model://"))
+            else "correct the path, which is relative to the URDF"
         )
+        raise _Missing(f"{place}: link {link}: there is no file {geometry.file}; {remedy}")
     if file.suffix.lower() not in SUFFIXES:
         raise InvalidRequest(f"{place}: link {link}: {file.name} is of no known format; convert it to STL, OBJ or DAE")
     if any(factor == 0.0 for factor in geometry.scale):
@@ -219,6 +222,8 @@ def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Pa
         triangles = _load(file)
     except _Unreadable as error:
         raise InvalidRequest(f"{place}: link {link}: {error}") from error
+    if math.prod(geometry.scale) < 0.0:
+        triangles = triangles[:, ::-1]  # mirrored: the outside stays outside
     return triangles * geometry.scale, file
 
 

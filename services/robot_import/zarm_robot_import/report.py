@@ -8,14 +8,17 @@ from dataclasses import dataclass
 
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.fitting import Fitted
-from zarm_robot_import.limits import JointLimits
+from zarm_robot_import.limits import FASTEST, WIDEST, JointLimits
 from zarm_robot_import.meshes import Surface
 from zarm_robot_import.self_collision import Pair
 
 
 @dataclass(frozen=True)
 class Report:
-    """All that was decided, and why; `controller` is the trajectory controller of ros2_control that the URDF names."""
+    """All that was decided, and why.
+
+    `left_out` says which geometry is not taken; `controller` is the trajectory controller of ros2_control that the URDF names.
+    """
 
     name: str
     source: str
@@ -25,22 +28,27 @@ class Report:
     limits: Sequence[JointLimits]
     pairs: Sequence[Pair]
     home: Sequence[float]
+    left_out: Sequence[str]
     seconds: float
     controller: str | None = None
 
     @property
     def warnings(self) -> list[str]:
         """What somebody should look at."""
-        found = [f"{surface.link}: {warning}" for surface in self.surfaces for warning in surface.warnings]
+        found = [*self.left_out]
+        found += [f"{surface.link}: {warning}" for surface in self.surfaces for warning in surface.warnings]
         for limit in self.limits:
             for what in ("range", "velocity"):
                 if what in limit.assumed:
                     found.append(
-                        f"{limit.joint}: the URDF gives no {what}; assumed, correct it in the descriptor or URDF"
+                        f"{limit.joint}: the URDF gives no {what}, so it is assumed; correct it in the descriptor or URDF"
                     )
-        found += [
-            f"the joint {name} is {kind} and was fixed" for name, kind in ((name, "free") for name in self.chain.others)
-        ]
+            if limit.upper - limit.lower > WIDEST or limit.velocity > FASTEST:
+                found.append(
+                    f"{limit.joint}: a range from {limit.lower:g} to {limit.upper:g} at a velocity of {limit.velocity:g} is most likely in "
+                    "degrees; write rad and rad/s into the URDF"
+                )
+        found += [f"{joint.name}: it is {joint.type}; here it stands at its origin" for joint in self.chain.free]
         return found
 
     @property

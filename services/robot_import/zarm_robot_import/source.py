@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +21,7 @@ _ABOVE = 6
 _ALIKE = 4
 """Letters of a folder's name that may begin the name of a package."""
 _PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+_NO_VALUE = re.compile(r"Undefined substitution argument (\w+)")
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ class Source:
         return next((path for path in candidates if path.is_file()), None)
 
 
-def read_source(path: Path, packages: Sequence[Path] = ()) -> Source:
-    """Read a URDF, or expand a xacro. Raises InvalidRequest with file and line, Unavailable without the package xacro."""
+def read_source(path: Path, packages: Sequence[Path] = (), arguments: Mapping[str, str] | None = None) -> Source:
+    """Read a URDF, or expand a xacro with `arguments`. Raises InvalidRequest with file and line, Unavailable without the package xacro."""
     path = path.resolve()
     packages = tuple(packages)
     try:
@@ -66,7 +68,9 @@ def read_source(path: Path, packages: Sequence[Path] = ()) -> Source:
         raise InvalidRequest(f"cannot read {path}: {error.strerror or error}") from error
     expanded = b"xacro:" in text or path.suffix == ".xacro"
     if expanded:
-        text = _expanded(path, packages)
+        text = _expanded(path, packages, arguments or {})
+    elif arguments:
+        raise InvalidRequest(f"{path} is no xacro file, so it takes no arguments", field="--arg")
     lines: dict[ET.Element, int] = {}
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
@@ -88,6 +92,16 @@ def read_source(path: Path, packages: Sequence[Path] = ()) -> Source:
     if root.tag != "robot":
         raise source.fault(root, f"a URDF starts with <robot>; this file starts with <{root.tag}>")
     return source
+
+
+def fingerprint(path: Path) -> bytes:
+    """Bytes that change with a URDF or xacro, with what it includes and with the files that it names. Raises as `read_source`."""
+    source = read_source(path)
+    named = [mesh.get("filename", "") for mesh in source.root.iter("mesh")]
+    named += [(parameters.text or "").strip() for parameters in source.root.iter("parameters")]
+    files = {file for name in named if name and (file := source.file(name))}
+    states = (f"{file} {(state := file.stat()).st_mtime_ns} {state.st_size}" for file in sorted(files))
+    return "\n".join([ET.tostring(source.root, encoding="unicode"), *states]).encode()
 
 
 def find_package(name: str, path: Path, packages: Sequence[Path]) -> Path | None:
@@ -133,7 +147,7 @@ def _named(folder: Path) -> str | None:
         return None
 
 
-def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
+def _expanded(path: Path, packages: Sequence[Path], arguments: Mapping[str, str]) -> bytes:
     try:
         from xacro import init_stacks
         from xacrodoc import XacroDoc
@@ -152,7 +166,8 @@ def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
         try:
             # xacro takes an include without a folder to lie in the working directory.
             with redirect_stdout(StringIO()), redirect_stderr(StringIO()), chdir(path.parent):
-                text: str = XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string()
+                expanded = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
+                text: str = expanded.to_urdf_string()
             return text.encode()
         except Exception as error:  # xacro raises whatever its expressions do
             missing = getattr(error, "exc", error)  # what xacro met in an expression
@@ -165,4 +180,9 @@ def _expanded(path: Path, packages: Sequence[Path]) -> bytes:
                 finder.update_package_cache({name: folder})
                 continue
             reason = " ".join(str(error).split())
-            raise InvalidRequest(f"{path}: xacro cannot expand it: {reason}; try `xacro {path.name}`") from error
+            remedy = (
+                f"give its value with --arg {lacking[1]}:=VALUE"
+                if (lacking := _NO_VALUE.search(reason))
+                else "correct it there"
+            )
+            raise InvalidRequest(f"{path}: xacro cannot expand it: {reason}; {remedy}") from error

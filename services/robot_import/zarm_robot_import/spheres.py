@@ -1,22 +1,25 @@
 """The sphere cover of a robot: balls that contain the exact geometry of its links, which the search computes with.
 
-A ball around a point within a body, `depth` below its surface, with a radius of `depth` + d stands out of the body by no more
-than d. So for each d the fewest such balls that contain the geometry are looked for, as a set cover, greedily; and d is as small as
-a number of balls allows. What they contain is then proven and not sampled: `kernels.balls` grows them until nothing is outside.
+What counts is the space that the balls take outside of the links, what is far from them more. Each link begins as one ball. Again and
+again the ball is split for which that frees the most space, until the balls of the whole robot are as many as they may be; and balls
+are moved and shrunk to what they alone contain. So few balls go where more would change little: along a tube, say, and not into
+the edges of its ends. What they contain is then proven and not sampled: `kernels.balls` grows them until nothing is outside.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
+from scipy.stats import qmc
 
 from zarm_geometry.rows import distances
 from zarm_robot_import.kernels.balls import around_shapes
+from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.meshes import areas, points_on
 from zarm_robot_import.primitives import triangles_of
 
@@ -24,71 +27,41 @@ Array = NDArray[np.float64]
 
 BUDGET = 80
 """Balls in the cover of the whole robot."""
-_POINTS = 1200
-_CELLS = 4000
-_ROUNDS = 3
-_STEPS = (0.008,) * 3 + (0.004,) * 3 + (0.002,) * 3 + (0.001,) * 3
+STANDING = 0.25
+"""Space around what stands on the base counts so much: the scene is not checked against it, only the moving links."""
+_POINTS, _INNER = 3000, 700
+"""Points on the boundary of a link and within it that its balls are fitted to, ..."""
+_MORE_POINTS, _MORE_INNER = 20_000, 6000
+"""... and those that are looked at in the end: what is missed of them joins the others."""
+_OUTSIDE = 3000
+"""Points in the space around a link."""
+_FAR = 0.02
+"""Space at a distance d (m) counts as 1 + (d / _FAR)^2."""
+_CUTS = (0.3, 0.5, 0.7)
+"""Where along its main axes a ball's part of the link is cut, as shares of the length."""
+_STEPS = (0.016, 0.008, 0.004, 0.002)
+"""How far (m) balls are moved, and in the end by the last of them, and less."""
+_LAST_STEPS = (0.008, 0.004, 0.002, 0.001)
+_ROUNDS = 4
 _AROUND = np.array([(x, y, z) for x in (0, 1, -1) for y in (0, 1, -1) for z in (0, 1, -1)], float)
+_SMALLEST = 1e-4
 _FINEST = 5e-4
 """What the proof cuts no further (m)."""
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """Points (n, 3) to contain, places (m, 4) for balls with the depth of each, and what each lacks of each point: `lack` (n, m).
-
-    `rows` (k, 17) are the exact geometry below whose surface the depth is.
-    """
-
-    points: Array
-    places: Array
-    lack: NDArray[np.float32]
-    rows: Array
-
-    @classmethod
-    def of(cls, rows: Array) -> Self:
-        """Of a link whose exact geometry are `rows` (n, 17)."""
-        points = outer_points(rows, _POINTS)
-        grid = np.concatenate([_within(row, _CELLS // len(rows)) for row in rows])
-        deep = depths(grid, rows)
-        places = np.column_stack((grid, deep))[deep > 0.0]
-        points = np.concatenate([points, places[:: 1 + len(places) // _POINTS, :3]])
-        lack = (cdist(points, places[:, :3]) - places[:, 3]).astype(np.float32)
-        return cls(points, places, lack, rows)
-
-
-def _within(row: Array, count: int) -> Array:
-    """About `count` points (n, 3) of a grid over the box around a shape (17,), along its axes: thin ones have some, too."""
-    half = row[12:15] + row[16] + (row[15], row[15], 0.0)
-    frame = row[:12].reshape(3, 4)
-    found: Array = (_grid(-half, half, count) - frame[:, 3]) @ frame[:, :3]
-    return found
-
-
-def _grid(lower: Array, upper: Array, count: int) -> Array:
-    """About `count` points (n, 3) of a grid over a box."""
-    size = np.maximum(upper - lower, 1e-3)
-    step = float((size.prod() / count) ** (1 / 3))
-    axes = [np.linspace(a, b, max(3, round((b - a) / step))) for a, b in zip(lower, upper, strict=True)]
-    found: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return found
-
-
-def depths(points: Array, rows: Array) -> Array:
-    """How far (n,) points are at least below the surface of the union of shapes (m, 17); not above 0 outside."""
-    found: Array = -distances(points, rows).min(axis=1)
-    return found
-
-
-def fit_covers(rows: Mapping[str, Array], budget: int = BUDGET) -> dict[str, Array]:
+def fit_covers(rows: Mapping[str, Array], budget: int = BUDGET, standing: Collection[str] = ()) -> dict[str, Array]:
     """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry (m, 17).
 
-    They are `budget` in all, at least one each, and stand out equally far as far as they can.
+    They are at most `budget` in all, but at least one each. The links in `standing` do not move.
     """
-    problems = {link: _Problem.of(table) for link, table in rows.items()}
+    links = {link: _Link.of(table, STANDING if link in standing else 1.0) for link, table in rows.items()}
+    covers = {link: _around(each.points)[None] for link, each in links.items()}
+    for _ in range(_ROUNDS):
+        covers = _split(links, covers, max(budget, len(rows)))
+        covers = {link: _improved(links[link], balls) for link, balls in covers.items()}
     return {
-        link: _written(around_shapes(_rounded(_placed(problems[link], places)), rows[link], _FINEST))
-        for link, places in _at_most(problems, max(budget, len(rows))).items()
+        link: _written(around_shapes(_rounded(_completed(links[link], balls)), rows[link], _FINEST))
+        for link, balls in covers.items()
     }
 
 
@@ -101,6 +74,12 @@ def ball_rows(balls: Array) -> Array:
     return rows
 
 
+def depths(points: Array, rows: Array) -> Array:
+    """How far (n,) points are at least below the surface of the union of shapes (m, 17); not above 0 outside."""
+    found: Array = -distances(points, rows).min(axis=1)
+    return found
+
+
 def outer_points(rows: Array, count: int) -> Array:
     """About `count` points (n, 3) on the boundary of the union of shapes (m, 17)."""
     surfaces = [triangles_of(row) for row in rows]
@@ -108,84 +87,168 @@ def outer_points(rows: Array, count: int) -> Array:
     counts = np.maximum(np.round(count * sizes / sizes.sum()).astype(int), 40)
     found = []
     for i, (surface, number) in enumerate(zip(surfaces, counts.tolist(), strict=True)):
-        corners = np.unique(surface.reshape(-1, 3), axis=0) if number < 400 else np.empty((0, 3))
+        corners = np.unique(surface.reshape(-1, 3), axis=0)
         points = np.concatenate([points_on(surface, number)[0], corners])
         others = np.delete(rows, i, axis=0)
         found.append(points[distances(points, others).min(axis=1, initial=np.inf) > -1e-6])
     return np.concatenate(found)
 
 
-def _fewest(problem: _Problem, out: float) -> list[int]:
-    """Places of few balls that stand out by no more than `out` and contain all points that any such ball contains."""
-    covers = problem.lack <= out
-    left = covers.any(axis=1)
-    gains = covers[left].sum(axis=0)
-    chosen: list[int] = []
-    while left.any():
-        chosen.append(int(np.argmax(gains)))
-        new = left & covers[:, chosen[-1]]
-        gains -= covers[new].sum(axis=0)
-        left &= ~new
-    return chosen
+@dataclass
+class _Link:
+    """Points (n, 3) of a link that its balls are to contain, and the space around it: points `out` (k, 3), which count `cost` (k,).
 
-
-def _placed(problem: _Problem, chosen: list[int]) -> Array:
-    """As many balls (n, 4) or fewer, moved so that they stand out less, and no larger than that asks for.
-
-    As in k-means, each point goes to the ball that lacks the least of it, and each ball to where it stands out least.
+    `rows` (m, 17) are its exact geometry.
     """
-    places = np.array(chosen)
-    for _ in range(_ROUNDS):
-        owner = np.argmin(problem.lack[:, places], axis=1)
-        moved = np.array([int(np.argmin(problem.lack[owner == i].max(axis=0))) for i in np.unique(owner)])
-        if len(moved) == len(places) and (moved == places).all():
+
+    rows: Array
+    points: Array
+    out: Array
+    cost: Array
+
+    @classmethod
+    def of(cls, rows: Array, weight: float) -> Self:
+        points = _points_of(rows, _POINTS, _INNER)
+        low, high = points.min(axis=0), points.max(axis=0)
+        beside = 0.02 + 0.25 * float((high - low).max())
+        low, high = low - beside, high + beside
+        space = qmc.scale(qmc.Halton(3, scramble=False).random(_OUTSIDE), low, high)
+        away = distances(space, rows).min(axis=1)
+        cost = weight * float((high - low).prod()) / _OUTSIDE * (1 + (away / _FAR) ** 2)
+        return cls(rows, points, space[away > 0.0], cost[away > 0.0])
+
+    def taken(self, balls: Array) -> float:
+        """What the space costs that balls (n, 4) take."""
+        return float(self.cost[_within(self.out, balls).any(axis=1)].sum())
+
+
+def _points_of(rows: Array, outer: int, inner: int) -> Array:
+    """Points (n, 3) all over shapes (m, 17)."""
+    grid = np.concatenate([_grid(row, inner // len(rows)) for row in rows])
+    return np.concatenate([outer_points(rows, outer), grid[depths(grid, rows) > 0.0]])
+
+
+def _grid(row: Array, count: int) -> Array:
+    """Some `count` points (n, 3) of a grid over the box around a shape (17,), along its axes: thin ones have some, too."""
+    half = row[12:15] + row[16] + (row[15], row[15], 0.0)
+    frame = row[:12].reshape(3, 4)
+    size = np.maximum(2 * half, 1e-3)
+    step = float((size.prod() / max(count, 1)) ** (1 / 3))
+    axes = [np.linspace(-a, a, max(3, round(2 * a / step))) for a in half]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    found: Array = (grid - frame[:, 3]) @ frame[:, :3]
+    return found
+
+
+def _within(points: Array, balls: Array) -> NDArray[np.bool_]:
+    """Which points (n, 3) are in which of the balls (m, 4): (n, m)."""
+    found: NDArray[np.bool_] = cdist(points, balls[:, :3]) <= balls[:, 3] + 1e-9
+    return found
+
+
+def _around(points: Array) -> Array:
+    """A small ball (4,) that contains points (n, 3)."""
+    middle = middles(points[None])[0]
+    return np.append(middle, max(float(np.linalg.norm(points - middle, axis=1).max()), _SMALLEST))
+
+
+def _nearest(points: Array, balls: Array) -> NDArray[np.intp]:
+    """Of points (n, 3) the ball (n,) that lacks the least of each, or contains it the deepest."""
+    found: NDArray[np.intp] = np.argmin(cdist(points, balls[:, :3]) - balls[:, 3], axis=1)
+    return found
+
+
+def _split(links: Mapping[str, _Link], covers: Mapping[str, Array], count: int) -> dict[str, Array]:
+    """The same balls, with those split for which that frees the most space, until they are `count` in all."""
+    covers = dict(covers)
+    halves = {link: [_halves(links[link], balls, i) for i in range(len(balls))] for link, balls in covers.items()}
+    while sum(map(len, covers.values())) < count:
+        options = ((half[0], link, i) for link, each in halves.items() for i, half in enumerate(each))
+        freed, link, index = max(options)
+        if freed <= 0.0:
             break
-        places = moved
-    return _settled(problem, problem.places[places])
+        covers[link] = np.concatenate([np.delete(covers[link], index, axis=0), halves[link].pop(index)[1]])
+        last = len(covers[link]) - 1
+        halves[link] += [_halves(links[link], covers[link], i) for i in (last - 1, last)]
+    return covers
 
 
-def _settled(problem: _Problem, places: Array) -> Array:
-    """Balls (n, 4) from places (n, 4), moved off the grid; each step stays within the body, as long as its depth."""
-    for step in _STEPS:
-        lack = cdist(places[:, :3], problem.points) - places[:, 3:]
-        owner = np.argmin(lack, axis=0)
-        places = places[np.unique(owner)]
-        tried = (places[:, None, :3] + step * _AROUND).reshape(-1, 3)
-        depth = depths(tried, problem.rows).reshape(len(places), -1)
-        for i, mine in enumerate(np.unique(owner)):
-            points = problem.points[owner == mine]
-            out = (cdist(tried.reshape(len(places), -1, 3)[i], points) - depth[i][:, None]).max(axis=1)
-            out[1:][depth[i][1:] < 0.0] = np.inf
-            best = int(np.argmin(out))
-            if out[best] < out[0] - 1e-5:
-                places[i] = (*tried.reshape(len(places), -1, 3)[i, best], depth[i, best])
-    lack = cdist(places[:, :3], problem.points) - places[:, 3:]
-    owner = np.argmin(lack, axis=0)
-    kept = np.unique(owner)
-    radii = [float(max(places[i, 3] + lack[i, owner == i].max(), 1e-4)) for i in kept]
-    return np.column_stack((places[kept, :3], radii))
+def _halves(link: _Link, balls: Array, index: int) -> tuple[float, Array]:
+    """Two balls (2, 4) instead of one, and how much less space they take."""
+    points = link.points[_nearest(link.points, balls) == index]
+    free = ~_within(link.out, np.delete(balls, index, axis=0)).any(axis=1)
+    out, cost = link.out[free], link.cost[free]
+    before = cost[_within(out, balls[index : index + 1])[:, 0]].sum()
+    best = (0.0, balls[[index, index]])
+    if len(points) < 2:
+        return best
+    for axis in np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]:
+        along = points @ axis
+        for share in _CUTS:
+            below = along < along.min() + share * np.ptp(along)
+            if not below.any() or below.all():
+                continue
+            two = np.array([_around(points[below]), _around(points[~below])])
+            freed = float(before - cost[_within(out, two).any(axis=1)].sum())
+            if freed > best[0]:
+                best = (freed, two)
+    return best
 
 
-def _at_most(problems: Mapping[str, _Problem], count: int) -> dict[str, list[int]]:
-    """Places for balls in each, `count` at most in all, that stand out as little as that allows."""
-
-    def tried(out: float) -> dict[str, list[int]]:
-        return {link: _fewest(problem, out) for link, problem in problems.items()}
-
-    low, high = 0.0, 0.1
-    while _count(chosen := tried(high)) > count and high < 10.0:
-        low, high = high, 2 * high
-    while high - low > 1e-3:
-        middle = (low + high) / 2
-        if _count(more := tried(middle)) <= count:
-            chosen, high = more, middle
-        else:
-            low = middle
-    return chosen
+def _improved(link: _Link, balls: Array) -> Array:
+    """The best of some rounds in which balls are moved, and points go to the ball that contains them the deepest, as in k-means."""
+    best, least = balls, np.inf
+    for _ in range(2):
+        moved = _moved(link, balls, _STEPS)
+        if (taken := link.taken(moved)) < least:
+            best, least = moved, taken
+        owner = _nearest(link.points, best)
+        balls = np.array([_around(link.points[owner == i]) for i in np.unique(owner)])
+    return best
 
 
-def _count(places: Mapping[str, list[int]]) -> int:
-    return sum(map(len, places.values()))
+def _moved(link: _Link, balls: Array, steps: Collection[float]) -> Array:
+    """Balls, each in its turn moved to where what it alone contains costs the least, and no larger than that asks for.
+
+    What is contained stays so; a ball that contains nothing alone goes.
+    """
+    for step in steps:
+        balls = balls.copy()
+        inside, outside = _within(link.points, balls), _within(link.out, balls)
+        times, taken = inside.sum(axis=1), outside.sum(axis=1)
+        kept = np.ones(len(balls), bool)
+        for i in np.argsort(-balls[:, 3]):
+            alone = link.points[inside[:, i] & (times == 1)]
+            times -= inside[:, i]
+            taken -= outside[:, i]
+            if not len(alone):
+                kept[i] = False
+                continue
+            centers = np.concatenate([balls[i, :3] + step * _AROUND, [_around(alone)[:3]]])
+            radii = np.maximum(cdist(centers, alone).max(axis=1), _SMALLEST)
+            out, cost = link.out[taken == 0], link.cost[taken == 0]
+            best = int(np.argmin((cdist(centers, out) <= radii[:, None]) @ cost + 1e-12 * radii))
+            balls[i] = (*centers[best], radii[best])
+            inside[:, i] = _within(link.points, balls[i : i + 1])[:, 0]
+            outside[:, i] = _within(link.out, balls[i : i + 1])[:, 0]
+            times += inside[:, i]
+            taken += outside[:, i]
+        balls = balls[kept]
+    return balls
+
+
+def _completed(link: _Link, balls: Array) -> Array:
+    """The balls, fitted to many more points, so that the proof has little to add."""
+    more = _points_of(link.rows, _MORE_POINTS, _MORE_INNER)
+    for steps in (_LAST_STEPS, _LAST_STEPS, _LAST_STEPS, ()):
+        owner = _nearest(more, balls)
+        lack = np.linalg.norm(more - balls[owner, :3], axis=1) - balls[owner, 3]
+        missed = lack > 0.0
+        link.points = np.concatenate([link.points, more[missed]])
+        balls = balls.copy()
+        np.maximum.at(balls[:, 3], owner[missed], balls[owner[missed], 3] + lack[missed] + 1e-9)
+        balls = _moved(link, balls, steps)
+    return balls
 
 
 def _rounded(balls: Array) -> Array:

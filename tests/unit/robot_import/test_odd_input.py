@@ -122,6 +122,25 @@ def test_many_joints_without_limits_with_strange_names_on_a_floating_base(tmp_pa
     assert sum("the URDF gives no range" in warning for warning in report.warnings) == count
 
 
+@pytest.mark.lengthy
+def test_what_has_no_size_and_limits_in_degrees_are_imported_with_a_warning(tmp_path: Path) -> None:
+    sizes = "0.1 0.1 0.1", "0 0 0", "0.1 0.1 0.1"
+    links = [
+        f'<link name="l{i}"><collision><geometry><box size="{size}"/></geometry></collision></link>'
+        for i, size in enumerate(sizes)
+    ]
+    joints = [
+        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="0 0 0.3"/>'
+        '<axis xyz="0 1 0"/><limit lower="-170" upper="170" velocity="90" effort="1"/></joint>'
+        for i in range(2)
+    ]
+    file = tmp_path / "arm.urdf"
+    file.write_text(f'<robot name="arm">{"".join(links + joints)}</robot>')
+    _, report = import_robot(file, tmp_path / "out", Options())
+    assert report.warnings[0] == "l1: its geometry is smaller than 1 mm, so it is left out; look at its size and scale"
+    assert sum("is most likely in degrees" in warning for warning in report.warnings) == 2
+
+
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_where_nothing_but_what_floats_moves_it_is_refused_with_its_line(tmp_path: Path, kind: str) -> None:
     file = tmp_path / "drone.urdf"

@@ -11,7 +11,7 @@ from zarm_robot_import.chain import Chain, choose_chain
 from zarm_robot_import.description import describe
 from zarm_robot_import.limits import limits_of
 from zarm_robot_import.meshes import link_surface
-from zarm_robot_import.source import read_source
+from zarm_robot_import.source import fingerprint, read_source
 
 LIMIT = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
 
@@ -47,7 +47,25 @@ def imported(folder: Path, text: str, **options: str) -> Chain:
         ("<sdf/>", 1, "a URDF starts with <robot>"),
         (urdf(*THREE, joint("three", "c", "d")), 9, "two joints are named three"),
         (urdf(*THREE, joint("four", "b", "d")), 9, "two parent joints"),
-        (urdf(joint("one", "a", "b"), joint("two", "c", "d"), joint("back", "d", "c")), 7, "closes a loop"),
+        (urdf(joint("one", "a", "b"), joint("two", "c", "d"), joint("back", "d", "c")), 8, "back, two close a loop"),
+        (urdf(*THREE[:2], joint("three", "c", "d", "floating")), 8, "is floating, which no arm's joint is"),
+        (
+            urdf(
+                *THREE,
+                joint("left", "d", "e", "prismatic", LIMIT + '<mimic joint="right"/>'),
+                joint("right", "d", "f", "prismatic", LIMIT + '<mimic joint="left"/>'),
+                links="abcdef",
+            ),
+            11,
+            "joint left mimics itself, by way of left and right",
+        ),
+        (
+            urdf(*THREE, geometry='<visual><geometry><mesh filename="meshes/a.stl"/></geometry></visual>'),
+            2,
+            "there is no file meshes/a.stl; correct the path",
+        ),
+        (urdf(*THREE, geometry='<visual><geometry><box size="1 -1 1"/></geometry></visual>'), 2, "a negative size"),
+        (urdf(*THREE, geometry="<visual><geometry><sphere/></geometry></visual>"), 2, "its <sphere> has no radius="),
         (urdf(*THREE, links="abc"), 7, "names the link d"),
         (urdf(*THREE, links="abcdd"), 6, "two links are named d"),
         (urdf(joint("one", "a", "b", inside='<limit lower="1" upper="-1"/>'), links="ab"), 4, "above its upper limit"),
@@ -70,7 +88,11 @@ def imported(folder: Path, text: str, **options: str) -> Chain:
             2,
             "are in mm",
         ),
-        (urdf(*THREE, geometry='<visual><geometry><box size="1 1"/></geometry></visual>'), 2, "must be 3 finite"),
+        (
+            urdf(*THREE, geometry='<visual><geometry><box size="1 1"/></geometry></visual>'),
+            2,
+            "must be 3 finite numbers",
+        ),
     ],
 )
 def test_what_is_wrong_is_said_with_file_and_line(tmp_path: Path, text: str, line: int, sentence: str) -> None:
@@ -106,6 +128,11 @@ def test_of_several_arms_one_must_be_chosen(tmp_path: Path) -> None:
     with pytest.raises(InvalidRequest, match="--tip l4, --tip r4"):
         imported(tmp_path, text)
     assert [one.name for one in imported(tmp_path, text, tip="r4").joints] == [f"r{i}" for i in range(5)]
+
+
+def test_where_no_joint_moves_that_is_said_with_its_line(tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest, match=r"arm\.urdf:2: no joint behind a moves"):
+        imported(tmp_path, urdf(joint("one", "a", "b", "fixed"), links="ab"))
 
 
 def test_a_joint_without_limits_gets_assumed_ones(tmp_path: Path) -> None:
@@ -145,3 +172,33 @@ def test_a_xacro_that_cannot_be_expanded_leaves_the_next_one_as_it_is(tmp_path: 
     with pytest.raises(InvalidRequest, match="there is no package none"):
         read_source(folder / "bad.xacro")
     assert [link.get("name") for link in read_source(folder / "good.xacro").root.findall("link")] == ["a", "b"]
+
+
+def test_a_xacro_takes_arguments_and_says_which_it_lacks(tmp_path: Path) -> None:
+    file = tmp_path / "arm.xacro"
+    file.write_text(
+        '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/><link name="b"/>'
+        f"{joint('$(arg side)_one', 'a', 'b')}</robot>"
+    )
+    with pytest.raises(InvalidRequest, match="give its value with --arg side:=VALUE"):
+        read_source(file)
+    assert [one.name for one in choose_chain(describe(read_source(file, (), {"side": "left"}))).joints] == ["left_one"]
+
+
+def test_the_fingerprint_changes_with_all_that_a_robot_is_made_of_and_nothing_else(tmp_path: Path) -> None:
+    mesh, part, file = tmp_path / "meshes" / "a.stl", tmp_path / "urdf" / "part.xacro", tmp_path / "urdf" / "arm.xacro"
+    mesh.parent.mkdir()
+    part.parent.mkdir()
+    start, end = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">', "</robot>"
+    file.write_text(f'{start}<link name="a"/><xacro:include filename="part.xacro"/>{end}')
+    geometry = '<visual><geometry><mesh filename="package://arm/meshes/a.stl"/></geometry></visual>'
+    part.write_text(f'{start}<link name="b">{geometry}</link>{joint("one", "a", "b")}{end}')
+    mesh.write_text("solid a")
+    before = fingerprint(file)
+    (tmp_path / "meshes" / "other.stl").write_text("solid other")
+    assert fingerprint(file) == before
+    mesh.write_text("solid another")
+    changed = fingerprint(file)
+    assert changed != before
+    part.write_text(part.read_text().replace('upper="1"', 'upper="2"'))
+    assert fingerprint(file) != changed
