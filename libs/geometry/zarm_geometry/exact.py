@@ -90,10 +90,11 @@ class ExactScene:
         For each link what is nearest in the world, if nearer than `margin` (m), and each two links that are nearer to each other than
         `self_margin` (m), or than what the search keeps of that: where `RobotModel.pair_room` is less, it is that.
         """
-        model, links = self.model, len(self.model.links)
-        room = {tuple(pair): room for pair, room in zip(model.arrays.pairs.tolist(), model.pair_room, strict=True)}
-        of_pairs = [min(self_margin, room.get(tuple(pair), np.inf)) for pair in model.pairs.tolist()]
-        kept, found = np.array([margin] * links + of_pairs), []
+        links = len(self.model.links)
+        kept, found = (
+            np.minimum(np.repeat((margin, self_margin), (links, len(self._asked) - links)), room(self.model)),
+            [],
+        )
         for within in np.unique(kept[kept > max(clearance, 0.0)]).tolist():
             asked = self._asked & (kept == within)
             while (nearest := self._nearest(q, check, asked, within)).shapes is not None:
@@ -133,7 +134,7 @@ class ExactScene:
     @cached_property
     def solids(self) -> tuple[MotionBody, Obstacles, Solids]:
         """The same robot and obstacles for `kernels.nearby`."""
-        return motion_body(self._body, self._asked), self._obstacles, solids(self._world.rows)
+        return motion_body(self._body, self._asked, room(self.model)), self._obstacles, solids(self._world.rows)
 
     def bounds(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float = FARTHEST) -> Array:
         """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof), if below `within` (m)."""
@@ -172,6 +173,12 @@ def subjects(model: RobotModel, body: RobotParts) -> NDArray[np.bool_]:
     """Which (subjects,) of `RobotParts.reach` are to be looked at: links that move, against the world, and pairs of links."""
     there = np.diff(body.first) > 0
     return np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
+
+
+def room(model: RobotModel) -> Array:
+    """How far (subjects,) in m each of them can be asked to keep from what it is looked at against: see `RobotModel.pair_room`."""
+    known = dict(zip(map(tuple, model.arrays.pairs.tolist()), model.pair_room, strict=True))
+    return np.array([np.inf] * len(model.links) + [known.get(tuple(pair), np.inf) for pair in model.pairs.tolist()])
 
 
 def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:

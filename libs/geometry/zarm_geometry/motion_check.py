@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, SceneObject, Vector3
 from zarm_geometry import rows
-from zarm_geometry.exact import obstacles, robot_parts, subjects
+from zarm_geometry.exact import obstacles, robot_parts, room, subjects
 from zarm_geometry.kernels.clearance import Obstacles
 from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, first_contact, motion, motion_body, solids
 from zarm_geometry.kernels.nearby import GRADIENT, near
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 
 MOST_PAIRS = 64
 """Rows of the world and pairs of links that are told apart near one configuration."""
+_LEAST_ROOM = 0.002
+"""Two links keep so much (m) of a margin, however near they are to each other everywhere."""
 _OVERSHOOT = 1.01
 """Trajectories may accelerate by this factor more than the joints' limits say, as `zarm_trajectory.limits` has it."""
 
@@ -47,13 +50,14 @@ class MotionVerdict:
 class NearPair:
     """A link that is `distance` (m, below 0 where they overlap) from `object`, a scene object or another link.
 
-    `gradient` (dof,) in m/rad (m/m where prismatic): by how much each joint changes that.
+    `gradient` (dof,) in m/rad (m/m where prismatic): by how much each joint changes that. Of a margin they can keep `room` (m).
     """
 
     distance: float
     link: str
     object: str
     gradient: Array
+    room: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -82,9 +86,21 @@ class _Body:
     @classmethod
     def of(cls, model: RobotModel) -> Self:
         parts, _ = robot_parts(model)
-        asked = subjects(model, parts)
+        asked, kept = subjects(model, parts), np.maximum(room(model), _LEAST_ROOM)
         outward = asked & (np.arange(len(asked)) < len(model.links))
-        return cls(model, motion_body(parts, asked), motion_body(parts, outward))
+        return cls(model, motion_body(parts, asked, kept), motion_body(parts, outward, kept))
+
+    def room(self, part: int, other: int) -> float:
+        """What two of its parts, `other` as the kernels call it, can keep of a margin (m)."""
+        if other >= 0:
+            return np.inf
+        pair = sorted((self.model.parts[part][0], self.model.parts[-1 - other][0]))
+        return self._rooms[pair[0], pair[1]]
+
+    @cached_property
+    def _rooms(self) -> dict[tuple[int, int], float]:
+        pairs = map(tuple, np.sort(self.model.pairs, axis=1).tolist())
+        return dict(zip(pairs, self.packed.room[len(self.model.links) :].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -165,7 +181,8 @@ class MotionCheck:
         acceleration: ArrayLike | None = None,
         self_collision: bool = True,
     ) -> MotionVerdict:
-        """Whether a motion keeps `margin` (m, above 0) to all objects and, with `self_collision`, between the robot's own links.
+        """Whether a motion keeps `margin` (m, above 0) to all objects and, with `self_collision`, between the robot's own links. Two links
+        that are nearer in nearly all configurations keep what they can, see `RobotModel.pair_room`.
 
         `times` (N,) in s increase; `positions` (N, dof) in rad (m where prismatic). Between two samples a joint may do whatever
         its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: what is proven holds there, too. The
@@ -227,7 +244,8 @@ class MotionCheck:
         pairs: dict[tuple[str, str], NearPair] = {}
         for row in found[np.argsort(found[:count, 0])]:
             link, other = _names(body, scene, names, int(row[1]), int(row[2]))
-            pairs.setdefault((link, other), NearPair(float(row[0]), link, other, row[GRADIENT:]))
+            kept = body.room(int(row[1]), int(row[2]))
+            pairs.setdefault((link, other), NearPair(float(row[0]), link, other, row[GRADIENT:], kept))
         return list(pairs.values())
 
     def _body(self, attached: tuple[Attached, ...], ignored_links: tuple[str, ...]) -> _Body:

@@ -160,10 +160,13 @@ class Controller:
         """The first pair that is nearer than the margin and comes nearer still on a way through `positions` (N, J), if any."""
         least: dict[tuple[str, str], float] | None = None
         for position in positions:
-            near = {(pair.link, pair.object): pair.distance for pair in self._nearby(position, self._margin, around)}
+            near = {
+                (pair.link, pair.object): (pair.distance, self._kept(pair))
+                for pair in self._nearby(position, self._margin, around)
+            }
             if least is not None:
-                for pair, distance in near.items():
-                    if distance < least.get(pair, self._margin) - _STEADY:
+                for pair, (distance, kept) in near.items():
+                    if distance < min(least.get(pair, (kept, kept))[0], kept) - _STEADY:
                         return Limitation("blocked", pair, distance)
             least = near
         return None
@@ -189,9 +192,9 @@ class Controller:
         if np.any(np.abs(inside - asked.velocity) > 1e-6):
             limitation = Limitation("joint_limit")
         pairs = self._nearby(position, RANGE, around)
-        nearest_distance = pairs[0].distance if pairs else RANGE
+        least_left = min((self._left(pair) for pair in pairs), default=RANGE)
         # What is too near is left slowly, by a check that knows no time; so not while something moves.
-        too_near = nearest_distance < self._margin + (_KEPT / 2 if self._leaving else 0.0)
+        too_near = least_left < (_KEPT / 2 if self._leaving else 0.0)
         self._leaving = too_near and not around.moving
         bounds = [(pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9]
         bounds = [(pair, least) for pair, least in bounds if pair.gradient @ inside < least or least > -RANGE]
@@ -209,15 +212,23 @@ class Controller:
                 ((float(pair.gradient @ inside) - least, pair) for pair, least in bounds), key=lambda held: held[0]
             )
             if self._leaving:
-                nearest = pairs[0]
+                nearest = min(pairs, key=self._left)
             elif limitation.kind == "singularity" and excess >= 0.0:
                 return slowest, limitation
             limitation = Limitation("slowing", (nearest.link, nearest.object), nearest.distance)
         return slowest, limitation
 
+    def _kept(self, pair: NearPair) -> float:
+        """What a pair is to keep (m): the margin, or less where two links are always near to one another."""
+        return min(self._margin, pair.room)
+
+    def _left(self, pair: NearPair) -> float:
+        """By how much (m) a pair may come nearer."""
+        return pair.distance - self._kept(pair)
+
     def _least(self, pair: NearPair, acceleration: Array) -> float:
         """The least speed (m/s) at which the distance of a pair may grow: below 0 it may fall."""
-        left = pair.distance - self._margin - _KEPT
+        left = self._left(pair) - _KEPT
         if self._leaving and left < 0.0:
             return min(_LEAVING, -_NEARING * left)
         return -float(_towards(np.array(left), np.abs(pair.gradient) @ acceleration))

@@ -72,7 +72,13 @@ def find_global_plan(
 
     def plan(goal: PoseGoal | JointGoal, margin: float) -> Array:
         request = PlanRequest(
-            goal=goal, start=tuple(start.tolist()), margin=margin, timeout=TIMEOUT, optimize_s=0.0, publish=False
+            goal=goal,
+            start=tuple(start.tolist()),
+            margin=margin,
+            self_margin=margin,
+            timeout=TIMEOUT,
+            optimize_s=0.0,
+            publish=False,
         )
         trajectory = TimedTrajectory.of(ask(request).trajectory, joints)
         return trajectory.positions(np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / _SAMPLE)))

@@ -18,6 +18,10 @@ _DRIFT = 1e-3
 """Two clocks drift by less (s per s): NTP slews by 0.5e-3 at most."""
 _JUMP = 2.0, 6.0
 """A pose that moves faster (m/s, rad/s) from one target to the next has jumped."""
+SHOWN = 1.0
+"""For so long (s) at least it is told why something was refused, though what came after it was taken."""
+_MOST = 1000.0
+"""A larger number (m, rad, m/s, rad/s) is no target: it is in another unit, or comes of a division by zero."""
 
 
 class Inbox:
@@ -30,6 +34,7 @@ class Inbox:
         self._message: m.ServoTarget | None = None
         self._arrived = self._under_way = 0.0
         self._least: float | None = None
+        self._refused_at = 0.0
         self.refused: Problem | None = None
 
     @property
@@ -50,11 +55,14 @@ class Inbox:
             try:
                 self._take(message, now)
             except ZarmError as error:
-                self.refused = error.problem
+                self.refuse(error.problem, now)
+            else:
+                if now - self._refused_at > SHOWN:
+                    self.refused = None
 
-    def refuse(self, problem: Problem) -> None:
+    def refuse(self, problem: Problem, now: float) -> None:
         """Note why something that came was no target."""
-        self.refused = problem
+        self.refused, self._refused_at = problem, now
 
     def _take(self, message: m.ServoTarget, now: float) -> None:
         before = self._message
@@ -87,6 +95,12 @@ class Inbox:
         self._arrived, self._under_way = now, under_way
 
     def _read(self, message: m.ServoTarget) -> Target:
+        for field, values in message.target:
+            if isinstance(values, tuple) and max(map(abs, values), default=0.0) > _MOST:
+                raise InvalidRequest(
+                    f"{max(values, key=abs):g} is more than {_MOST:g}; lengths are in m, angles in rad, speeds in m/s and rad/s",
+                    field=f"target.{field}",
+                )
         match message.target:
             case m.PoseTarget() as told:
                 still = (0.0, 0.0, 0.0)

@@ -17,6 +17,7 @@ from zarm_geometry import rows
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.motion_check import MovingObject
 from zarm_geometry.world import convex_shapes
+from zarm_servo.inbox import SHOWN
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 
 AGREE = 0.02
@@ -25,6 +26,10 @@ LOST = 1.0
 """An object of which no pose has come for so long (s) is lost: it can be anywhere that it reached within that time."""
 _SHAPES = 500
 """A mesh of more convex shapes cannot move."""
+_FARTHEST, _FASTEST = 1000.0, 100.0
+"""m; m/s or rad/s. Larger numbers are in another unit, or come of a division by zero."""
+_PIECES = 50
+"""What an object sweeps is at most so many objects."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +60,10 @@ class Mover:
 
     def swept(self, now: float, ahead: float, fineness: float) -> list[tuple[SceneObject, float]]:
         """Where it can be at any time from `now` (s, monotonic) until `ahead` s later: within so much (m) of one of these objects, which
-        are up to twice the `fineness` (m) apart.
+        are up to twice the `fineness` (m) apart, further where it is so fast that they would be too many.
         """
         first, fast = self.age(now), math.sqrt(sum(v * v for v in self.velocity))
-        count = max(1, math.ceil(fast * ahead / (2 * fineness)))
+        count = min(max(1, math.ceil(fast * ahead / (2 * fineness))), _PIECES)
         step = ahead / count
         found = []
         for k in range(count):
@@ -72,7 +77,7 @@ class Mover:
 class MovingObjects:
     """Takes the poses of objects of the scene that `monitor` knows; `changed` is called after each. Safe from any thread.
 
-    `refused` says why the last pose that came was not taken, None where it was.
+    `refused` says why a pose that came last, or less than SHOWN before the last, was not taken.
     """
 
     def __init__(self, monitor: SceneMonitor, meshes: Meshes, changed: Callable[[], None]) -> None:
@@ -81,6 +86,7 @@ class MovingObjects:
         self._movers: dict[str, Mover] = {}
         self._all: tuple[Mover, ...] = ()
         self._scene: SceneSnapshot | None = None
+        self._refused_at = 0.0
         self.refused: Problem | None = None
 
     def __bool__(self) -> bool:
@@ -95,9 +101,11 @@ class MovingObjects:
         """Take a pose of the object `name`, unless it is refused, at the moment `now` (s, monotonic), in Unix time `wall` (s)."""
         try:
             self._take(name, decode(ObjectPose, payload), now, wall)
-            self.refused = None
         except ZarmError as error:
-            self.refused = error.problem
+            self.refused, self._refused_at = error.problem, now
+        else:
+            if now - self._refused_at > SHOWN:
+                self.refused = None
         self._changed()
 
     def of(self, scene: SceneSnapshot) -> tuple[Mover, ...]:
@@ -128,6 +136,7 @@ class MovingObjects:
                 f"the pose of {name} is {late:.3f} s old (at most {LOST:g} s); find out what delays it, and whether the clocks agree",
                 field="stamp",
             )
+        _refuse_what_cannot_be(name, message)
         item = self._monitor.snapshot(now).objects.get(name)
         if item is None:
             raise InvalidRequest(
@@ -163,3 +172,17 @@ class MovingObjects:
         center = np.array(message.position)
         far = np.maximum(np.abs(lower - center), np.abs(upper - center)).max(axis=0)
         return placed, float(np.linalg.norm(far))
+
+
+def _refuse_what_cannot_be(name: str, message: ObjectPose) -> None:
+    for field, values, most in (
+        ("position", message.position, _FARTHEST),
+        ("linear", message.linear, _FASTEST),
+        ("angular", message.angular, _FASTEST),
+        ("speed", (message.speed,), _FASTEST),
+    ):
+        if max(map(abs, values)) > most:
+            raise InvalidRequest(
+                f"{max(map(abs, values)):g} for {name} is more than {most:g}; lengths are in m, speeds in m/s and rad/s",
+                field=field,
+            )

@@ -120,7 +120,7 @@ class Sessions:
         try:
             message = decode(ServoTarget, payload)
         except InvalidRequest as error:
-            session.inbox.refuse(error.problem)
+            session.inbox.refuse(error.problem, now)
             return
         if message.goal_id == session.goal_id:
             session.inbox.hear(message, now)

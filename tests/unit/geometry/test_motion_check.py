@@ -94,7 +94,8 @@ def test_what_is_called_free_keeps_the_margin_by_a_dense_exact_check(robot: str,
     proven = at(np.linspace(0.0, end, DENSE)) if end > 0.0 else np.empty((0, arm.dof))
     exact = ExactScene(arm, world)
     if len(proven):
-        assert exact.nearest(proven).distance >= MARGIN - PRECISION
+        assert not exact.too_near(proven, 0.0, MARGIN - PRECISION, MARGIN - PRECISION)
+        assert exact.nearest(proven).distance > 0.0
     assert verdict.free == (verdict.contact_time is None)
     if not verdict.free:
         assert verdict.link in arm.links
@@ -123,6 +124,17 @@ def test_what_moves_is_everywhere_that_it_may_be(seed: int) -> None:
         grown = Sphere(kind="sphere", name="ball", position=tuple(place.tolist()), radius=0.05 + speed * abs(t - seen))
         near = ExactScene(arm, World([grown], 0.0)).nearest(at(np.array([t])))
         assert end == 0.0 or near.distance >= MARGIN - PRECISION
+
+
+def test_links_that_are_near_to_each_other_everywhere_keep_what_they_can_of_a_margin_and_are_told_apart() -> None:
+    check = MotionCheck(model("doosan_m1013"))
+    assert check.check(TIMES, TURN, margin=0.05).free
+    nearest = check.nearby(HOME, within=0.05)[0]
+    assert {nearest.link, nearest.object} == {"base_link", "link_2"}
+    assert nearest.room < nearest.distance < 0.05
+    box = Cuboid(kind="cuboid", name="box", position=(1.0, 0.0, 1.0), size=(0.1, 0.1, 0.1))
+    check.update([box])
+    assert next(pair for pair in check.nearby(HOME, within=2.0) if pair.object == "box").room == np.inf
 
 
 HOME = np.array(model("doosan_m1013").robot.descriptor.home)

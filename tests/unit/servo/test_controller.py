@@ -33,11 +33,11 @@ TIP = MODEL.fk_tip(START)
 class Session:
     """A controller and what it has commanded."""
 
-    def __init__(self, *objects: SceneObject, start: Array = START) -> None:
-        self.world = World(objects, 0.0)
+    def __init__(self, *objects: SceneObject, start: Array = START, margin: float = MARGIN) -> None:
+        self.world, self.margin = World(objects, 0.0), margin
         check = MotionCheck(MODEL)
         check.set_world(self.world)
-        self.controller = Controller(MODEL, check, LIMITS, start, margin=MARGIN)
+        self.controller = Controller(MODEL, check, LIMITS, start, margin=margin)
         self.steps: list[Step] = []
         self.states = [self.controller.state]
 
@@ -55,7 +55,9 @@ class Session:
         assert np.all(np.abs(acceleration) <= LIMITS.acceleration * (1 + 1e-6))
         assert np.all(np.abs(np.diff(acceleration, axis=0)) <= LIMITS.jerk * PERIOD * (1 + 1e-6))
         # Between two of them the tip moves by less than 7 mm.
-        assert ExactScene(MODEL, self.world).nearest(position).distance >= MARGIN - PRECISION
+        scene, margin = ExactScene(MODEL, self.world), self.margin - PRECISION
+        assert not scene.too_near(position, 0.0, margin, margin)
+        assert scene.nearest(position).distance > 0.0
 
 
 def moved(x: float, y: float, z: float, turn: float = 0.0) -> Array:
@@ -92,6 +94,15 @@ def test_joints_are_reached_in_line_and_joint_speeds_are_kept() -> None:
     assert session.follow(JointTarget(goal), 4.0).state[0] == pytest.approx(goal, abs=1e-3)
     speeds = np.array([0.1, -0.05, 0.0, 0.0, 0.05, -0.2])
     assert session.follow(JointSpeedTarget(speeds), 0.8).state[1] == pytest.approx(speeds, abs=1e-6)
+    session.assert_sound()
+
+
+def test_with_a_margin_that_its_links_never_keep_from_each_other_a_robot_still_moves_at_full_speed() -> None:
+    session = Session(wall(0.4), margin=0.06)
+    speeds = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    step = session.follow(JointSpeedTarget(speeds), 0.6)
+    assert step.state[1] == pytest.approx(speeds, abs=1e-6)
+    assert step.limitation.kind == "free"
     session.assert_sound()
 
 

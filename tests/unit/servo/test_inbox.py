@@ -54,6 +54,28 @@ def test_what_comes_out_of_order_or_far_too_late_or_for_another_robot_is_refused
     assert isinstance(target, targets.TwistTarget)
 
 
+@pytest.mark.parametrize(
+    ("target", "field"),
+    [
+        (pose(1e300), "target.position"),
+        (pose(0.5).model_copy(update={"linear": (0.0, 1e6, 0.0)}), "target.linear"),
+        (TWIST.model_copy(update={"angular": (0.0, 0.0, -1e300)}), "target.angular"),
+        (JointSpeedTarget(kind="joint_speed", velocity=(1e308,) * 6), "target.velocity"),
+    ],
+)
+def test_numbers_that_no_robot_can_mean_are_refused_by_field_and_that_is_told_for_a_second(
+    inbox: Inbox, target: PoseTarget | TwistTarget | JointSpeedTarget, field: str
+) -> None:
+    inbox.hear(told(1, 0.0, target), 10.0)
+    assert refused(inbox) == field
+    assert inbox.newest(10.0) == (None, None)
+    inbox.hear(told(2, 0.02), 10.02)
+    assert inbox.newest(10.02)[0] is not None
+    assert refused(inbox) == field
+    inbox.hear(told(3, 1.1), 11.1)
+    assert inbox.refused is None
+
+
 def test_a_pose_goes_on_as_it_was_seen_to_move_and_one_that_jumps_does_not(inbox: Inbox) -> None:
     def velocity() -> float:
         target, _ = inbox.newest(10.0)

@@ -68,15 +68,29 @@ def test_an_object_that_turns_moves_as_fast_as_its_farthest_point(told: Told) ->
     assert told.all()["ball"].speed == 0.0
 
 
-def test_wherever_it_can_be_while_the_robot_stops_one_of_the_places_is_near(told: Told) -> None:
-    told.tell(linear=(0.4, 0.0, 0.0), speed=0.1)
+@pytest.mark.parametrize(("fast", "apart"), [(0.4, 0.021), (60.0, 0.31)])
+def test_wherever_it_can_be_while_the_robot_stops_one_of_a_few_places_is_near(
+    told: Told, fast: float, apart: float
+) -> None:
+    told.tell(linear=(fast, 0.0, 0.0), speed=0.1)
     mover, rng = told.all()["box"], np.random.default_rng(0)
     places = mover.swept(NOW, 0.5, 0.02)
+    assert len(places) <= 50
     for time in rng.uniform(0.0, 0.5, 200):
         age, way = mover.age(NOW) + time, rng.normal(size=3)
-        there = np.array((0.5, 0.0, 0.0)) + age * (np.array((0.4, 0.0, 0.0)) + 0.1 * way / np.linalg.norm(way))
+        there = np.array((0.5, 0.0, 0.0)) + age * (np.array((fast, 0.0, 0.0)) + 0.1 * way / np.linalg.norm(way))
         assert any(np.linalg.norm(there - item.position) <= growth + 1e-9 for item, growth in places)
-    assert max(growth for _, growth in places) < 0.1 * 0.55 + 0.021
+    assert max(growth for _, growth in places) < 0.1 * 0.55 + apart
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("position", (0.0, 1e300, 0.0)), ("linear", (-1e6, 0.0, 0.0)), ("angular", (0.0, 0.0, 1e4)), ("speed", 1e300)],
+)
+def test_what_is_farther_or_faster_than_anything_is_refused_by_field(told: Told, field: str, value: Any) -> None:
+    assert told.tell() is None
+    assert told.tell(late=0.005, **{field: value}) == field
+    assert told.all()["box"].placed.position == (0.5, 0.0, 0.0)
 
 
 def test_the_newest_counts_whatever_comes_later(told: Told) -> None:
@@ -103,7 +117,9 @@ def test_what_is_wrong_is_refused_by_its_field_and_changes_nothing(
     before = told.all()
     assert told.tell(name, **fields) == field
     assert told.all() == before
-    assert told.tell(late=0.0) is None
+    assert told.tell(late=0.0) == field  # it is told for a second
+    assert told.all()["box"].stamp > before["box"].stamp
+    assert told.tell(late=0.0, now=NOW + 1.1) is None
 
 
 def test_an_object_without_news_grows_for_a_while_and_is_lost_then(told: Told) -> None:

@@ -111,7 +111,7 @@ class ServoSession(Message):
     `slowing` and `blocked` name the `link` and the `object`, of the scene or another link, and their `distance` (m). `clearance` (m) is
     the least distance that there is, left out beyond 0.15 m. The errors are those of the measured robot to a target that is a
     pose (m, rad) or joint positions (rad, the worst joint). `sequence` is that of the newest target, which came `target_age` (s)
-    ago; `refused` says why the last one that came was not taken. Of its `cycles` the `late_cycles` began more than 2 ms late;
+    ago; `refused` says, for 1 s at least, why a target was not taken. Of its `cycles` the `late_cycles` began more than 2 ms late;
     `computing` (s) is how long 99 of the last 100 took at most. `planned`: it follows a global plan of the planner, because a
     straight way is blocked. `unreachable` says why the planner knows no way to the target; the robot goes as near as it can.
     """
@@ -143,8 +143,8 @@ class ServoState(ShortMessage):
 
     `scene_revision` is the scene that it knows, left out before the first. With `scene_lost` the planner is gone or has lost its
     scene; then what was known still counts. `problem` says why it gives no authority. `check` is how long the last check took (s).
-    Of `lost_objects` no pose has come for 1 s: each counts as anywhere that it can have moved within that time. `pose_refused` says why the
-    last pose of an object that came was not taken.
+    Of `lost_objects` no pose has come for 1 s: each counts as anywhere that it can have moved within that time. `pose_refused` says, for
+    1 s at least, why the pose of an object was not taken.
     """
 
     activity: Literal["idle", "guarding", "following"]

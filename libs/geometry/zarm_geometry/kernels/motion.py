@@ -51,7 +51,7 @@ class MotionBody(NamedTuple):
     """A robot: `solids` are its parts and then a ball around each link, in the frames of the joints that carry them.
 
     `carrier` (solids,): the joint, counted from 1, 0 being the base. The rest is as in `clearance.RobotParts`; `asked`
-    (subjects,) are to be looked at.
+    (subjects,) are to be looked at, and of a margin keep `room` (subjects,) in m at most.
     """
 
     origin: Array
@@ -62,6 +62,7 @@ class MotionBody(NamedTuple):
     pairs: Index
     reach: Array
     asked: NDArray[np.bool_]
+    room: Array
 
 
 class Movers(NamedTuple):
@@ -108,7 +109,7 @@ def solids(rows: Array) -> Solids:
     return Solids(np.ascontiguousarray(pose), np.column_stack([rows[:, 12:], np.full(len(rows), -1.0)]))
 
 
-def motion_body(parts: RobotParts, asked: NDArray[np.bool_]) -> MotionBody:
+def motion_body(parts: RobotParts, asked: NDArray[np.bool_], room: Array) -> MotionBody:
     """A robot for `first_contact`."""
     count = len(parts.link_joint)
     link = np.repeat(np.arange(count), np.diff(parts.first))
@@ -126,6 +127,7 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_]) -> MotionBody:
         pairs=parts.pairs,
         reach=parts.reach,
         asked=asked,
+        room=room,
     )
 
 
@@ -537,7 +539,7 @@ def first_contact(
     motion: Motion,
     margin: float,
 ) -> tuple[int, int, int]:
-    """The first sample after which it is not proven that all keep `margin` (m), the number of samples - 1 where all is.
+    """The first sample after which it is not proven that all keep `margin` (m), or their room, the number of samples - 1 where all is.
 
     Then the part and what it comes too near to: a row of the world, after those the movers, or -1 minus another part. `standing` are
     the world's shapes, of which only those that are `alive` (n,) count.
@@ -567,7 +569,7 @@ def first_contact(
                 found, i, other = _against_world(view, subject, a, m, b, sag, margin)
             else:
                 one, two = body.pairs[subject - view.links, 1], body.pairs[subject - view.links, 0]
-                found, i, other = _against_link(view, one, two, a, m, b, sag, margin)
+                found, i, other = _against_link(view, one, two, a, m, b, sag, min(margin, body.room[subject]))
             if found == KEPT:
                 continue
             if m == a:
