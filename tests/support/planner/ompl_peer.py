@@ -37,7 +37,23 @@ STEP = 0.02
 
 
 def plan(model: RobotModel, world: World, start: Array, goals: Array, timeout: float, *, edges: bool) -> Run | None:
-    """One search from `start` (dof,) to any of `goals` (n, dof) and the simplification of its path; None when it took longer.
+    """What `simplified` takes; None when it took longer than `timeout`."""
+    if (found := _solved(model, world, start, goals, timeout, edges=edges)) is None:
+        return None
+    path, searched, shortened = found
+    return Run(searched, shortened, float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()))
+
+
+def simplified(model: RobotModel, world: World, start: Array, goals: Array, timeout: float) -> Array | None:
+    """The path (n, dof) of one search and its simplification, by checks of edges."""
+    found = _solved(model, world, start, goals, timeout, edges=True)
+    return None if found is None else found[0]
+
+
+def _solved(
+    model: RobotModel, world: World, start: Array, goals: Array, timeout: float, *, edges: bool
+) -> tuple[Array, float, float] | None:
+    """One search from `start` (dof,) to any of `goals` (n, dof) and the simplification of its path, (n, dof), and the CPU seconds of both; None when it took longer.
 
     With `edges` one call checks a whole edge, to zarm's resolution; else OMPL checks states of it one by one, as it does for
     those who give it nothing else. All other parameters are OMPL's own.
@@ -73,7 +89,9 @@ def plan(model: RobotModel, world: World, start: Array, goals: Array, timeout: f
     path = problem.getSolutionPath()
     simplifying = time.thread_time()
     geometric.PathSimplifier(information, goal).simplifyMax(path)
-    return Run(searched - began, time.thread_time() - simplifying, path.length())
+    shortened = time.thread_time() - simplifying
+    rows = np.array([[state[k] for k in range(model.dof)] for state in path.getStates()])
+    return rows, searched - began, shortened
 
 
 class _Checks:

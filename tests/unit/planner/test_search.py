@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from support.planner import motion_bench
+from support.planner import generated_bench, motion_bench
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import clearances
 from zarm_contract.errors import Cancelled, DeadlineExceeded
@@ -22,8 +22,9 @@ from zarm_geometry.kernels.collision import RESOLUTION
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
+from zarm_planner.planners.route import LEG_SAMPLES
 from zarm_planner.search.rrt_connect import search
-from zarm_planner.search.shortcut import shortcut
+from zarm_planner.search.shortcut import quickest_of, shortcut
 
 Array = NDArray[np.float64]
 
@@ -228,3 +229,24 @@ def test_a_search_gives_up_after_the_samples_it_was_allowed(model: RobotModel, s
     world = World(WALL, 0.0)
     assert search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0), most=1) is None
     assert search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0), most=10_000) is not None
+
+
+@pytest.mark.lengthy
+@pytest.mark.skipif(not motion_bench.AVAILABLE, reason="MotionBenchMaker's robots are not beside the repository")
+def test_the_route_into_a_cage_is_a_short_one_whatever_the_seed(tmp_path: Path) -> None:
+    """Where the first paths differ more are looked for, and one search that takes long does not end the matter."""
+    model = RobotModel.of(motion_bench.robot("ur5", tmp_path))
+
+    def seconds(path: Array) -> float:
+        return float(np.max(np.abs(np.diff(path, axis=0)) / model.velocity, axis=1).sum())
+
+    for problem in generated_bench.problems("ur5", model, "cage", 3):
+        world, start, goal = World(problem.objects, 0.0), np.array(problem.start), np.array(problem.goals[0])
+        chosen = []
+        for seed in range(10):
+            seeds, deadline = range(10 * seed, 10 * (seed + 1)), Deadline(60.0)
+            found = quickest_of(model, world, start, goal, seeds=seeds, deadline=deadline, most=LEG_SAMPLES).path
+            if found is not None:
+                chosen.append(seconds(found))
+        assert len(chosen) >= 8
+        assert np.median(chosen) < 1.1 * min(chosen)

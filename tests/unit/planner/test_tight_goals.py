@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import count, islice
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from support.planner.second_opinion import link_pose
 from support.tiers import sampled
 from zarm_contract.errors import PlanningFailed
-from zarm_contract.messages import Cuboid, JointGoal, PoseGoal
+from zarm_contract.messages import Cuboid, JointGoal, PoseGoal, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
@@ -20,7 +23,9 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
+from zarm_planner.goals import ends
 from zarm_planner.goals.problem import PlanningProblem
+from zarm_planner.kinematics.ik import IkResult
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
@@ -125,3 +130,35 @@ def test_a_pose_that_nothing_reaches_free_is_refused_in_time() -> None:
     with pytest.raises(PlanningFailed, match=r"in all \d+ ways to reach it in collision") as refused:
         PlanningProblem.of(context(scene, 0), away, pose_goal(model, q))
     assert refused.value.code == "goal_in_collision"
+
+
+def test_the_only_free_way_to_reach_a_pose_is_taken_where_a_later_seed_finds_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = MODELS["doosan_m1013"]
+    q = np.array(model.robot.descriptor.home)
+    pose = model.fk_tip(q)
+    other = next(
+        solution
+        for solution in ends.solve_ik(
+            model, pose, q, world=None, max_solutions=16, seed=0, deadline=Deadline(60.0)
+        ).solutions
+        if np.linalg.norm(elbow(model, solution) - elbow(model, q)) > 0.3
+    )
+    x, y, z = elbow(model, other).tolist()
+    world = World([Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.1)], 0.005)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    solve = ends.solve_ik
+
+    def unlucky(*given: Any, seed: int, **more: Any) -> IkResult:
+        found = solve(*given, seed=seed, **more)
+        assert len(found.colliding)
+        return found if seed == 3 else replace(found, solutions=found.solutions[:0])
+
+    monkeypatch.setattr(ends, "solve_ik", unlucky)
+    problem = PlanningProblem.of(context(scene, 0), q, pose_goal(model, q))
+    assert np.allclose(problem.targets[-1][0].asked, q, atol=1e-5)
+
+
+def elbow(model: RobotModel, q: Array) -> Array:
+    return link_pose(model.robot, "link_3", q)[:3, 3]

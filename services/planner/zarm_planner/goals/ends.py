@@ -31,6 +31,8 @@ _GOALS = 16
 """At most so many ways to reach a pose are considered."""
 _SET_GOALS = 256
 """And so many to reach any pose of a goal set, the same number of each."""
+_FRUITLESS = 5
+"""Seeds in a row that lead to nothing new before all solutions of a pose count as known; one seed finds 98 to 99.8 % of them."""
 _TRIES = 40
 """Directions tried at each distance to get away from an obstacle on a straight edge."""
 _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -176,15 +178,20 @@ def _tight_ends(
     """Of a pose (4, 4) that is reached free in spheres by none, the `most` nearest configurations free in exact geometry.
 
     They are those of the colliding ones that were `found` (n, dof), with as much room as the pose leaves them; then of
-    others, for `max_attempts` seeds or until all that a seed leads to is known.
+    others, for `max_attempts` seeds or until _FRUITLESS in a row lead only to what is known.
     """
     known = np.empty((0, context.model.dof))
     nearest: list[Nearest] = []
+    fruitless = 0
     for attempt in range(context.max_attempts):
         if attempt > 0:
-            found = _solved(context.with_seed(context.seed + attempt), pose, start).colliding
+            solved = _solved(context.with_seed(context.seed + attempt), pose, start)
+            if len(solved.solutions):
+                return [End.at(q) for q in solved.solutions[:most]]
+            found = solved.colliding
         new = [q for q in found if not np.any(np.abs(known - q).max(axis=1) < DISTINCT)]
-        if not new:
+        fruitless = 0 if new else fruitless + 1
+        if fruitless == _FRUITLESS:
             break
         known = np.vstack((known, *new))
         ends: list[End] = []
