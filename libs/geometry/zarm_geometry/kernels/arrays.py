@@ -117,7 +117,9 @@ def memory(robot: RobotArrays) -> Memory:
     """Working memory for one call of a kernel for this robot."""
     dof, balls = robot.reach.shape
     sizes = (dof, dof, (dof + 1) * balls, balls * 3 * LANES, 65 * LANES, 65 * LANES)
-    return Memory(*(np.empty(size, np.float32) for size in sizes), np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64))
+    return Memory(
+        *(np.empty(size, np.float32) for size in sizes), np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64)
+    )
 
 
 @inlined

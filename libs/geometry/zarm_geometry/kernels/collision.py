@@ -15,7 +15,7 @@ from zarm_geometry.kernels.simd import (
     below,
     larger,
     load,
-    lowest,
+    lowest_bit,
     magnitude,
     nearest,
     root,
@@ -118,7 +118,7 @@ def _reached(space: Space, first: int, active: Bits, node: int, half: Lanes) -> 
     while active != 0:
         bit = active & (~active + np.uint64(1))
         active ^= bit
-        sphere = first + lowest(bit)
+        sphere = first + lowest_bit(bit)
         ball = space.links + sphere
         at = ball * 3 * LANES
         x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
@@ -166,11 +166,15 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
             rounding = space.shapes[shape + 16] + space.margin
             found = near
             while active != 0:
-                sphere = first + lowest(active)
+                sphere = first + lowest_bit(active)
                 active &= active - np.uint64(1)
                 ball = space.links + sphere
                 at = ball * 3 * LANES
-                bx, by, bz = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
+                bx, by, bz = (
+                    load(space.centers, at),
+                    load(space.centers, at + LANES),
+                    load(space.centers, at + 2 * LANES),
+                )
                 slack = _slack(half, space.motion[ball])
                 apart = squared_distance(space.shapes, shape, bx, by, bz)
                 radius = space.spheres[4 * sphere + 3] + rounding

@@ -196,7 +196,7 @@ def pointer(typing: Any, array: Any) -> Any:
 
 
 @intrinsic
-def lowest(typing: Any, bits: Any) -> Any:
+def lowest_bit(typing: Any, bits: Any) -> Any:
     """The place of the lowest bit that is set in an uint64 other than 0."""
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
