@@ -55,12 +55,9 @@ class BoxTree(NamedTuple):
             ),
         )
 
-    def grown(self, margin: float) -> WorldArrays:
-        """The tree with `margin` (m) added all around its shapes, for kernels."""
-        shapes, boxes = self.rows.astype(np.float32), self.boxes.copy()
-        shapes[:, rows.WIDTH - 1] = self.rows[:, rows.WIDTH - 1] + margin
-        boxes[:, 3:] += margin
-        return WorldArrays(shapes, boxes.astype(np.float32), self.skip, self.leaf)
+    def arrays(self, margin: float) -> WorldArrays:
+        """The tree for kernels, with `margin` (m) around its shapes."""
+        return WorldArrays(self.rows.astype(np.float32), self.boxes.astype(np.float32), self.skip, self.leaf, margin)
 
 
 def _nodes(lower: Array, upper: Array) -> tuple[Array, Index, Index]:

@@ -52,7 +52,7 @@ class World:
         self.names = tuple(item.name for item in objects)
         self.margin = margin
         self.rows, self.owner = tree.rows, np.concatenate([np.array(owners, np.intp), *of_trees])[tree.order]
-        self.arrays = tree.grown(margin)
+        self.arrays = tree.arrays(margin)
 
 
 def convex_shapes(item: SceneObject, meshes: Meshes) -> Array:

@@ -17,6 +17,8 @@ Pointer = Any
 
 SHAPE = 17
 """Numbers per obstacle, see WorldArrays."""
+DEEPEST = 32
+"""Levels of a tree of boxes, at most: with 4 children a node those of more shapes than can be counted."""
 
 
 class RobotArrays(NamedTuple):
@@ -43,20 +45,21 @@ class RobotArrays(NamedTuple):
 
 
 class WorldArrays(NamedTuple):
-    """Obstacles as the collision kernels read them, in a tree of axis-aligned boxes.
+    """Obstacles as the collision kernels read them, in a tree of axis-aligned boxes; all keep `margin` (m) besides.
 
     `shapes` (n, 17): the base frame in the obstacle's (3, 4), row by row; then half extents x, y, z of its core, the
     radius of the core about z, and what is added all around. So a cuboid is its extents, a sphere a point, a capsule a
     segment, each with a rounding, and a cylinder a segment with a radius. A radius below 0 marks a triangle: (0, 0), (b, 0),
     (c, d) in the plane z = 0, with b, c, d in place of the half extents, and a rounding.
     `boxes` (m, 6): centre and half extents of the tree's nodes, depth first; `skip` (m,): the node after the subtree;
-    `leaf` (m,): the obstacle in a leaf, -1 for an inner node.
+    `leaf` (m,): the obstacle in a leaf, -1 for an inner node. The tree is no deeper than DEEPEST.
     """
 
     shapes: Single
     boxes: Single
     skip: Index
     leaf: Index
+    margin: float
 
 
 class Space(NamedTuple):
@@ -64,7 +67,8 @@ class Space(NamedTuple):
 
     Of the edge in hand: `start` and `step` (dof,); `motion` (dof + 1, balls): how far each ball moves along it at most, by
     the joints from this row's on. `centers` (balls, 48): x, y and z in 16 lanes. `middle` and `half` (65 * 16,): stretches
-    of the edge, 16 in hand and then a stack of those that are still to be checked.
+    of the edge, 16 in hand and then a stack of those that are still to be checked. `active` and `until` (DEEPEST,): of the node
+    in hand and those above it, which of up to 64 spheres come near, and where its subtree ends.
     """
 
     dof: int
@@ -85,12 +89,15 @@ class Space(NamedTuple):
     boxes: Pointer
     skip: Pointer
     leaf: Pointer
+    margin: float
     start: Pointer
     step: Pointer
     motion: Pointer
     centers: Pointer
     middle: Pointer
     half: Pointer
+    active: Pointer
+    until: Pointer
 
 
 class Memory(NamedTuple):
@@ -102,13 +109,17 @@ class Memory(NamedTuple):
     centers: Single
     middle: Single
     half: Single
+    active: NDArray[np.uint64]
+    until: NDArray[np.int64]
 
 
 def memory(robot: RobotArrays) -> Memory:
     """Working memory for one call of a kernel for this robot."""
     dof, balls = robot.reach.shape
     sizes = (dof, dof, (dof + 1) * balls, balls * 3 * LANES, 65 * LANES, 65 * LANES)
-    return Memory(*(np.empty(size, np.float32) for size in sizes))
+    return Memory(
+        *(np.empty(size, np.float32) for size in sizes), np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64)
+    )
 
 
 @inlined
@@ -133,10 +144,13 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(world.boxes),
         pointer(world.skip),
         pointer(world.leaf),
+        np.float32(world.margin),
         pointer(memory.start),
         pointer(memory.step),
         pointer(memory.motion),
         pointer(memory.centers),
         pointer(memory.middle),
         pointer(memory.half),
+        pointer(memory.active),
+        pointer(memory.until),
     )

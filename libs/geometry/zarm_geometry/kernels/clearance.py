@@ -14,12 +14,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_geometry.kernels.arrays import DEEPEST
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
 from zarm_geometry.kernels.kinematics import joint_frames
+from zarm_geometry.kernels.simd import lowest_bit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
+
+
+ROUGH = 0.2
+"""Part by which a distance that matters for nothing but how far to go on may be too small."""
+_PARTS = 64
+"""Parts of a link that are looked at together."""
 
 
 class RobotParts(NamedTuple):
@@ -65,7 +73,7 @@ class Course(NamedTuple):
 
     `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. `frames` (n, links, 3, 4) of the samples that are `known` (n,). `keys` and `stretches`, which has
     the columns subject, first sample, last sample + 1, are a heap of `size[0]` stretches with what they are sure to keep
-    clear. `joints` (dof, 3, 4) and `centers` (parts, 3) are working memory.
+    clear. `joints` (dof, 3, 4), `centers` (parts, 3), `active` and `until` (DEEPEST,) are working memory.
     """
 
     q: Array
@@ -77,6 +85,8 @@ class Course(NamedTuple):
     size: NDArray[np.int64]
     joints: Array
     centers: Array
+    active: NDArray[np.uint64]
+    until: NDArray[np.int64]
 
 
 def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
@@ -100,6 +110,8 @@ def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
         size=np.array([count]),
         joints=np.empty_like(body.origin),
         centers=np.empty((len(body.pose), 3)),
+        active=np.empty(DEEPEST, np.uint64),
+        until=np.empty(DEEPEST, np.int64),
     )
 
 
@@ -254,81 +266,122 @@ def _closest_row(world: Obstacles, x: float, y: float, z: float, within: float) 
 
 
 @inlined
-def _part_in_box(
-    body: RobotParts, world: Obstacles, course: Course, link: int, k: int, node: int, within: float
-) -> bool:
-    """Whether a part of a link may be nearer than `within` (m) to a box of the world's tree."""
+def _to_row(
+    body: RobotParts, world: Obstacles, course: Course, link: int, k: int, i: int, row: int, limit: float
+) -> tuple[float, float]:
+    """Bounds of the distance of a part to a row of the world, or a lower one that is `limit` (m) at least and infinity."""
+    r = world.rows
+    core, rounding = _core(r, row, 12), r[row, 16]
+    turn = (
+        r[row, 0], r[row, 1], r[row, 2], r[row, 4], r[row, 5], r[row, 6], r[row, 8], r[row, 9], r[row, 10],
+    )  # fmt: skip
+    x, y, z = turned(turn, (course.centers[i, 0], course.centers[i, 1], course.centers[i, 2]))
+    center = (x + r[row, 3], y + r[row, 7], z + r[row, 11])
+    apart = core_distance(center, core) - rounding
+    if apart - body.extents[i, 5] >= limit:
+        return apart - body.extents[i, 5], math.inf
+    if body.extents[i, 4] == body.extents[i, 5] and apart > -rounding:
+        return apart - body.extents[i, 4], apart - body.extents[i, 4]
+    own = _part_turn(body, course, k, link, i)
+    u = turned(turn, (own[0], own[3], own[6]))
+    v = turned(turn, (own[1], own[4], own[7]))
+    w = turned(turn, (own[2], own[5], own[8]))
+    own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
+    rounded = rounding + body.extents[i, 4]
+    lower, upper, _ = core_gap(center, own, _core(body.extents, i, 0), core, limit + rounded)
+    return lower - rounded, upper - rounded
+
+
+@inlined
+def _to_box(
+    body: RobotParts, world: Obstacles, course: Course, link: int, k: int, i: int, node: int, limit: float
+) -> float:
+    """What a part keeps at least from a box of the world's tree; exact below `limit` (m) only for balls."""
     b = world.boxes
     half = (
         max(b[node, 3] - world.grown, 0.0), max(b[node, 4] - world.grown, 0.0), max(b[node, 5] - world.grown, 0.0), 0.0
     )  # fmt: skip
-    for i in range(body.first[link], body.first[link + 1]):
-        center = (
-            course.centers[i, 0] - b[node, 0],
-            course.centers[i, 1] - b[node, 1],
-            course.centers[i, 2] - b[node, 2],
-        )
-        if core_distance(center, half) - body.extents[i, 5] >= within:
-            continue
-        wide = within + body.extents[i, 4]
-        lower, _, _ = core_gap(center, _part_turn(body, course, k, link, i), _core(body.extents, i, 0), half, wide)
-        if lower < wide:
-            return True
-    return False
+    center = (
+        course.centers[i, 0] - b[node, 0],
+        course.centers[i, 1] - b[node, 1],
+        course.centers[i, 2] - b[node, 2],
+    )
+    apart = core_distance(center, half) - body.extents[i, 5]
+    if apart >= limit or body.extents[i, 4] == body.extents[i, 5]:
+        return apart
+    rounding = body.extents[i, 4]
+    lower, _, _ = core_gap(
+        center, _part_turn(body, course, k, link, i), _core(body.extents, i, 0), half, limit + rounding
+    )
+    return max(apart, lower - rounding)
 
 
 @inlined
 def _to_world(
     body: RobotParts, world: Obstacles, course: Course, found: Array, link: int, k: int, enough: float, best: float
 ) -> tuple[float, Array, float]:
-    """The distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted.
+    """A distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted.
 
-    What is near the middle of the link is looked at first: so what is left of the tree is little.
+    What is near the middle of the link is looked at first: so what is left of the tree is little. Down the tree go only the
+    parts that come near its boxes. Above `best` a distance need not be exact: boxes that can hide no more than a part
+    ROUGH of it are not entered.
     """
-    lowest = enough
+    lowest = nearest = enough
     a = body.around
     cx, cy, cz = _at(course.frames, k, link, a[link, 0], a[link, 1], a[link, 2])
-    closest = _closest_row(world, cx, cy, cz, max(best, lowest, 0.0) + a[link, 3])
-    if closest >= 0:
-        _place_parts(body, course, k, link)
-    row, node, nodes = closest, 0, world.boxes.shape[0]
-    while row >= 0:
-        r = world.rows
-        core, rounding = _core(r, row, 12), r[row, 16]
-        turn = (
-            r[row, 0], r[row, 1], r[row, 2], r[row, 4], r[row, 5], r[row, 6], r[row, 8], r[row, 9], r[row, 10],
-        )  # fmt: skip
-        for i in range(body.first[link], body.first[link + 1]):
-            x, y, z = turned(turn, (course.centers[i, 0], course.centers[i, 1], course.centers[i, 2]))
-            center = (x + r[row, 3], y + r[row, 7], z + r[row, 11])
-            apart = core_distance(center, core) - rounding
-            limit = max(best, lowest, 0.0)
-            if apart - body.extents[i, 5] >= limit:
-                continue
-            if body.extents[i, 4] == body.extents[i, 5] and apart > -rounding:
-                lower = upper = apart - body.extents[i, 4]
-            else:
-                own = _part_turn(body, course, k, link, i)
-                u = turned(turn, (own[0], own[3], own[6]))
-                v = turned(turn, (own[1], own[4], own[7]))
-                w = turned(turn, (own[2], own[5], own[8]))
-                own = (u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2])
-                rounded = rounding + body.extents[i, 4]
-                lower, upper, _ = core_gap(center, own, _core(body.extents, i, 0), core, limit + rounded)
-                lower, upper = lower - rounded, upper - rounded
-            lowest = min(lowest, lower)
-            found, best = _note(found, lower, upper, i, row, k, best)
-        row = -1
-        while row < 0 and node < nodes:
-            limit = max(best, lowest, 0.0)
+    closest = _closest_row(world, cx, cy, cz, max(best, enough, 0.0) + a[link, 3])
+    if closest < 0:
+        return lowest, found, best
+    _place_parts(body, course, k, link)
+    for i in range(body.first[link], body.first[link + 1]):
+        lower, upper = _to_row(body, world, course, link, k, i, closest, max(best, nearest, 0.0))
+        nearest = min(nearest, lower)
+        found, best = _note(found, lower, upper, i, closest, k, best)
+    lowest = nearest
+    nodes = world.boxes.shape[0]
+    for first in range(body.first[link], body.first[link + 1], _PARTS):
+        count = min(body.first[link + 1] - first, _PARTS)
+        course.active[0] = ~np.uint64(0) >> np.uint64(_PARTS - count)
+        course.until[0] = nodes
+        level, node = 0, 0
+        while node < nodes:
+            while node >= course.until[level]:
+                level -= 1
+            limit = max(best, (1.0 - ROUGH) * nearest, 0.0)
+            apart = _box_distance(world, node, cx, cy, cz)
             wide = limit + a[link, 3]
-            if _box_distance(world, node, cx, cy, cz) >= wide * wide or (
-                not _part_in_box(body, world, course, link, k, node, limit)
-            ):
+            if apart >= wide * wide:
+                wide = lowest + a[link, 3]
+                if apart < wide * wide:
+                    lowest = math.sqrt(apart) - a[link, 3]
                 node = world.skip[node]
                 continue
-            row = world.leaf[node] if world.leaf[node] != closest else -1
+            active, near = course.active[level], np.uint64(0)
+            while active != 0:
+                i = first + lowest_bit(active)
+                bit = active & (~active + np.uint64(1))
+                active ^= bit
+                apart = _to_box(body, world, course, link, k, i, node, limit)
+                if apart < limit:
+                    near |= bit
+                else:
+                    lowest = min(lowest, apart)
+            if near == 0:
+                node = world.skip[node]
+                continue
+            row = world.leaf[node]
             node += 1
+            if row < 0:
+                level += 1
+                course.active[level], course.until[level] = near, world.skip[node - 1]
+                continue
+            while near != 0 and row != closest:
+                i = first + lowest_bit(near)
+                near &= near - np.uint64(1)
+                lower, upper = _to_row(body, world, course, link, k, i, row, max(best, nearest, 0.0))
+                nearest = min(nearest, lower)
+                found, best = _note(found, lower, upper, i, row, k, best)
+        lowest = min(lowest, nearest)
     return lowest, found, best
 
 

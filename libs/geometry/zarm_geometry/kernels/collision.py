@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from zarm_geometry.kernels.arrays import SHAPE, Pointer, Space
@@ -13,6 +15,7 @@ from zarm_geometry.kernels.simd import (
     below,
     larger,
     load,
+    lowest_bit,
     magnitude,
     nearest,
     root,
@@ -26,6 +29,11 @@ from zarm_geometry.kernels.simd import (
 RESOLUTION = 0.01
 """No sphere centre moves further (m) between two checked configurations of an edge than this, unless it is proven free
 there. So what lies between is at most half of it away from what was checked: within the default margin of 0.005 m."""
+
+
+Bits = Any
+"""One bit for each of up to 64 spheres."""
+_SPHERES = 64
 
 
 @inlined
@@ -104,56 +112,81 @@ def _in_box(space: Space, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes)
 
 
 @inlined
-def _reached(space: Space, link: int, node: int, half: Lanes) -> bool:
-    """Whether a sphere of a link comes near a box of the world's tree."""
-    for sphere in range(space.link_first[link], space.link_first[link + 1]):
+def _reached(space: Space, first: int, active: Bits, node: int, half: Lanes) -> Bits:
+    """Which of the `active` spheres, counted from `first` on, come near a box of the world's tree."""
+    reached = np.uint64(0)
+    while active != 0:
+        bit = active & (~active + np.uint64(1))
+        active ^= bit
+        sphere = first + lowest_bit(bit)
         ball = space.links + sphere
         at = ball * 3 * LANES
         x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
-        reach = _slack(half, space.motion[ball]) + space.spheres[4 * sphere + 3]
+        reach = _slack(half, space.motion[ball]) + (space.spheres[4 * sphere + 3] + space.margin)
         if _in_box(space, node, x, y, z, reach) != 0:
-            return True
-    return False
+            reached |= bit
+    return reached
 
 
 @inlined
 def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
-    """Lanes in which a link touches an obstacle (the first such found), and in which one is near enough to matter."""
+    """Lanes in which a link touches an obstacle (the first such found), and in which one is near enough to matter.
+
+    Down the tree go only the spheres that come near its boxes.
+    """
     zero = splat(0.0)
     at = link * 3 * LANES
     x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
-    wide = _slack(half, space.motion[link]) + space.bounds[4 * link + 3]
+    around = space.bounds[4 * link + 3] + space.margin
     near = np.uint32(0)
-    node = 0
-    while node < space.nodes:
-        shape, this = SHAPE * space.leaf[node], node
-        if _in_box(space, node, x, y, z, wide) == 0 or (shape < 0 and not _reached(space, link, node, half)):
-            node = space.skip[node]
-            continue
-        node += 1
-        if shape < 0:
-            continue
-        rounding = space.shapes[shape + 16]
-        found = near
-        for sphere in range(space.link_first[link], space.link_first[link + 1]):
-            ball = space.links + sphere
-            at = ball * 3 * LANES
-            bx, by, bz = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
-            slack = _slack(half, space.motion[ball])
-            if _in_box(space, this, bx, by, bz, slack + space.spheres[4 * sphere + 3]) == 0:
+    for first in range(space.link_first[link], space.link_first[link + 1], _SPHERES):
+        count = min(space.link_first[link + 1] - first, _SPHERES)
+        space.active[0] = ~np.uint64(0) >> np.uint64(_SPHERES - count)
+        space.until[0] = space.nodes
+        level, node = 0, 0
+        while node < space.nodes:
+            while node >= space.until[level]:
+                level -= 1
+            active = space.active[level]
+            several = active & (active - np.uint64(1)) != 0
+            if several and _in_box(space, node, x, y, z, _slack(half, space.motion[link]) + around) == 0:
+                node = space.skip[node]
                 continue
-            apart = squared_distance(space.shapes, shape, bx, by, bz)
-            radius = space.spheres[4 * sphere + 3] + rounding
-            reach = slack + radius
-            close = below(apart, reach * reach)
-            if close != 0:
-                near |= close & below(zero, slack)
-                hit = below(apart, splat(radius * radius))
-                if hit != 0:
-                    return hit, near
-        if near != found:  # those stretches are divided in any case: of them only contacts matter now
-            half = without(near, half)
-            wide = _slack(half, space.motion[link]) + space.bounds[4 * link + 3]
+            active = _reached(space, first, active, node, half)
+            if active == 0:
+                node = space.skip[node]
+                continue
+            shape = SHAPE * space.leaf[node]
+            node += 1
+            if shape < 0:
+                level += 1
+                space.active[level] = active
+                space.until[level] = space.skip[node - 1]
+                continue
+            rounding = space.shapes[shape + 16] + space.margin
+            found = near
+            while active != 0:
+                sphere = first + lowest_bit(active)
+                active &= active - np.uint64(1)
+                ball = space.links + sphere
+                at = ball * 3 * LANES
+                bx, by, bz = (
+                    load(space.centers, at),
+                    load(space.centers, at + LANES),
+                    load(space.centers, at + 2 * LANES),
+                )
+                slack = _slack(half, space.motion[ball])
+                apart = squared_distance(space.shapes, shape, bx, by, bz)
+                radius = space.spheres[4 * sphere + 3] + rounding
+                reach = slack + radius
+                close = below(apart, reach * reach)
+                if close != 0:
+                    near |= close & below(zero, slack)
+                    hit = below(apart, splat(radius * radius))
+                    if hit != 0:
+                        return hit, near
+            if near != found:  # those stretches are divided in any case: of them only contacts matter now
+                half = without(near, half)
     return np.uint32(0), near
 
 
