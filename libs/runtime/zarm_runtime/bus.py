@@ -8,16 +8,15 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import partial
 from types import TracebackType
-from typing import Any, NoReturn, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import zenoh
 from zenoh.handlers import FifoChannel
 
 from zarm_contract.access import Role, Verb, reading, require
-from zarm_contract.codec import CONTRACT, MAX_BYTES, decode, encode, other_contract
-from zarm_contract.errors import Busy, InternalError, InvalidRequest, Problem, Unavailable, ZarmError, from_problem
+from zarm_contract.codec import MAX_BYTES, encode
+from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import ALL_CLIENTS, client_token, parse_alive
 from zarm_contract.messages import Message, Requester
 from zarm_runtime.arrivals import Arrivals
@@ -33,8 +32,8 @@ from zarm_runtime.publications import (
     understood,
     unobserved,
 )
+from zarm_runtime.queries import Reply, Request, Served, ask
 from zarm_runtime.quota import Quota
-from zarm_runtime.requester import on_behalf_of, requester_of
 from zarm_runtime.security import client_role, security_on
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_client, spoken
 
@@ -42,8 +41,6 @@ __all__ = ["Bus", "Latched", "Latest", "Publisher"]
 
 log = logging.getLogger(__name__)
 
-Request = TypeVar("Request", bound=Message)
-Reply = TypeVar("Reply", bound=Message)
 M = TypeVar("M", bound=Message)
 
 _WAITING = 1024
@@ -167,51 +164,21 @@ class Bus:
         overtaken: bool = True,
     ) -> None:
         self._require("answers", key)
-        pool = ThreadPoolExecutor(workers, thread_name_prefix=key)
-        refusing = ThreadPoolExecutor(1, thread_name_prefix=f"{key} refuses")
-
-        def answer(query: zenoh.Query, work: Callable[[], Message | Encoded]) -> None:
-            try:
-                with query:
-                    self._answered(key, _reply(query, key, work))
-            except Exception:
-                log.exception("answer not sent key=%s", key)
-                self._answered(key, "unsent")
-
-        def handle(query: zenoh.Query, who: Requester, arrival: int) -> None:
-            try:
-                with on_behalf_of(who):
-                    answer(query, lambda: handler(_request(query, key, request), arrival))
-            finally:
-                room.leave(who.client)
-
-        def hand_over(to: ThreadPoolExecutor, work: Callable[..., None], query: zenoh.Query, *rest: object) -> bool:
-            try:
-                to.submit(work, query, *rest)
-            except RuntimeError:  # the pools are shut down: this service is closing
-                answer(query, partial(_refuse, Unavailable(f"{key} is shutting down")))
-                return False
-            return True
-
-        def admit(query: zenoh.Query, arrival: int = 0) -> None:
-            if str(query.key_expr) != key and not (readable and query.payload is None):
-                with query:
-                    return
-            who = requester_of(query)
-            try:
-                room.enter(who.client)
-            except Busy as busy:
-                hand_over(refusing, answer, query, partial(_refuse, busy))
-                return
-            if not hand_over(pool, handle, query, who, arrival):
-                room.leave(who.client)
-
-        self._pools += [pool, refusing]
+        served = Served(
+            key,
+            request,
+            handler,
+            workers,
+            room,
+            lambda name, outcome: self._answered(name, outcome),  # whoever watches may come later
+            readable=readable,
+        )
+        self._pools += served.pools
         if in_order:
             queryable: Any = self._session.declare_queryable(key, FifoChannel(_WAITING), complete=True)
-            self._arrivals().add(queryable, admit, overtaken=overtaken)
+            self._arrivals().add(queryable, served.admit, overtaken=overtaken)
         else:
-            queryable = self._session.declare_queryable(key, admit, complete=True)
+            queryable = self._session.declare_queryable(key, served.admit, complete=True)
         self._entities.append(queryable)
 
     def call(self, key: str, request: Message, reply: type[Reply], *, timeout: float) -> Reply:
@@ -228,52 +195,20 @@ class Bus:
                 field="payload",
             )
         requester = Requester(client=self._client, timeout=max(0.0, timeout))
-        return self._ask(
-            key, reply, timeout, payload=payload, encoding=encoding_of(type(request)), attachment=encode(requester)
+        return ask(
+            self._session,
+            key,
+            reply,
+            timeout,
+            self.role,
+            payload=payload,
+            encoding=encoding_of(type(request)),
+            attachment=encode(requester),
         )
 
     def read(self, key: str, model: type[Reply], *, timeout: float) -> Reply:
         """The present value of a latched or readable key. Raises Unavailable and InternalError as `call` does."""
-        return self._ask(reading(key), model, timeout)
-
-    def _ask(self, key: str, reply: type[Reply], timeout: float, **request: Any) -> Reply:
-        refused = "" if self.role is None else f", or the router there lets no {self.role} ask"
-        began = time.monotonic()
-
-        def unavailable() -> Unavailable:
-            late = f" within {timeout:g} s" if time.monotonic() - began > 0.9 * timeout else ""  # else nobody serves it
-            asked = key.removesuffix("$*")  # of what is only read
-            return Unavailable(f"nobody answered on {asked}{late}{refused}; `zarm status` shows which services run")
-
-        try:
-            replies = self._session.get(
-                key, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK, **request
-            )
-            first = next(iter(replies), None)
-        except zenoh.ZError as error:
-            raise unavailable() from error
-        if first is None:
-            raise unavailable()
-        if first.ok is not None:
-            other = None if reply.any_contract else other_contract(str(first.ok.encoding))
-            if other is not None:
-                raise InternalError(
-                    f"the service on {key} speaks contract {other}, and this client {CONTRACT}; run the same version of "
-                    "zarm on both sides (`zarm status` shows who runs which)"
-                )
-            try:
-                return decode(reply, first.ok.payload.to_bytes())
-            except InvalidRequest as error:
-                raise InternalError(
-                    f"the answer on {key} cannot be read: {error}; run the same version of zarm on both sides"
-                ) from error
-        if first.err is None:
-            raise unavailable()
-        try:
-            problem = decode(Problem, first.err.payload.to_bytes())
-        except InvalidRequest:  # Zenoh's own error reply, a timeout for one, is no Problem
-            raise unavailable() from None
-        raise from_problem(problem)
+        return ask(self._session, reading(key), model, timeout, self.role)
 
     def _arrivals(self) -> Arrivals:
         if self._ordered is None:
@@ -466,37 +401,3 @@ class Bus:
     def _require(self, verb: Verb, key: str) -> None:
         if self.role is not None:
             require(self.role, verb, key)
-
-
-def _request(query: zenoh.Query, key: str, model: type[Request]) -> Request:
-    other = None if model.any_contract or query.encoding is None else other_contract(str(query.encoding))
-    if other is not None:
-        raise InvalidRequest(
-            f"this request is of contract {other}, and {key} speaks {CONTRACT}; run the same version of zarm on both sides "
-            "(`zarm status` shows who runs which)"
-        )
-    return decode(model, query.payload.to_bytes() if query.payload is not None else b"")
-
-
-def _refuse(error: ZarmError) -> NoReturn:
-    raise error
-
-
-def _reply(query: zenoh.Query, key: str, work: Callable[[], Message | Encoded]) -> str:
-    """Answer with what `work` makes; `ok`, or the code of the problem that it came to."""
-    try:
-        answer = work()
-        encoded = answer if isinstance(answer, Encoded) else Encoded.of(answer)
-    except ZarmError as error:
-        _reply_problem(query, error)
-        return error.code
-    except Exception:
-        log.exception("handler failed key=%s", key)
-        _reply_problem(query, InternalError(f"{key} failed on this request; its log has the trace"))
-        return "internal"
-    query.reply(key, encoded.payload, encoding=encoded.encoding)
-    return "ok"
-
-
-def _reply_problem(query: zenoh.Query, error: ZarmError) -> None:
-    query.reply_err(encode(error.problem), encoding=encoding_of(Problem))

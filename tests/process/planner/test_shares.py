@@ -93,7 +93,7 @@ def test_searches_without_end_keep_no_other_client_waiting_and_end_with_who_aske
     with greedy(place, tmp_path, KEYS.plan, ENDLESS, SHARE + 1) as client:
         (busy,) = eventually(lambda: client.answers, "it has all of its share in hand, and one request more is refused")
         assert busy["code"] == "busy"
-        assert f"{SHARE} requests of this client" in str(busy["message"])
+        assert f"{SHARE} pending requests of this client" in str(busy["message"])
         plan(modest, MODEST)
         assert client.answers == [busy]
         client.kill()
