@@ -1,4 +1,4 @@
-"""Motion of a robot: goals that its executor carries out, and its rest whatever goes wrong."""
+"""Motion of a robot: goals for its executor, and how they are stopped."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OnProgress = Callable[[GoalState], object]
 
 
 class Motion(Calls):
-    """Goals, and commands to whatever moves the robot."""
+    """Goals, and commands that stop, pause or slow whatever moves the robot."""
 
     def execute(
         self,
@@ -42,16 +42,16 @@ class Motion(Calls):
         replan: bool = False,
         on_progress: OnProgress | None = None,
     ) -> GoalState:
-        """Move the robot along a plan, and wait until it rests at the end; the goal's last state.
+        """Move the robot along a plan and wait until it rests at the end. Returns the goal's last state.
 
-        `what` is a plan, its id, a trajectory (which nobody has checked against the scene), or left out: the last plan that
-        was made. A goal that runs makes this one Busy, unless `preempt`: then that goal is cancelled first. With
-        `replan` the servo plans anew, in motion, when something is put in the way. `on_progress` is told the goal's states,
-        some ten a second; its exception stops the robot.
+        `what` is a plan, the id of a plan, or a trajectory, which is not checked against the scene; by default the last
+        plan. While another goal is active this raises Busy, unless `preempt` cancels that goal first. With `replan` the
+        servo replans during motion when an obstacle appears. `on_progress` receives the goal's state about ten times a
+        second; an exception in it stops the robot.
 
-        Ctrl-C cancels the goal, waits until the robot rests, and then raises KeyboardInterrupt; a second one does not wait.
-        Raises ExecutionRefused before and ExecutionFailed during the motion, Cancelled where another client ended it, and
-        Unavailable where the executor is gone, and what the robot does is not known.
+        Ctrl-C cancels the goal, waits until the robot rests, and then raises KeyboardInterrupt; a second Ctrl-C does
+        not wait. Raises ExecutionRefused before and ExecutionFailed during the motion, Cancelled if another client
+        ended it, and Unavailable if the executor is gone and the state of the robot is unknown.
         """
         with self._new_goal() as goal_id:
             self._send(what, goal_id, preempt, replan)
@@ -69,10 +69,11 @@ class Motion(Calls):
         goal_id: str | None = None,
         timeout: float = REST_SECONDS,
     ) -> str:
-        """`execute` that does not wait: the id of the goal, for `follow` and `cancel`. The motion goes on without this program.
+        """`execute` without waiting. Returns the id of the goal, for `follow` and `cancel`; the motion continues
+        without this program.
 
-        `goal_id` is the goal's name (default: a new one).
-        The executor takes or refuses it within `timeout` s, else it is withdrawn.
+        `goal_id` names the goal (default: a new id). If the executor does not accept or refuse it within `timeout` s,
+        it is withdrawn.
         """
         with self._new_goal(goal_id) as named:
             self._send(what, named, preempt, replan, timeout)
@@ -85,10 +86,10 @@ class Motion(Calls):
         *,
         timeout: float | None = None,
     ) -> GoalState:
-        """Wait for the end of a goal, whoever started it; its last state, which tells whether it succeeded.
+        """Wait for the end of a goal, whoever started it. Returns its last state, which says whether it succeeded.
 
-        Ctrl-C ends the wait and not the goal. Raises Unavailable where nothing is heard of it for 10 s, or where it has not
-        ended after `timeout` s.
+        Ctrl-C ends the wait, not the goal. Raises Unavailable if nothing is heard of the goal for 10 s, or if it has
+        not ended after `timeout` s.
         """
         for state in self.goal_states(goal_id, timeout=timeout):
             if on_progress is not None:
@@ -96,7 +97,7 @@ class Motion(Calls):
         return state
 
     def goal_states(self, goal_id: str, *, timeout: float | None = None) -> Generator[GoalState]:
-        """The states of a goal up to its last one, each different from the one before; raises as `follow` does."""
+        """The states of a goal up to its last one, each different from the one before. Raises as `follow` does."""
         before: GoalState | None = None
         for state in self.connection.goals.states(goal_id, self.connection.interrupts, timeout=timeout):
             if state != before:
@@ -104,34 +105,34 @@ class Motion(Calls):
                 yield state
 
     def cancel(self, goal_id: str | None = None, *, timeout: float = ANSWER_SECONDS) -> ExecutorState:
-        """Cancel a goal, or left out the one that runs; the robot decelerates to rest. A finished goal is no error."""
+        """Cancel a goal, by default the active one; the robot brakes to rest. Cancelling a finished goal is no error."""
         request = made(CancelRequest, goal_id=goal_id)
         return self._ask(self._keys.cancel, ExecutorState, request, timeout=timeout)
 
     def stop(self) -> ExecutorState:
-        """Stop the robot now, whoever moves it; it decelerates to rest."""
+        """Stop the robot now, whoever moves it; it brakes to rest."""
         return self._ask(self._keys.stop, ExecutorState)
 
     def pause(self) -> ExecutorState:
-        """Hold the motion; `resume` goes on with it."""
+        """Pause the motion; `resume` continues it."""
         return self._ask(self._keys.pause, ExecutorState)
 
     def resume(self) -> ExecutorState:
-        """Go on with a motion that was paused."""
+        """Continue a paused motion."""
         return self._ask(self._keys.resume, ExecutorState)
 
     def reset(self) -> ExecutorState:
-        """Leave the fault state, once its reason is mended."""
+        """Leave the fault state, once its cause is fixed."""
         return self._ask(self._keys.reset, ExecutorState)
 
     def speed(self, scale: float | None = None) -> float:
-        """The share (0.05 to 1) of the planned speed at which the robot moves, after it was changed to `scale`, if given."""
+        """The share (0.05 to 1) of the planned speed at which the robot moves. With `scale`, sets it first."""
         if scale is None:
             return self.connection.read(self._keys.speed, Speed).speed_scale
         return self._ask(self._keys.speed, Speed, made(SpeedRequest, speed_scale=scale)).speed_scale
 
     def strategy(self, name: str | None = None) -> Strategies:
-        """The control strategies of this robot and which one is active, after a switch to `name`, if given."""
+        """The control strategies of this robot and the active one. With `name`, switches first."""
         if name is None:
             return self.connection.read(self._keys.strategy, Strategies)
         return self._ask(self._keys.strategy, Strategies, made(StrategyRequest, strategy=name), timeout=REST_SECONDS)

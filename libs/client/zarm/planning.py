@@ -30,7 +30,7 @@ LONGEST_PLANNING = 60.0
 
 
 class Settings(TypedDict, total=False):
-    """What can be set for all plans; `Robot.plan` says what each is."""
+    """Default options of plans; `Robot.plan` explains each."""
 
     planner: PlannerKind
     timeout: float
@@ -60,17 +60,18 @@ class Planning(Calls):
         self_margin: float | None = None,
         seed: int = 0,
     ) -> Plan:
-        """A verified motion to a `zarm.Pose`, to joint positions (rad), to `zarm.AnyOf` several poses, or through
-        `zarm.Waypoints`. Nothing moves.
+        """A verified motion to a `zarm.Pose`, to joint positions (rad), to one of several poses (`zarm.AnyOf`), or
+        through `zarm.Waypoints`. Nothing moves.
 
-        `start` are joint positions (rad), left out: the measured ones; or a `zarm.StartState` in motion, with which the plan is
-        continuous in position, velocity and acceleration. `timeout` (s) is the deadline of the planning, and
-        `max_attempts` the number of searches after which it gives up earlier. For `optimize_s` s after the first motion is found
-        the planner looks for faster ones. The scales (above 0, up to 1) are fractions of the joint limits; `margin` (m) is kept
-        to objects on the way, and `self_margin` (m), left out the descriptor's, between the robot's own links. What is left out comes from `settings`. The same request, seed, scene and `optimize_s` 0 give
-        the same motion.
+        `start` is a list of joint positions (rad), by default the measured ones, or a `zarm.StartState` in motion, from
+        which the plan continues in position, velocity and acceleration. `timeout` (s) is the deadline, and
+        `max_attempts` the number of searches after which the planner gives up earlier. For `optimize_s` s after the
+        first motion is found, the planner looks for faster ones. The scales (above 0, up to 1) are fractions of the
+        joint limits. `margin` (m) is the distance to objects on the way, and `self_margin` (m) the distance between the
+        robot's own links, by default the descriptor's. Options that are left out come from `settings`. With
+        `optimize_s` 0, the same request, seed and scene give the same motion.
 
-        Ctrl-C ends the planning too. Raises PlanningFailed, DeadlineExceeded, InvalidRequest.
+        Ctrl-C ends the planning. Raises PlanningFailed, DeadlineExceeded or InvalidRequest.
         """
         return self.request_plan(
             made(
@@ -92,7 +93,7 @@ class Planning(Calls):
         )
 
     def request_plan(self, request: PlanRequest) -> Plan:
-        """`plan`, asked by a message; its `request_id`, if it has none, is chosen here."""
+        """`plan` with a message; it gets a new `request_id` if it has none."""
         named = request.model_copy(update={"request_id": request.request_id or f"plan-{secrets.token_hex(8)}"})
         timeout = (request.timeout or LONGEST_PLANNING) + ANSWER_SECONDS
         try:
@@ -103,12 +104,12 @@ class Planning(Calls):
             raise
 
     def cancel_plan(self, request_id: str, *, timeout: float = ANSWER_SECONDS) -> bool:
-        """End a planning by the `request_id` of its request, also one that is yet to come; whether it was running."""
+        """Cancel a planning request by its `request_id`, even before it arrives. Returns whether it was running."""
         request = CancelPlan(request_id=request_id)
         return self._ask(self._keys.plan_cancel, CancelledPlan, request, timeout=timeout).was_running
 
     def settings(self, /, **changes: Unpack[Settings]) -> PlannerSettings:
-        """What plans are made with where a request leaves it out, after these changes: `settings(margin=0.01)`."""
+        """Default options of plans, after these changes: `settings(margin=0.01)`."""
         if not changes:
             return self.connection.read(self._keys.settings, PlannerSettings)
         return self._ask(self._keys.settings, PlannerSettings, made(SettingsChange, **changes))

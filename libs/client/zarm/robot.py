@@ -24,9 +24,9 @@ _MEASURED_SECONDS = 2.0
 class Robot(Planning, Kinematics, ClosedLoop):
     """One robot on the bus; `zarm.connect` makes it.
 
-    Joint vectors follow the order of `joints` in the robot's descriptor. Poses are of its tip in its base frame. Every method
-    raises a `zarm.Error`: what the service answers, or Unavailable where none answers. Safe from any thread; Ctrl-C interrupts
-    only the main one.
+    Joint vectors follow the order of `joints` in the robot's descriptor. Poses are those of its tip in its base frame.
+    Every method raises a `zarm.Error`: the problem that the service answers, or Unavailable if none answers.
+    Thread-safe; Ctrl-C interrupts only the main thread.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -34,15 +34,15 @@ class Robot(Planning, Kinematics, ClosedLoop):
         self.scene = Scene(connection)
 
     def state(self) -> ExecutorState:
-        """What the executor does now."""
+        """The present state of the executor."""
         return self.connection.read(self._keys.executor_state, ExecutorState)
 
     def states(self) -> Generator[ExecutorState]:
-        """What the executor does now, and each change from then on, without end."""
+        """The present state of the executor, then every change; endless."""
         return self.connection.latched(self._keys.executor_state, ExecutorState)
 
     def joint_state(self) -> JointState:
-        """The joints as measured next: rad and rad/s. Raises ExecutionRefused (`no_joint_state`) where none comes."""
+        """The next measured joint state (rad, rad/s). Raises ExecutionRefused (`no_joint_state`) if none arrives."""
         state = self.connection.next(self._keys.joint_states, JointState, _MEASURED_SECONDS)
         if state is None:
             raise ExecutionRefused(
@@ -53,15 +53,15 @@ class Robot(Planning, Kinematics, ClosedLoop):
         return state
 
     def joint_states(self) -> Generator[JointState]:
-        """The joints as they are measured (rad, rad/s), without end; the newest, where the loop is slower than they come."""
+        """Measured joint states (rad, rad/s), endless; a loop that is slower gets the newest."""
         return self.connection.published(self._keys.joint_states, JointState)
 
     def tip(self) -> Pose:
-        """Where the tip is now."""
+        """The present pose of the tip."""
         return self.fk([self.joint_state().position])[0]
 
     def health(self, service: str, *, timeout: float = ANSWER_SECONDS) -> Health:
-        """How a service is: `planner`, `executor`, ..."""
+        """The health of a service: `planner`, `executor`, ..."""
         return self._ask(self._keys.health(service), Health, timeout=timeout)
 
     def record(self, file: str | Path) -> Recorder:

@@ -1,4 +1,4 @@
-"""The scene of a robot: what its planner keeps clear of, and what the robot carries."""
+"""The scene of a robot: obstacles and attached objects."""
 
 from __future__ import annotations
 
@@ -41,38 +41,39 @@ _BATCH_SECONDS = 65.0  # the planner gives itself 60 s
 class Scene:
     """The scene of one robot, `robot.scene`. Poses are in the robot's base frame, lengths in m.
 
-    Each change is applied whole or not at all, and returns the revision that it led to and how many objects there are. Every
-    method raises InvalidRequest for what cannot be, and Unavailable where no planner answers.
+    Each edit is applied as a whole or not at all, and returns the new revision and the number of objects. Every method
+    raises InvalidRequest for invalid arguments, and Unavailable if no planner answers.
     """
 
     connection: Connection
 
     def add(self, *objects: SceneObject | PointCloud, replace: bool = False) -> SceneEdited:
-        """Add objects. One whose name is taken is refused unless `replace`, that of a carried object always."""
+        """Add objects. A name that is taken is refused unless `replace`; the name of an attached object is always
+        refused."""
         return self._edit(op="add", objects=objects, replace=replace)
 
     def remove(self, *names: str) -> SceneEdited:
-        """Remove objects by name; a carried one must be detached first."""
+        """Remove objects by name; detach attached ones first."""
         return self._edit(op="remove", names=names)
 
     def clear(self) -> SceneEdited:
-        """Remove every object; what the robot carries, and which links are ignored, stays."""
+        """Remove every object. Attached objects and ignored links stay."""
         return self._edit(op="clear")
 
     def attach(self, name: str, *, touch_links: Iterable[str] = (), joints: Numbers | None = None) -> SceneEdited:
-        """From now on the robot carries an object of the scene; it keeps its place seen from the tip at `joints`.
+        """Attach an object of the scene to the tip; it keeps its pose relative to the tip at `joints`.
 
-        `joints` (rad) left out are the measured ones. The object may touch `touch_links`, as a gripper's fingers. A mesh or
-        voxels are carried as at most 32 cuboids that contain them.
+        `joints` (rad) are by default the measured ones. The object may touch `touch_links`, such as a gripper's
+        fingers. A mesh or voxel object is attached as at most 32 cuboids that contain it.
         """
         return self._edit(op="attach", name=name, touch_links=tuple(touch_links), joints=joints_of(joints, "joints"))
 
     def detach(self, name: str, *, joints: Numbers | None = None) -> SceneEdited:
-        """Put a carried object down where it is with the robot at `joints` (rad; left out: the measured ones)."""
+        """Detach an object and leave it where it is with the robot at `joints` (rad; default: the measured ones)."""
         return self._edit(op="detach", name=name, joints=joints_of(joints, "joints"))
 
     def set_link_collision(self, *links: str, enabled: bool) -> SceneEdited:
-        """Look at the collisions of these links of the robot, or no longer; one link at least stays."""
+        """Turn collision checking of these links on or off; at least one link stays checked."""
         return self._edit(op="links", names=links, enabled=enabled)
 
     def move(
@@ -85,12 +86,13 @@ class Scene:
         angular: Numbers | None = None,
         stamp: float | None = None,
     ) -> None:
-        """Tell where an object of the scene is now, at up to 100 Hz; nothing is answered, and no edit is made.
+        """Publish the present pose of an object of the scene, at up to 100 Hz. There is no answer, and it is not an
+        edit.
 
-        It moves on with `velocity` (m/s), turning with `angular` (rad/s), and its true velocity is within `speed` (m/s) of that: of
-        an object that may turn around at any time say only `speed`, its largest. `stamp` is when it was seen there (Unix time, s;
-        left out: now). Tell it again and again, also at rest: after 1 s without news it counts as lost. `servo/state` says so, and why a pose was not
-        taken.
+        The object is expected to move on with `velocity` (m/s) and `angular` (rad/s), and its true velocity to be
+        within `speed` (m/s) of that. For an object that may turn around at any time give only `speed`, its maximum.
+        `stamp` is the time of the pose (Unix time, s; default: now). Keep publishing, even at rest: after 1 s without a
+        pose the object counts as lost. `servo/state` reports that, and why a pose was refused.
         """
         fields = {
             "stamp": time.time() if stamp is None else stamp,
@@ -135,7 +137,7 @@ class Scene:
         return self.apply(edit)
 
     def save(self, file: str | Path) -> int:
-        """Write the objects to a YAML file that `load` reads; how many. What the robot carries is not among them."""
+        """Write the objects to a YAML file that `load` reads. Returns how many; attached objects are left out."""
         from yaml import safe_dump
 
         objects = json.loads(self.read().model_dump_json(include={"objects"}))
@@ -146,11 +148,11 @@ class Scene:
         return len(objects["objects"])
 
     def objects(self) -> Mapping[str, SceneObject]:
-        """The objects by name, those that are carried not among them."""
+        """The objects by name, without attached ones."""
         return {item.name: object_of(item) for item in self.read().objects}
 
     def attached(self) -> Mapping[str, Attached]:
-        """What the robot carries by name; the poses of these objects are in the frame of the tip."""
+        """The attached objects by name; their poses are in the frame of the tip."""
         return {carried.object.name: carried for carried in self.read().attached}
 
     def read(self) -> SceneMessage:
@@ -158,7 +160,7 @@ class Scene:
         return self.connection.read(self.connection.keys.scene, SceneMessage)
 
     def occupancy(self, resolution: float = 0.05) -> Occupancy:
-        """The cubes with edges of `resolution` m that objects reach into."""
+        """The cubes with edges of `resolution` m that objects occupy."""
         try:
             request = OccupancyRequest(resolution=resolution)
         except ValidationError as error:
@@ -166,7 +168,7 @@ class Scene:
         return self.connection.ask(self.connection.keys.occupancy, Occupancy, request, timeout=_BATCH_SECONDS)
 
     def apply(self, edit: SceneEdit, *, timeout: float = EDIT_SECONDS) -> SceneEdited:
-        """Apply an edit that is a message already."""
+        """Apply an edit given as a message."""
         return self.connection.ask(self.connection.keys.scene_edit, SceneEdited, edit, timeout=timeout)
 
     def _edit(self, **edit: object) -> SceneEdited:

@@ -1,4 +1,4 @@
-"""Sessions of the servo: the robot follows a live target, and is kept away from everything on its way."""
+"""Sessions of the servo: the robot follows a live target and avoids obstacles on its way."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ class _Session:
 
     @property
     def state(self) -> ServoSession | None:
-        """What the servo tells of it: what limits it, the clearance, the error; None before it has told anything."""
+        """The session's last state: what limits it, the clearance, the error. None before the first one."""
         return self._state
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended yet, by whoever."""
+        """Whether the session has not ended yet."""
         goal = self._goal
         return goal is None or not goal.done
 
     def end(self) -> None:
-        """Bring the robot to rest, and wait for it. Raises the problem with which the goal ended."""
+        """Bring the robot to rest and wait for it. Raises the problem with which the goal ended."""
         try:
             if self.running:
                 request = ServoEnd(goal_id=self.goal_id)
@@ -101,11 +101,11 @@ class Tracking(_Session):
     """The robot follows a pose of its tip, or joint positions; `Robot.track` makes it."""
 
     def to(self, goal: Pose | Numbers, *, linear: Numbers | None = None, angular: Numbers | None = None) -> None:
-        """Where the robot is to be now: a `zarm.Pose` of the tip in the base frame, or joint positions (rad).
+        """Set the target: a `zarm.Pose` of the tip in the base frame, or joint positions (rad).
 
-        Call it again and again, 20 times a second at least: a target that is older than 0.1 s brakes the robot. `linear` (m/s) and
-        `angular` (rad/s) say how a pose moves, in the base frame; left out, that is seen from pose to pose. Raises the problem that
-        the session has ended with.
+        Call it repeatedly, at least 20 times a second: the robot brakes if the target is older than 0.1 s. `linear`
+        (m/s) and `angular` (rad/s) are the velocity of a pose in the base frame, by default estimated from successive
+        poses. Raises the problem with which the session has ended.
         """
         if isinstance(goal, Pose):
             self._send(
@@ -128,10 +128,11 @@ class Tracking(_Session):
         timeout: float,
         on_progress: Callable[[ServoSession], object] | None = None,
     ) -> None:
-        """Lead the robot to a pose or joint positions that stay where they are, until it rests there: to 1 mm and 0.01 rad.
+        """Move the robot to a fixed pose or fixed joint positions, and wait until it rests there, within 1 mm and 0.01
+        rad.
 
-        `on_progress` is told what the servo tells on the way. Raises DeadlineExceeded, which says what is in the way, where it is
-        not there after `timeout` s.
+        `on_progress` receives the session's states. Raises DeadlineExceeded, which names the obstacle, if the target is
+        not reached within `timeout` s.
         """
         deadline, before = time.monotonic() + timeout, self._state
         first = self._sequence + 1
@@ -150,7 +151,7 @@ class Tracking(_Session):
 
 
 class Jogging(_Session):
-    """The robot moves as long as it is told to; `Robot.jog` makes it."""
+    """The robot moves at commanded velocities as long as they keep coming; `Robot.jog` makes it."""
 
     def twist(
         self,
@@ -159,9 +160,10 @@ class Jogging(_Session):
         *,
         frame: Literal["base", "tool"] = "base",
     ) -> None:
-        """Move the tip with these velocities (m/s, rad/s) along the axes of the base or of the tool, for the next 0.1 s at most.
+        """Move the tip at these velocities (m/s, rad/s) along the axes of the base or of the tool, for the next 0.1 s
+        at most.
 
-        Raises the problem that the session has ended with.
+        Raises the problem with which the session has ended.
         """
         self._send(
             lambda: TwistTarget(
@@ -173,7 +175,7 @@ class Jogging(_Session):
         )
 
     def joint_speed(self, velocity: Numbers) -> None:
-        """Move the joints with these speeds (rad/s), for the next 0.1 s at most. Raises as `twist` does."""
+        """Move the joints at these velocities (rad/s) for the next 0.1 s at most. Raises as `twist` does."""
         self._send(lambda: JointSpeedTarget(kind="joint_speed", velocity=numbers(velocity, "velocity")))
 
 
