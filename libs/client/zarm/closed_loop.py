@@ -20,7 +20,7 @@ S = TypeVar("S", "Jogging", "Tracking")
 
 
 class ClosedLoop(Motion):
-    """Blocks in which a program steers the robot; leaving one brings it to rest."""
+    """Blocks in which a program steers the robot; leaving one stops the robot."""
 
     @contextmanager
     def stream(self, *, deadline: float = 0.2) -> Iterator[Stream]:

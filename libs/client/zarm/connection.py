@@ -28,7 +28,7 @@ Reply = TypeVar("Reply", bound=Message)
 
 @dataclass(frozen=True)
 class Connection:
-    """A session, the keys of one robot, what is told of its goals, and what interrupts the calls. Safe from any thread."""
+    """A session, the keys of one robot, the states of its goals, and what interrupts calls. Thread-safe."""
 
     bus: Bus
     keys: Keys
@@ -44,11 +44,11 @@ class Connection:
     def ask(
         self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = ANSWER_SECONDS
     ) -> Reply:
-        """The answer to a request within `timeout` s. Raises what the service answers, and Unavailable."""
+        """The answer to a request within `timeout` s. Raises the problem that the service answers, or Unavailable."""
         return self.interrupts.attend(lambda: self.bus.call(key, request or Nothing(), reply, timeout=timeout))
 
     def read(self, key: str, model: type[Reply], *, timeout: float = ANSWER_SECONDS) -> Reply:
-        """The present value of a key, which nothing is asked to change. Raises Unavailable."""
+        """The present value of a key. Raises Unavailable."""
         return self.interrupts.attend(lambda: self.bus.read(key, model, timeout=timeout))
 
     def latched(self, key: str, model: type[M]) -> Generator[M]:
@@ -64,7 +64,7 @@ class Connection:
         return live(lambda tell: self.bus.subscribe(key, model, lambda _, value: tell(value)), self.interrupts)
 
     def next(self, key: str, model: type[M], seconds: float) -> M | None:
-        """The next value that is published on a key, None where none comes within so many s."""
+        """The next value that is published on a key, or None if none comes within this many s."""
         newest: Newest[M] = Newest()
         end = self.bus.subscribe(key, model, lambda _, value: newest.put(value))
         try:
@@ -95,9 +95,9 @@ def connected(
 
 
 def robots(endpoint: str | None = None, *, role: Role | None = None, timeout: float = CONNECT_SECONDS) -> list[str]:
-    """The names of the robots of which a service is alive, sorted.
+    """The names of the robots with a live service, sorted.
 
-    `endpoint`, `role` and `timeout` (s) are those of `zarm.connect`. Raises Unavailable where no router answers.
+    `endpoint`, `role` and `timeout` (s) are those of `zarm.connect`. Raises Unavailable if no router answers.
     """
     with opened(endpoint, role, timeout) as bus:
         return _alive(bus)

@@ -1,4 +1,4 @@
-"""The goals of an executor, as it tells of them."""
+"""The goals of an executor, as it publishes them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _REMEMBERED = 64
 
 
 class Goals:
-    """What the executor says about its goals. Safe from any thread."""
+    """The published states of an executor's goals. Thread-safe."""
 
     def __init__(self, bus: Bus, keys: Keys) -> None:
         self._bus = bus
@@ -40,7 +40,7 @@ class Goals:
                 self._heard = True
 
     def known(self, goal_id: str) -> GoalState | None:
-        """The last that was told of a goal."""
+        """The last known state of a goal."""
         with self._changed:
             return self._states.get(goal_id)
 

@@ -1,4 +1,4 @@
-"""Kinematics of a robot, and how close it comes to its scene."""
+"""Kinematics of a robot, and its distance to the scene."""
 
 from __future__ import annotations
 
@@ -44,10 +44,8 @@ class Kinematics(Calls):
         collision_free: bool = True,
         seed: int = 0,
     ) -> list[tuple[float, ...]]:
-        """Joint positions (rad) that bring the tip to a pose, those nearest to `near` (default: the measured) first.
-
-        Empty where there is none.
-        """
+        """Joint positions (rad) that reach a tip pose, nearest to `near` (default: measured) first. Empty if there are
+        none."""
         request = made(
             IkRequest,
             poses=(PoseMessage(position=pose.position, orientation=pose.orientation),),
@@ -59,7 +57,7 @@ class Kinematics(Calls):
         return list(self.request_ik(request, timeout=ANSWER_SECONDS).solutions[0])
 
     def request_ik(self, request: IkRequest, *, timeout: float = BATCH_SECONDS) -> IkSolutions:
-        """Inverse kinematics of up to 1000 poses, asked by a message."""
+        """Inverse kinematics of up to 1000 poses, with a message."""
         return self._ask(self._keys.ik, IkSolutions, request, timeout=timeout)
 
     def check(
@@ -70,10 +68,10 @@ class Kinematics(Calls):
         points: bool = False,
         timeout: float = ANSWER_SECONDS,
     ) -> Sequence[CheckResult]:
-        """How close the robot comes to the scene and to itself (m) at each row of joint positions (rad), up to 1000 of them.
+        """The distance (m) of the robot to the scene and to itself at each row of joint positions (rad), up to 1000 of
+        them; by default at the measured ones.
 
-        Left out, at the measured ones. With `spheres` the distance of each collision sphere is told as well, with `points`
-        the two nearest points.
+        With `spheres`, also the distance of each collision sphere; with `points`, the two nearest points.
         """
         where = None if joints is None else rows(joints, "joints")
         request = made(CheckRequest, joints=where, spheres=spheres, points=points)

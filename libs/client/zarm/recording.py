@@ -27,9 +27,9 @@ _FLUSH_SECONDS = 1.0
 
 
 class Recorder:
-    """Writes what happens to a robot to an MCAP file, `path`, from its making to `close`; `Robot.record` makes it.
+    """Records the robot's messages to an MCAP file, `path`, until `close`; `Robot.record` makes it.
 
-    Until the end the file is `<path>.part`. Use it in `with`. Safe from any thread.
+    Until then the file is `<path>.part`. Use it in `with`. Thread-safe.
     """
 
     def __init__(self, connection: Connection, path: Path) -> None:
@@ -65,7 +65,7 @@ class Recorder:
 
     @property
     def count(self) -> int:
-        """Messages that are written."""
+        """The number of messages written."""
         return self._file.count
 
     def wait(self, seconds: float = math.inf) -> None:
@@ -75,7 +75,7 @@ class Recorder:
             self._interrupts.check()
 
     def close(self) -> None:
-        """Write what is left and finish the file. Raises Unavailable where that failed. Idempotent."""
+        """Write the remaining messages and finish the file. Raises Unavailable if that fails. Idempotent."""
         while self._listening:
             self._listening.pop()()
         self._entries.put(None)

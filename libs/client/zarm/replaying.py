@@ -1,4 +1,4 @@
-"""A record once more: what it tells, and its messages on a bus."""
+"""Replay of a record: a summary of it, or its messages on a bus."""
 
 from __future__ import annotations
 
@@ -26,10 +26,8 @@ _LOOK_SECONDS = 1.0
 
 
 def story(file: str | Path, *, interrupts: Interrupts | None = None) -> Story:
-    """What happened in a record: events, how many messages, and which joint was furthest from where it was commanded.
-
-    Raises InvalidRequest for a file that is no record.
-    """
+    """Summarise a record: its events, the number of messages, and which joint was furthest from its command. Raises
+    InvalidRequest for a file that is not a record."""
     return tell(_entries(Path(file), interrupts or CtrlC()))
 
 
@@ -42,10 +40,10 @@ def replay(
     role: Role | None = None,
     interrupts: Interrupts | None = None,
 ) -> int:
-    """Publish a record as that of the robot `name`, at the pace at which it came or `speed` times as fast; how many messages.
+    """Republish a record as the robot `name`, at its own pace or `speed` times as fast. Returns the number of messages.
 
-    Nothing moves by it: commands to a driver and chunks of a stream are left out. Raises Unavailable as soon as an executor
-    of that robot is alive. Meanwhile none can start: the replay holds its place.
+    Nothing moves: driver commands and stream chunks are left out. Raises Unavailable as soon as an executor of that
+    robot is alive. Meanwhile none can start, because the replay holds its liveliness token.
     """
     if not speed > 0:
         raise InvalidRequest(f"{speed} is not a speed; give one above 0", field="speed")

@@ -1,4 +1,4 @@
-"""Closed-loop control: short trajectories, each in place of what is left of the one before."""
+"""Closed-loop control: a stream of short trajectories, each replacing the rest of the one before."""
 
 from __future__ import annotations
 
@@ -16,10 +16,8 @@ _LOOK_SECONDS = 0.005
 
 
 class Stream:
-    """One stream, which is one goal of the executor, `goal_id`; `Robot.stream` makes it.
-
-    Raises Unavailable where no executor is there to take it.
-    """
+    """One stream, which is one goal of the executor, `goal_id`; `Robot.stream` makes it. Raises Unavailable without an
+    executor."""
 
     def __init__(self, connection: Connection, deadline: float) -> None:
         self.goal_id = f"stream-{secrets.token_hex(8)}"
@@ -38,7 +36,7 @@ class Stream:
 
     @property
     def state(self) -> GoalState | None:
-        """The newest state of its goal; None before the executor has told one."""
+        """The newest state of its goal; None before the first one."""
         return self._connection.goals.known(self.goal_id)
 
     @property
@@ -47,11 +45,11 @@ class Stream:
         return (state := self.state) is None or not state.done
 
     def send(self, trajectory: Trajectory, *, start: float | None = None, last: bool = False) -> None:
-        """What the robot is to do from `start` on (s in the time of the stream; left out: from now on).
+        """Send what the robot is to do from `start` on (s in stream time; default: now).
 
-        The first begins at 0 and where the robot rests; each ends at rest, so that there is a way to stop on. To each the
-        executor leads over smoothly from where the robot is, for which it needs some room to the limits. At the end of the `last` the stream has succeeded. Raises the
-        problem that the stream has ended with.
+        The first trajectory begins at 0 s, where the robot rests. Each trajectory ends at rest, so that the robot can
+        always stop along it. The executor blends from the present motion into it, which needs some reserve to the
+        limits. The stream succeeds at the end of the `last` one. Raises the problem with which the stream has ended.
         """
         if (state := self.state) is not None and state.problem is not None:
             raise from_problem(state.problem)

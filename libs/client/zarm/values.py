@@ -93,9 +93,9 @@ class Pose(_Checked, messages.Pose):
 
 
 class AnyOf(_Checked, messages.PoseGoal):
-    """Whichever of several poses of the tip is reached in the shortest time, a goal set: `AnyOf(a, b, c)`, up to 64 poses.
+    """A goal set: whichever of several tip poses is reached in the shortest time. `AnyOf(a, b, c)`, up to 64 poses.
 
-    `plan.selected_goal_index` says which one it is, from 0.
+    `plan.selected_goal_index` says which one was chosen, from 0.
     """
 
     def __init__(self, pose: messages.Pose, *alternatives: messages.Pose) -> None:
@@ -131,7 +131,7 @@ class Waypoints(_Checked, messages.WaypointsGoal):
 
 
 class StartState(_Checked, messages.StartState):
-    """Where a motion begins in motion: joint positions (rad), velocities (rad/s) and accelerations (rad/s^2, left out: none)."""
+    """A start in motion: joint positions (rad), velocities (rad/s) and accelerations (rad/s^2, default: none)."""
 
     def __init__(self, position: Numbers, velocity: Numbers, acceleration: Numbers | None = None) -> None:
         at = numbers(position, "position")
@@ -283,17 +283,17 @@ Goal: TypeAlias = "messages.Pose | AnyOf | Waypoints | Numbers"
 
 
 def goal_of(goal: Goal) -> messages.Goal:
-    """A goal as the planner takes it."""
+    """A goal as a message for the planner."""
     return goal if isinstance(goal, messages.WaypointsGoal) else _stop(goal)
 
 
 def pose_of(pose: messages.Pose) -> Pose:
-    """A pose that came as a message."""
+    """A pose from a message."""
     return Pose(pose.position, pose.orientation)
 
 
 def object_of(item: messages.SceneObject) -> messages.SceneObject:
-    """An object that came as a message, of the class here that makes such an object."""
+    """An object from a message, as the matching class of this module."""
     made: messages.SceneObject = _CLASSES[item.kind].model_construct(
         **{name: getattr(item, name) for name in type(item).model_fields}
     )
