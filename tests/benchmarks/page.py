@@ -39,6 +39,10 @@ PAGES = (0, 1, 5)
 OPENED = 3
 DRAGS, STEP = 200, 0.002
 """So many drags of the handle, each by so many m."""
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (1.5, -0.8, 1.1), "look_at": (0.3, 0.1, 0.4),
+    "up_direction": (0.0, 0.0, 1.0), "fov": 1.3, "image_width": 1280, "image_height": 800, "near": 0.01, "far": 1000.0,
+}  # fmt: skip
 DRAWN = "() => Object.keys(window.__viserMutable?.nodeRefFromName ?? {}).some(name => name.endsWith('/tip_axes'))"
 
 
@@ -49,10 +53,11 @@ def connected(address: str) -> ClientConnection:
 
 
 class Reader:
-    """A page that reads all that it is sent."""
+    """A page that reads all that it is sent; for viser it is one when it has told how it looks at the scene."""
 
     def __init__(self, address: str) -> None:
         self._socket = connected(address)
+        self._socket.send(msgspec.msgpack.encode(CAMERA))
         self.bytes = 0
         threading.Thread(target=self._read, daemon=True).start()
 

@@ -9,16 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from viser.transforms import SE3, SO3
 
 from zarm_contract.robot import RobotDescription
-from zarm_viewer.drawing import file_mesh, link_mesh
+from zarm_viewer.drawing import Shape, file_mesh, link_mesh
 
 log = logging.getLogger(__name__)
 
-Body = Mapping[str, tuple[tuple[trimesh.Trimesh, SE3], ...]]
-"""Meshes (m) of each link, and where they are in its frame."""
+Body = Mapping[str, tuple[Shape, ...]]
+"""The shapes of each link, in its frame."""
 _FORMATS = (".stl", ".obj", ".dae")
 
 
@@ -37,7 +36,7 @@ def body_of(robot: RobotDescription) -> Body:
     return {link: _look(robot, link, visuals.get(link, ())) for link in {*visuals, *robot.descriptor.collision}}
 
 
-def _look(robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]) -> tuple[tuple[trimesh.Trimesh, SE3], ...]:
+def _look(robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]) -> tuple[Shape, ...]:
     try:
         meshes = tuple((file_mesh(visual.file, visual.scale), visual.at) for visual in visuals)
     except (ValueError, OSError) as error:

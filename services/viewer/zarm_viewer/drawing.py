@@ -20,6 +20,8 @@ from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionCyli
 from zarm_viewer.kinematics import pose_of
 
 Colour = tuple[int, int, int]
+Shape = tuple[trimesh.Trimesh, SE3]
+"""A mesh (m) and where it is."""
 
 MOST_POINTS = 20_000
 """So many voxels of one object are drawn at most; of more, every second, third, ..."""
