@@ -37,10 +37,9 @@ from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.warm_up import warm_up
-from zarm_robot_import.body import thinned
 from zarm_robot_import.importing import Options, import_robot
 from zarm_robot_import.kernels.winding import winding
-from zarm_robot_import.meshes import Surface, points_on
+from zarm_robot_import.meshes import Surface, points_on, thinned
 from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.spheres import ball_rows
 from zarm_trajectory.limits import Limits

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from zarm_robot_import.kernels.winding import winding
-from zarm_robot_import.meshes import points_on
+from zarm_robot_import.meshes import points_on, thinned
 
 Array = NDArray[np.float64]
 
@@ -22,8 +22,6 @@ FAR = 0.008
 """Volume at a distance d (m) outside of the body costs d^2 (1 + (d / FAR)^2): what stands out far counts more."""
 _AROUND = 1000
 """Points outside that are enough to compare shapes by."""
-_THINNED = 2000
-"""Triangles are enough to tell by what is inside."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +62,3 @@ class Body:
         some = some[np.argsort(-self.distance[some])]
         cost = self.distance[some] ** 2 * (1 + (self.distance[some] / FAR) ** 2)
         return self.points[some], cost * (self.cell * len(near) / max(len(some), 1))
-
-
-def thinned(triangles: Array) -> Array:
-    """At most `_THINNED` triangles near to these, whose corners are gathered in cells."""
-    size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 200, 1e-5)
-    given = triangles
-    while len(triangles) > _THINNED:
-        cells = np.round(given / size).astype(np.int64)
-        a, b, c = cells.transpose(1, 0, 2)
-        kept = (a != b).any(axis=1) & (b != c).any(axis=1) & (c != a).any(axis=1)
-        triangles = cells[kept] * size
-        size *= 1.4
-    return triangles

@@ -134,7 +134,7 @@ def _tip(robot: Description, base: str) -> str:
             link = longest[0].child
             continue
         if (len(longest) > 1 and count < _ARM) or count == 0:
-            ends = [end for branch in branches for end in _ends(robot, branch.child)]
+            ends = [end for branch in (longest if len(longest) > 1 else branches) for end in _offered(robot, branch)]
             if not ends:
                 raise robot.source.fault(
                     robot.links[link].element, f"no joint behind {link} moves; an arm has revolute or prismatic joints"
@@ -149,6 +149,14 @@ def _tip(robot: Description, base: str) -> str:
         if named:
             return named[0]
     return leaves[0] if len(leaves) == 1 else link
+
+
+def _offered(robot: Description, branch: Joint) -> list[str]:
+    """Tips to choose from on a branch: where its arm ends, or else all ends."""
+    try:
+        return [_tip(robot, branch.child)]
+    except InvalidRequest:
+        return _ends(robot, branch.child)
 
 
 def _grips(joint: Joint) -> bool:

@@ -29,6 +29,8 @@ LARGEST = 20.0
 """A link larger than this (m) is in millimetres."""
 CONTAINED = 0.001
 """Collision geometry that the visual one sticks out of by no more than this (m) contains it."""
+_THINNED = 2000
+"""Triangles are enough to tell by what is inside."""
 _POINTER = b"version https://git-lfs"
 SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
@@ -149,6 +151,19 @@ def gathered(triangles: Array, most: int) -> tuple[Array, float]:
     return triangles, off
 
 
+def thinned(triangles: Array) -> Array:
+    """At most `_THINNED` triangles near to these, whose corners are gathered in cells."""
+    size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 200, 1e-5)
+    given = triangles
+    while len(triangles) > _THINNED:
+        cells = np.round(given / size).astype(np.int64)
+        a, b, c = cells.transpose(1, 0, 2)
+        kept = (a != b).any(axis=1) & (b != c).any(axis=1) & (c != a).any(axis=1)
+        triangles = cells[kept] * size
+        size *= 1.4
+    return triangles
+
+
 def points_on(triangles: Array, count: int, seed: int = 0) -> tuple[Array, NDArray[np.intp]]:
     """Points (count, 3) spread evenly over triangles (n, 3, 3), and the triangle of each."""
     rng = np.random.default_rng(seed)
@@ -169,12 +184,9 @@ def sticks_out(inner: Array, outer: Array) -> float:
     cloud = points_on(outer, count)[0]
     spacing = float(np.sqrt(areas(outer).sum() / count))
     apart = cKDTree(cloud).query(beyond)[0] - spacing
-    for i in np.argsort(-apart)[:200:5]:
-        if apart[i] <= CONTAINED:
-            return 0.0
-        if abs(winding(beyond[i : i + 1], outer)[0]) < 0.5:
-            return float(apart[i])
-    return 0.0
+    away = apart > CONTAINED
+    out = np.abs(winding(beyond[away], thinned(outer))) < 0.5
+    return float(apart[away][out].max(initial=0.0))
 
 
 def areas(triangles: Array) -> Array:

@@ -29,12 +29,12 @@ from zarm_contract.robot import (
 )
 from zarm_geometry.frames import rotation_to
 from zarm_geometry.shapes import link_shape
-from zarm_robot_import.body import FAR, Body, thinned
+from zarm_robot_import.body import FAR, Body
 from zarm_robot_import.kernels.enclosing import around, oriented
 from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.kernels.outside import least_outside, within
 from zarm_robot_import.kernels.winding import winding
-from zarm_robot_import.meshes import areas, points_on
+from zarm_robot_import.meshes import areas, points_on, thinned
 
 Array = NDArray[np.float64]
 

@@ -87,8 +87,9 @@ class Report:
             "",
             "## Geometry",
             "",
-            f"The exact geometry contains the surface of every mesh, and the sphere cover ({self.spheres} spheres) the exact "
-            "geometry; both are proven, not sampled. How far they stand out of the meshes is sampled, from above.",
+            f"The exact geometry contains the surface of every mesh that is taken, and the sphere cover ({self.spheres} spheres) the exact "
+            "geometry; both are proven, not sampled. How far they stand out of the meshes is sampled, from above; and so is, to some 1 mm, "
+            "whether a visual mesh sticks out of the collision geometry.",
             "",
             "| link | taken | because | triangles | exact geometry | mean, largest (mm) | cover | mean, largest (mm) |",
             "|---|---|---|---|---|---|---|---|",

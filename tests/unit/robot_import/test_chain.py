@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from zarm_contract.errors import InvalidRequest
 from zarm_robot_import.chain import choose_chain
 from zarm_robot_import.description import describe
 from zarm_robot_import.source import read_source
@@ -45,3 +46,12 @@ def finger(name: str, palm: str, count: int) -> list[Row]:
 )
 def test_an_arm_ends_where_what_grips_begins(tmp_path: Path, more: list[Row], expected: str) -> None:
     assert tip(tmp_path, [*ARM, *more]) == expected
+
+
+def test_of_two_arms_with_hands_the_tips_of_the_arms_are_offered_and_not_their_fingers(tmp_path: Path) -> None:
+    arms = [(f"{side}_{name}", f"{side}_{parent}", f"{side}_{child}") for side in "lr" for name, parent, child in ARM]
+    mounts = [(f"{side}_mount", "torso", f"{side}_link_0") for side in "lr"]
+    fingers = [(f"{side}_finger_{k}", f"{side}_link_5", f"{side}_finger_{k}") for side in "lr" for k in range(2)]
+    head = [("pan", "torso", "neck"), ("tilt", "neck", "head")]
+    with pytest.raises(InvalidRequest, match=r"start at torso; choose one: --tip l_link_5, --tip r_link_5$"):
+        tip(tmp_path, [*mounts, *arms, *fingers, *head])

@@ -15,7 +15,7 @@ from zarm_geometry.rows import distances
 from zarm_robot_import.body import Body
 from zarm_robot_import.description import describe
 from zarm_robot_import.importing import Options, import_robot
-from zarm_robot_import.meshes import MOST_KEPT, Surface, gathered, link_surface
+from zarm_robot_import.meshes import MOST_KEPT, Surface, gathered, link_surface, sticks_out
 from zarm_robot_import.primitives import fit_primitives, rows_of
 from zarm_robot_import.source import read_source
 
@@ -78,6 +78,16 @@ def test_gathered_triangles_lose_no_part_however_small() -> None:
     kept, off = gathered(crumbs, 299)
     apart = np.linalg.norm(crumbs[:, None, 0] - kept[None, :, 0], axis=2).min(axis=1)
     assert apart.max() <= off
+
+
+def test_what_sticks_out_is_found_beside_what_lies_deep_inside() -> None:
+    outer = np.asarray(trimesh.creation.box((0.1, 0.1, 0.1)).triangles)
+    motor = trimesh.creation.box((0.02, 0.02, 0.02))
+    knob = trimesh.creation.box((0.01, 0.01, 0.02))
+    knob.apply_translation((0.0, 0.0, 0.06))
+    inner = np.concatenate([np.asarray(mesh.triangles) for mesh in [motor] * 5 + [knob]])
+    assert sticks_out(inner, outer) == pytest.approx(0.02, abs=0.002)
+    assert sticks_out(np.asarray(motor.triangles), outer) == 0.0
 
 
 @pytest.mark.parametrize(
