@@ -79,7 +79,7 @@ def somewhere(rng: np.random.Generator) -> Array:
 
 
 def keeps(scene: ExactScene, q: Array) -> bool:
-    return bool(scene.nearest(q[None]).distance > MARGIN + ROOM)
+    return not scene.too_near(q[None], 0.0, MARGIN + ROOM, MARGIN + ROOM) and scene.nearest(q[None]).distance > 0.0
 
 
 def free(_: np.random.Generator, start: Array, goal: Array) -> tuple[SceneObject, ...]:
@@ -205,7 +205,17 @@ def reachable(planner: Handlers, case: Case) -> bool:
     )
     start = tuple(case.start.tolist())
     try:
-        planner.plan(PlanRequest(goal=goal, start=start, margin=MARGIN, timeout=PLANNED, optimize_s=0.0, publish=False))
+        planner.plan(
+            PlanRequest(
+                goal=goal,
+                start=start,
+                margin=MARGIN,
+                self_margin=MARGIN,
+                timeout=PLANNED,
+                optimize_s=0.0,
+                publish=False,
+            )
+        )
     except ZarmError:
         return False
     return True

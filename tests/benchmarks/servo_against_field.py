@@ -17,10 +17,10 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import matplotlib
 import numpy as np
@@ -28,26 +28,21 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from zarm_contract.messages import Cuboid, LoadScene, SceneEdit, SceneObject, Sphere
+from support.servo.tracking import Tracker, planner_in
+from zarm_contract.messages import Cuboid, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.exact import ExactScene
-from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.handlers import Handlers
-from zarm_planner.scene.store import SceneStore
-from zarm_servo.controller import PERIOD, Controller
-from zarm_servo.global_plan import GlobalPlan, find_global_plan
-from zarm_servo.local_goal import LocalGoal
-from zarm_servo.session import soft
-from zarm_servo.targets import JointTarget, PoseTarget, rotation_vector
+from zarm_servo.controller import PERIOD
+from zarm_servo.targets import PoseTarget, rotation_vector
 from zarm_trajectory.limits import Limits
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 Servo = Callable[[Array], Array]
 """Given the pose (4, 4) that is to be reached, the joints (J,) one PERIOD later."""
 
@@ -55,7 +50,6 @@ PLOT = Path(__file__).parents[2] / "docs" / "images" / "servo.png"
 MARGIN, SECONDS, GAIN = 0.01, 8.0, 4.0
 REACHED = 0.001, 0.01
 MODEL = RobotModel.of(load_robot("doosan_m1013"))
-JOINTS = MODEL.robot.descriptor.joints
 LIMITS = Limits.of(MODEL.robot)
 START = np.array(MODEL.robot.descriptor.home)
 TIP = MODEL.fk_tip(START)
@@ -112,39 +106,14 @@ CASES = (
 )
 
 
-class AtOnce(Executor):
-    """Runs what it is given before it returns."""
-
-    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        done: Future[T] = Future()
-        try:
-            done.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            done.set_exception(error)
-        return done
-
-
 class Zarm:
     """The controller of the servo and its local goal."""
 
-    def __init__(self, world: World, planner: Handlers) -> None:
-        check = MotionCheck(MODEL)
-        check.set_world(world)
-
-        def find(target: PoseTarget | JointTarget, start: Array, distance: float) -> GlobalPlan:
-            return find_global_plan(planner.plan, JOINTS, MARGIN, target, start, distance)
-
-        def free(start: Array, end: Array) -> bool:
-            count = 2 + int(np.abs(end - start).max() / 0.05)
-            way = np.linspace(start, end, count)
-            return check.check(np.arange(float(count)), way, margin=MARGIN, acceleration=np.zeros(MODEL.dof)).free
-
-        self._local_goal = LocalGoal(MODEL, find, free, AtOnce())
-        self._controller = Controller(MODEL, check, soft(LIMITS), START, margin=MARGIN)
+    def __init__(self, case: Case, planner: Handlers) -> None:
+        self._tracker = Tracker(MODEL, case.objects, planner, START, MARGIN)
 
     def __call__(self, goal: Array) -> Array:
-        target = self._local_goal.target(PoseTarget(goal), self._controller.state[0], None)
-        return np.asarray(self._controller.step(target, 0.0).state[0])
+        return np.asarray(self._tracker.step(PoseTarget(goal)).state[0])
 
 
 class MoveItServo:
@@ -247,13 +216,10 @@ def main() -> None:
     outcomes: dict[tuple[str, str], Outcome] = {}
     with tempfile.TemporaryDirectory() as folder:
         for case in CASES:
-            store = SceneStore(Path(folder) / case.name.replace(" ", "_"))
-            if case.objects:
-                store.edit(SceneEdit(edit=LoadScene(op="load", objects=case.objects)))
-            planner = Handlers(MODEL, "arm", store, START.copy)
+            planner = planner_in(MODEL, "arm", Path(folder) / case.name.replace(" ", "_"), case.objects)
             world = World(case.objects, 0.0)
             servos: dict[str, Callable[[], Servo]] = {
-                "zarm": lambda world=world, planner=planner: Zarm(world, planner),  # type: ignore[misc]
+                "zarm": lambda case=case, planner=planner: Zarm(case, planner),  # type: ignore[misc]
                 "MoveIt Servo, as documented": lambda world=world: MoveItServo(world),  # type: ignore[misc]
                 "pink": lambda world=world: pink_servo(world),  # type: ignore[misc]
             }

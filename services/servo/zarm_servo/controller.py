@@ -157,18 +157,15 @@ class Controller:
         return Limitation("blocked", (verdict.link, verdict.object), self._margin)
 
     def _approached(self, positions: Array, around: Surroundings) -> Limitation | None:
-        """The first pair that is nearer than the margin and comes nearer still on a way through `positions` (N, J), if any."""
-        least: dict[tuple[str, str], float] | None = None
+        """The first pair that is nearer than it is to be and comes nearer still on a way through `positions` (N, J), if any."""
+        before: dict[tuple[str, str], float] | None = None
         for position in positions:
-            near = {
-                (pair.link, pair.object): (pair.distance, self._kept(pair))
-                for pair in self._nearby(position, self._margin, around)
-            }
-            if least is not None:
-                for pair, (distance, kept) in near.items():
-                    if distance < min(least.get(pair, (kept, kept))[0], kept) - _STEADY:
-                        return Limitation("blocked", pair, distance)
-            least = near
+            near = self._nearby(position, self._margin, around)
+            for pair in near if before is not None else ():
+                kept, names = self._kept(pair), (pair.link, pair.object)
+                if pair.distance < min((before or {}).get(names, kept), kept) - _STEADY:
+                    return Limitation("blocked", names, pair.distance)
+            before = {(pair.link, pair.object): pair.distance for pair in near}
         return None
 
     def _nearby(self, position: Array, within: float, around: Surroundings) -> list[NearPair]:

@@ -159,12 +159,12 @@ class Guard:
         if problem is None:
             number = 1 if followed is None else followed.message.number
             self._authorize(goal_id, number, scene.revision, found)
-        self._tell(goal_id, session, scene, found, problem)
-        if self.replanner is not None:
+        if self.replanner is not None:  # which has no time to lose
             if followed is not None and followed.message.replan and problem is None:
                 self.replanner.see(followed.message, followed.trajectory, found.until)
             else:
                 self.replanner.forget()
+        self._tell(goal_id, session, scene, found, problem)
 
     def _authorize(self, goal_id: str | None, number: int, revision: SceneRevision | None, found: PathValidity) -> None:
         """Say how far the goal may go; what was just said is not repeated."""

@@ -11,6 +11,7 @@ from zarm_contract import messages as m
 from zarm_contract.errors import InvalidRequest, Problem, ZarmError
 from zarm_geometry.frames import matrix
 from zarm_servo.controller import STALE
+from zarm_servo.refusal import Refusal
 from zarm_servo.targets import JointSpeedTarget, JointTarget, PoseTarget, Target, TwistTarget
 from zarm_trajectory.quintic import Array
 
@@ -18,8 +19,6 @@ _DRIFT = 1e-3
 """Two clocks drift by less (s per s): NTP slews by 0.5e-3 at most."""
 _JUMP = 2.0, 6.0
 """A pose that moves faster (m/s, rad/s) from one target to the next has jumped."""
-SHOWN = 1.0
-"""For so long (s) at least it is told why something was refused, though what came after it was taken."""
 _MOST = 1000.0
 """A larger number (m, rad, m/s, rad/s) is no target: it is in another unit, or comes of a division by zero."""
 
@@ -34,8 +33,12 @@ class Inbox:
         self._message: m.ServoTarget | None = None
         self._arrived = self._under_way = 0.0
         self._least: float | None = None
-        self._refused_at = 0.0
-        self.refused: Problem | None = None
+        self._refusal = Refusal()
+
+    @property
+    def refused(self) -> Problem | None:
+        """Why a target was not taken."""
+        return self._refusal.problem
 
     @property
     def sequence(self) -> int:
@@ -57,12 +60,11 @@ class Inbox:
             except ZarmError as error:
                 self.refuse(error.problem, now)
             else:
-                if now - self._refused_at > SHOWN:
-                    self.refused = None
+                self._refusal.taken(now)
 
     def refuse(self, problem: Problem, now: float) -> None:
         """Note why something that came was no target."""
-        self.refused, self._refused_at = problem, now
+        self._refusal.refused(problem, now)
 
     def _take(self, message: m.ServoTarget, now: float) -> None:
         before = self._message

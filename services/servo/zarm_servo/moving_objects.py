@@ -17,7 +17,7 @@ from zarm_geometry import rows
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.motion_check import MovingObject
 from zarm_geometry.world import convex_shapes
-from zarm_servo.inbox import SHOWN
+from zarm_servo.refusal import Refusal
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 
 AGREE = 0.02
@@ -75,10 +75,7 @@ class Mover:
 
 
 class MovingObjects:
-    """Takes the poses of objects of the scene that `monitor` knows; `changed` is called after each. Safe from any thread.
-
-    `refused` says why a pose that came last, or less than SHOWN before the last, was not taken.
-    """
+    """Takes the poses of objects of the scene that `monitor` knows; `changed` is called after each. Safe from any thread."""
 
     def __init__(self, monitor: SceneMonitor, meshes: Meshes, changed: Callable[[], None]) -> None:
         self._monitor, self._meshes, self._changed = monitor, meshes, changed
@@ -86,8 +83,12 @@ class MovingObjects:
         self._movers: dict[str, Mover] = {}
         self._all: tuple[Mover, ...] = ()
         self._scene: SceneSnapshot | None = None
-        self._refused_at = 0.0
-        self.refused: Problem | None = None
+        self._refusal = Refusal()
+
+    @property
+    def refused(self) -> Problem | None:
+        """Why a pose was not taken."""
+        return self._refusal.problem
 
     def __bool__(self) -> bool:
         """Whether there are any."""
@@ -102,10 +103,9 @@ class MovingObjects:
         try:
             self._take(name, decode(ObjectPose, payload), now, wall)
         except ZarmError as error:
-            self.refused, self._refused_at = error.problem, now
+            self._refusal.refused(error.problem, now)
         else:
-            if now - self._refused_at > SHOWN:
-                self.refused = None
+            self._refusal.taken(now)
         self._changed()
 
     def of(self, scene: SceneSnapshot) -> tuple[Mover, ...]:

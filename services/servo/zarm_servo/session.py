@@ -117,7 +117,7 @@ class Session:
         plan: PlanFor,
         metrics: Metrics,
     ) -> None:
-        self.goal_id = goal_id
+        self.goal_id, self._margin = goal_id, request.margin
         self.inbox = Inbox(len(position))
         self._joints = robot.descriptor.joints
         self._model: RobotModel = check.model
@@ -213,7 +213,7 @@ class Session:
         snapshot = self._snapshot
         limitation = snapshot.limitation
         position = self._measured_position()
-        nearest = self._scene.nearby(position, time.monotonic(), self._clock.scale)
+        near = self._scene.nearby(position, time.monotonic(), self._clock.scale)
         link, other = limitation.pair or (None, None)
         took = list(self._took)
         return ServoSession(
@@ -222,7 +222,7 @@ class Session:
             link=link,
             object=other,
             distance=limitation.distance,
-            clearance=nearest[0].distance if nearest else None,
+            clearance=next((pair.distance for pair in near if pair.room >= self._margin), None),
             moving=snapshot.moving,
             sequence=self.inbox.sequence,
             target_age=snapshot.age,

@@ -37,7 +37,8 @@ class Authority(ShortMessage):
 class ServoStart(ShortMessage):
     """Open a session: the robot follows the targets on `servo/target`, as the goal `goal_id` (default: chosen by the servo).
 
-    The robot keeps `margin` (m) to what is in the scene and between its own links. Scales are shares of the velocity and
+    The robot keeps `margin` (m) to what is in the scene and between its own links; two links that are nearer in nearly all configurations
+    keep what they can. Scales are shares of the velocity and
     acceleration limits. While another session is open the answer is `busy`; with `take_over` that one is brought to rest and ended.
     """
 
@@ -109,7 +110,7 @@ class ServoSession(Message):
     """A session that is open: the goal `goal_id` of the executor, and what limits the robot now.
 
     `slowing` and `blocked` name the `link` and the `object`, of the scene or another link, and their `distance` (m). `clearance` (m) is
-    the least distance that there is, left out beyond 0.15 m. The errors are those of the measured robot to a target that is a
+    the least distance that there is, left out beyond 0.15 m; that of two links which cannot keep the margin from each other does not count. The errors are those of the measured robot to a target that is a
     pose (m, rad) or joint positions (rad, the worst joint). `sequence` is that of the newest target, which came `target_age` (s)
     ago; `refused` says, for 1 s at least, why a target was not taken. Of its `cycles` the `late_cycles` began more than 2 ms late;
     `computing` (s) is how long 99 of the last 100 took at most. `planned`: it follows a global plan of the planner, because a

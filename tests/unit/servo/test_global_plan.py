@@ -1,0 +1,28 @@
+"""What the servo asks the planner for, where it is stuck."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import Plan, PlanRequest
+from zarm_servo.global_plan import find_global_plan
+from zarm_servo.targets import JointTarget
+
+MARGIN = 0.03
+
+
+def test_a_way_is_asked_for_that_steps_can_follow_with_room_first_and_then_without() -> None:
+    asked: list[PlanRequest] = []
+
+    def ask(request: PlanRequest) -> Plan:
+        asked.append(request)
+        raise PlanningFailed("there is a wall", code="no_path")
+
+    with pytest.raises(PlanningFailed):
+        find_global_plan(ask, ("a", "b"), MARGIN, JointTarget(np.ones(2)), np.zeros(2), 1.0)
+    kept = [(request.margin, request.self_margin) for request in asked]
+    assert len(kept) == 2
+    assert min(kept[0]) > MARGIN  # type: ignore[type-var]
+    assert kept[1] == (MARGIN, MARGIN)
