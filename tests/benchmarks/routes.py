@@ -42,6 +42,7 @@ from zarm_trajectory.limits import Limits
 
 REFERENCES = 3
 BEST_OF = 10
+SAMPLES = 100_000
 TIMEOUT = 5.0
 
 
@@ -92,25 +93,27 @@ def planned(model: RobotModel, problem: Problem, seeds: int, optimize: float) ->
     world, limits = World(problem.objects, 0.0), Limits.of(model.robot)
     start, goals = np.array(problem.start), np.array(problem.goals)
     paths = [ompl_peer.simplified(model, world, start, goals, TIMEOUT) for _ in range(REFERENCES)]
-    reference = float(np.median([arrival.toppra(path, limits).duration for path in paths if path is not None]))
-    shortest = min(
+    found = [path for path in paths if path is not None]
+    reference = float(np.median([arrival.toppra(path, limits).duration for path in found])) if found else np.nan
+    routes = [
         length(shortcut(model, world, path, seed=seed, deadline=arrival.ENDLESS))
         for seed in range(BEST_OF)
-        if (path := search(model, world, start, goals, seed=seed, deadline=arrival.ENDLESS)) is not None
-    )
+        if (path := search(model, world, start, goals, seed=seed, deadline=Deadline(TIMEOUT), most=SAMPLES)) is not None
+    ]
+    shortest = min(routes, default=np.nan)
     scene = PlanningScene("0-000000000000", model, world, ExactScene(model, world))
     goal, runs = JointGoal(kind="joints", position=problem.goals[0]), list[Run | None]()
     for seed in range(seeds):
         context = PlanningContext(scene, limits, Deadline(TIMEOUT), optimize_s=optimize, seed=seed)
         began = time.thread_time()
         try:
-            found = plan(choose(AUTO, goal, constrained=False), context, start, goal).trajectory
+            motion = plan(choose(AUTO, goal, constrained=False), context, start, goal).trajectory
         except ZarmError as error:
             sys.stderr.write(f"{model.robot.descriptor.name} {problem.index} seed {seed}: {error}\n")
             runs.append(None)
             continue
         seconds = time.thread_time() - began
-        runs.append(Run(found.duration, found.duration / reference, found.length / shortest, seconds))
+        runs.append(Run(motion.duration, motion.duration / reference, motion.length / shortest, seconds))
     return runs
 
 
@@ -126,11 +129,11 @@ def cells(runs: Sequence[Run | None]) -> list[str]:
     return [
         f"{len(done)} / {len(runs)}",
         f"{np.mean([one.duration for one in done]):.2f}",
-        f"{ratio.mean():.3f}",
+        f"{np.nanmean(ratio):.3f}",
         str(np.count_nonzero(ratio > 1.0)),
         str(np.count_nonzero(ratio > 1.02)),
-        f"{ratio.max():.2f}",
-        f"{np.mean([one.route for one in done]):.3f}",
+        f"{np.nanmax(ratio):.2f}",
+        f"{np.nanmean([one.route for one in done]):.3f}",
         " / ".join(f"{1e3 * value:.1f}" for value in np.quantile(seconds, (0.5, 0.95))),
     ]
 
