@@ -113,7 +113,7 @@ def of_chromium() -> Counter[str]:
         with suppress(psutil.Error):
             kinds = [word.removeprefix("--type=") for word in process.cmdline() if word.startswith("--type=")]
             times = process.cpu_times()
-            used.update({kind: times.user + times.system for kind in kinds})
+            used.update(dict.fromkeys(kinds, times.user + times.system))
     return used
 
 
