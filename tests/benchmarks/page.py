@@ -13,6 +13,7 @@ import tempfile
 import threading
 import time
 import urllib.request
+from collections import Counter
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -36,7 +37,8 @@ from zarm_runtime.bus import Bus
 
 SECONDS = 8.0
 PAGES = (0, 1, 5)
-OPENED = 3
+OPENED, SETTLED = 3, 3.0
+"""So many pages are opened, and looked at for so long (s) when the robot is there."""
 DRAGS, STEP = 200, 0.002
 """So many drags of the handle, each by so many m."""
 CAMERA = {
@@ -86,17 +88,33 @@ def lateness(metrics: str) -> tuple[float, float]:
 
 
 def opening(address: str) -> None:
-    """How long it takes from the address to the Stop button, and to the robot in the scene."""
+    """How long it takes from the address to the Stop button, and to the robot in the scene; and what it costs until both are drawn."""
     with browser() as chromium:
         for count in range(OPENED):
-            page, began = chromium.new_page(), time.monotonic()
+            page, used, began = chromium.new_page(), of_chromium(), time.monotonic()
             page.goto(f"http://{address}/")
             page.get_by_text("STOP").first.wait_for()
             usable = time.monotonic() - began
             page.wait_for_function(DRAWN)
             drawn = time.monotonic() - began
-            Console().print(f"page {count + 1} opened: Stop after {usable:.1f} s, the robot after {drawn:.1f} s")
+            time.sleep(SETTLED)
+            cost = {kind: seconds - used[kind] for kind, seconds in of_chromium().items()}
+            Console().print(
+                f"page {count + 1} opened: Stop after {usable:.1f} s, the robot after {drawn:.1f} s; "
+                f"{cost['renderer']:.1f} s of CPU for the page, {cost['gpu-process']:.1f} s for drawing"
+            )
             page.close()
+
+
+def of_chromium() -> Counter[str]:
+    """The CPU time (s) that the processes of Chromium have used, by their kind."""
+    used: Counter[str] = Counter()
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            kinds = [word.removeprefix("--type=") for word in process.cmdline() if word.startswith("--type=")]
+            times = process.cpu_times()
+            used.update(dict.fromkeys(kinds, times.user + times.system))
+    return used
 
 
 def dragging(address: str, tip: zarm.Pose) -> None:
