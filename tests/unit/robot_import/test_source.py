@@ -48,7 +48,7 @@ def imported(folder: Path, text: str, **options: str) -> Chain:
         (urdf(*THREE, joint("three", "c", "d")), 9, "two joints are named three"),
         (urdf(*THREE, joint("four", "b", "d")), 9, "two parent joints"),
         (urdf(joint("one", "a", "b"), joint("two", "c", "d"), joint("back", "d", "c")), 8, "back, two close a loop"),
-        (urdf(*THREE[:2], joint("three", "c", "d", "floating")), 8, "is floating, which no arm's joint is"),
+        (urdf(*THREE[:2], joint("three", "c", "d", "floating")), 8, "is floating, which an arm's joint cannot be"),
         (
             urdf(
                 *THREE,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
-from zarm_robot_import.primitives import rows_of
-from zarm_robot_import.spheres import fit_covers
+from zarm_robot_import.primitives import rows_of, triangles_of
+from zarm_robot_import.spheres import ball_rows, fit_covers
 
 TUBE = CollisionCylinder(kind="cylinder", a=(0.0, 0.0, 0.0), b=(0.0, 0.0, 0.6), radius=0.06)
 PLATE = CollisionCuboid(kind="cuboid", center=(0.1, 0.0, 0.0), size=(0.3, 0.2, 0.02), orientation=(0.0, 0.0, 0.0, 1.0))
@@ -60,3 +60,14 @@ def test_what_stands_still_gets_fewer_balls() -> None:
     same = rows_of([TUBE])
     covers = fit_covers({"base": same, "arm": same}, 16, ["base"])
     assert len(covers["base"]) < len(covers["arm"])
+
+
+@pytest.mark.lengthy
+def test_every_ball_is_large_enough_to_be_drawn_and_measured() -> None:
+    """More balls than a small link has use for: some would shrink to a point."""
+    tiny = CollisionCuboid(
+        kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.012, 0.008, 0.004), orientation=(0.0, 0.0, 0.0, 1.0)
+    )
+    (balls,) = fit_covers({"tiny": rows_of([tiny])}, 40).values()
+    assert balls[:, 3].min() >= 0.002
+    assert all(len(triangles_of(row)) for row in ball_rows(balls))
