@@ -162,3 +162,19 @@ def test_the_only_free_way_to_reach_a_pose_is_taken_where_a_later_seed_finds_it(
 
 def elbow(model: RobotModel, q: Array) -> Array:
     return link_pose(model.robot, "link_3", q)[:3, 3]
+
+
+def test_a_joint_goal_is_not_refused_before_many_ways_out_were_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = (shelf("panda", number) for number in count())
+    q, scene = next((q, scene) for q, scene in found if not is_free(scene.model, scene.world, q))
+    real, refused = ends.way_out, iter(range(250))
+
+    def narrow(context: PlanningContext, q: Array, direction: Array) -> Array | None:
+        return real(context, q, direction) if next(refused, None) is None else None
+
+    monkeypatch.setattr(ends, "edge_is_free", lambda *_: False)
+    monkeypatch.setattr(ends, "way_out", narrow)
+    goal = JointGoal(kind="joints", position=tuple(q.tolist()))
+    home = np.array(scene.model.robot.descriptor.home)
+    (end,) = PlanningProblem.of(context(scene, 0), home, goal).targets[-1]
+    assert is_free(scene.model, scene.world, end.free)
