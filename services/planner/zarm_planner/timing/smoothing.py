@@ -27,7 +27,7 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ATTEMPTS = 1500
-"""Shortcuts that are tried for a path, and for each via on top; ten times as many gain 1 % on MotionBenchMaker's problems."""
+"""Shortcuts that are tried for a path at most, and for each via on top; ten times as many gain 1 % on MotionBenchMaker's problems."""
 _PATIENCE = 384
 """Shortcuts, and for each via on top, that may save next to nothing before no more are tried: motions are 0.1 % longer for it, and
 the slowest twentieth takes two thirds of the time."""
