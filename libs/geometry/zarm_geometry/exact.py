@@ -75,6 +75,14 @@ class ExactScene:
         q = np.array(q, np.float64, order="C", ndmin=2)
         return self._nearest(q, check, self._asked if itself else self._asked_of_world, FARTHEST)
 
+    def is_free(self, q: ArrayLike, check: Callable[[], None] = lambda: None) -> bool:
+        """Whether nothing is in collision at any of the configurations `q` (n, dof), or at one (dof,), as `nearest` has it.
+
+        What is further apart than PRECISION is not measured.
+        """
+        q = np.array(q, np.float64, order="C", ndmin=2)
+        return self._nearest(q, check, self._asked, PRECISION).distance > 0.0
+
     def too_near(
         self,
         q: Array,
@@ -189,12 +197,14 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
     pose = np.array([shape.pose for shape in shapes]).reshape(-1, 4, 4)
     extents = np.array([(*shape.core, shape.disc, shape.rounding, shape.radius) for shape in shapes]).reshape(-1, 6)
     reach = _reach(model, link, pose, extents[:, 5])
-    around, of_link = np.zeros((len(model.links), 4)), np.zeros((len(model.links), model.dof))
+    around, spread = np.zeros((len(model.links), 4)), np.zeros(len(model.links))
+    of_link = np.zeros((len(model.links), model.dof))
     for i in np.flatnonzero(np.diff(first)).tolist():
         parts = slice(first[i], first[i + 1])
         centers, radii = pose[parts, :3, 3], extents[parts, 5]
         around[i, :3] = ((centers.T - radii).min(axis=1) + (centers.T + radii).max(axis=1)) / 2
-        around[i, 3] = np.max(np.linalg.norm(centers - around[i, :3], axis=1) + radii)
+        away = np.linalg.norm(centers - around[i, :3], axis=1)
+        around[i, 3], spread[i] = np.max(away + radii), np.max(away + radii - extents[parts, 4])
         of_link[i] = reach[parts].max(axis=0)
     # Both links of a pair are moved as one by the joints up to that of the first.
     first_link, second_link = model.pairs.T
@@ -205,6 +215,7 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
         link_joint=model.link_joint,
         offset=model.offset[: len(model.links)],
         around=around,
+        spread=spread,
         first=first,
         pose=pose,
         extents=extents,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from support.examples import examples
 from support.planner.small_arm import small_arm
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, SceneObject, Sphere
-from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere
+from zarm_contract.robot import CollisionCuboid, CollisionPrimitive, CollisionSphere, load_robot
 from zarm_geometry.exact import FARTHEST, ExactScene, robot_parts, subjects
 from zarm_geometry.frames import matrix, rotation_to
 from zarm_geometry.robot_model import RobotModel
@@ -212,6 +212,40 @@ def test_a_motion_has_the_clearance_of_its_nearest_configuration(model: RobotMod
         assert singly[found.sample] <= 0.0
     else:
         assert found.distance == pytest.approx(min(singly), abs=2e-5)
+
+
+@pytest.fixture(scope="module")
+def panda() -> RobotModel:
+    return RobotModel.of(load_robot("panda"))
+
+
+@examples(0.2)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_along_a_motion_the_links_of_an_arm_are_as_near_to_each_other_as_at_the_nearest_configuration(
+    panda: RobotModel, seed: int
+) -> None:
+    """Joints on the way turn both links about axes that may pass through either: what moves how far is the point of this."""
+    rng = np.random.default_rng(seed)
+    start, end = rng.uniform(panda.lower, panda.upper, (2, panda.dof))
+    motion = start + np.linspace(0.0, rng.uniform(0.1, 1.0), 300)[:, None] * (end - start)
+    scene = ExactScene(panda, World((), 0.0))
+    singly = [scene.nearest(q).distance for q in motion]
+    found = scene.nearest(motion)
+    if min(singly) <= 0.0:
+        assert singly[found.sample] <= 0.0
+    else:
+        assert found.distance == pytest.approx(min(singly), abs=2e-5)
+
+
+@examples(0.5)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_free_is_what_is_nowhere_nearer_than_nothing(model: RobotModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scene = scene_of(model, [scene_object(rng, i) for i in range(6)])
+    start = configuration(model, rng)
+    motion = dense(start, start + rng.uniform(-0.2, 0.2, model.dof) * (1, 1, 1, 0.2), scene)
+    assert scene.is_free(start) == (scene.nearest(start).distance > 0.0)
+    assert scene.is_free(motion) == (scene.nearest(motion).distance > 0.0)
 
 
 def measured(model: RobotModel, motion: Array, objects: Sequence[SceneObject]) -> Array:

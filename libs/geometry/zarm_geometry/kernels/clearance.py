@@ -15,13 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import DEEPEST
-from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.compiled import brief, inlined, kernel
 from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
 from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.simd import lowest_bit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
+Stretch = tuple[int, int, int]
+"""The first, the middle and the last sample of a stretch of a motion."""
+Kept = tuple[float, float]
+"""What is sure to be kept clear (m) up to the middle of a stretch, and from there on."""
 
 
 ROUGH = 0.2
@@ -35,9 +39,10 @@ class RobotParts(NamedTuple):
 
     `origin` (dof, 3, 4), `revolute` (dof,): as in `kinematics.joint_frames`. By link: `link_joint` (links,) is the joint
     that carries it, -1 for the base; `offset` (links, 4, 4) its frame in that joint's; `around` (links, 4) a sphere around
-    it, x, y, z, radius in its frame; `first` (links + 1,) where its parts start. By part: `pose` (parts, 4, 4) in the
-    link's frame, and `extents` (parts, 6): four of the core as in `convex`, the rounding, the radius from the centre to
-    the farthest point. `pairs` (m, 2): links that can meet.
+    it, x, y, z, radius in its frame, and `spread` (links,) how far from its centre the cores of the parts reach; `first`
+    (links + 1,) where its parts start. By part: `pose` (parts, 4, 4) in the link's frame, and `extents` (parts, 6): four
+    of the core as in `convex`, the rounding, the radius from the centre to the farthest point. `pairs` (m, 2): links that
+    can meet.
 
     Subjects are the links, each against the world, and then the pairs. `reach` (subjects, dof): how far (m) one moves at
     most per rad (m where prismatic) of each joint, the second link of a pair as seen from the first.
@@ -48,6 +53,7 @@ class RobotParts(NamedTuple):
     link_joint: Index
     offset: Array
     around: Array
+    spread: Array
     first: Index
     pose: Array
     extents: Array
@@ -71,47 +77,62 @@ class Obstacles(NamedTuple):
 class Course(NamedTuple):
     """A motion and how far the look at it has come.
 
-    `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. `frames` (n, links, 3, 4) of the samples that are `known` (n,). `keys` and `stretches`, which has
-    the columns subject, first sample, last sample + 1, are a heap of `size[0]` stretches with what they are sure to keep
-    clear. `joints` (dof, 3, 4), `centers` (parts, 3), `active` and `until` (DEEPEST,) are working memory.
+    `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. Of the samples that
+    are `known` (n,): `frames` (n, links, 3, 4), and `axes` (n, dof, 6) of the joints, direction and a point. `keys` and
+    `stretches`, which has the columns subject, first sample, last sample + 1, are a heap of `size[0]` stretches with what
+    they are sure to keep clear. `joints` (dof, 3, 4), `centers` (parts, 3), `rates` (parts, dof, 2), `active` and `until`
+    (DEEPEST,) are working memory.
     """
 
     q: Array
     moved: Array
     frames: Array
+    axes: Array
     known: NDArray[np.bool_]
     keys: Array
     stretches: Index
     size: NDArray[np.int64]
     joints: Array
     centers: Array
+    rates: Array
     active: NDArray[np.uint64]
     until: NDArray[np.int64]
 
 
+@brief
 def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
     """The motion `q` (n, dof), not looked at yet; `asked` (subjects,) are looked at."""
-    samples, count = len(q), np.count_nonzero(asked)
-    moved = np.zeros_like(q)
-    np.cumsum(np.abs(np.diff(q, axis=0)), axis=0, out=moved[1:])
+    samples, dof = q.shape
+    count = 0
+    for subject in range(asked.shape[0]):
+        count += asked[subject]
+    moved = np.zeros((samples, dof))
+    for k in range(1, samples):
+        for joint in range(dof):
+            moved[k, joint] = moved[k - 1, joint] + abs(q[k, joint] - q[k - 1, joint])
     # Stretches of one subject do not overlap, so no heap grows larger than this.
     keys, stretches = np.empty(samples * count), np.empty((samples * count, 3), np.int32)
-    keys[:count] = -np.inf
-    stretches[:count, 0] = np.flatnonzero(asked)
-    stretches[:count, 1] = 0
-    stretches[:count, 2] = samples
+    size = np.zeros(1, np.int64)
+    for subject in range(asked.shape[0]):
+        if asked[subject]:
+            i = size[0]
+            keys[i] = -np.inf
+            stretches[i, 0], stretches[i, 1], stretches[i, 2] = subject, 0, samples
+            size[0] = i + 1
     return Course(
-        q=q,
-        moved=moved,
-        frames=np.empty((samples, len(body.link_joint), 3, 4)),
-        known=np.zeros(samples, np.bool_),
-        keys=keys,
-        stretches=stretches,
-        size=np.array([count]),
-        joints=np.empty_like(body.origin),
-        centers=np.empty((len(body.pose), 3)),
-        active=np.empty(DEEPEST, np.uint64),
-        until=np.empty(DEEPEST, np.int64),
+        q,
+        moved,
+        np.empty((samples, body.link_joint.shape[0], 3, 4)),
+        np.empty((samples, dof, 6)),
+        np.zeros(samples, np.bool_),
+        keys,
+        stretches,
+        size,
+        np.empty((dof, 3, 4)),
+        np.empty((body.pose.shape[0], 3)),
+        np.empty((body.pose.shape[0], dof, 2)),
+        np.empty(DEEPEST, np.uint64),
+        np.empty(DEEPEST, np.int64),
     )
 
 
@@ -153,12 +174,59 @@ def _drop_top(course: Course) -> None:
 
 
 @inlined
-def _travel(body: RobotParts, course: Course, subject: int, low: int, high: int) -> float:
-    """How far (m) a subject moves at most from sample `low` to sample `high`."""
-    travel = 0.0
-    for joint in range(body.reach.shape[1]):
-        travel += body.reach[subject, joint] * (course.moved[high, joint] - course.moved[low, joint])
-    return travel
+def _arm(course: Course, k: int, joint: int, x: float, y: float, z: float) -> float:
+    """How far (m) a point is from the axis of a joint at sample `k`."""
+    a = course.axes
+    dx, dy, dz = x - a[k, joint, 3], y - a[k, joint, 4], z - a[k, joint, 5]
+    along = dx * a[k, joint, 0] + dy * a[k, joint, 1] + dz * a[k, joint, 2]
+    return math.sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
+
+
+@inlined
+def _travel(
+    body: RobotParts, course: Course, subject: int, stretch: Stretch, x: float, y: float, z: float, core: float
+) -> Kept:
+    """How far (m) what is within `core` of a point of a subject moves at most, from the first sample of a stretch to its middle
+    and from there to the last; the point is at x, y, z in the middle.
+
+    A joint moves it by the distance from its axis. On the way that may grow by what the joints further out move it by, but never
+    beyond `RobotParts.reach`.
+    """
+    low, k, high = stretch
+    moved = course.moved
+    before, after = 0.0, 0.0
+    for joint in range(body.reach.shape[1] - 1, -1, -1):
+        reach = body.reach[subject, joint]
+        if reach == 0.0:
+            continue
+        earlier, later = reach, reach
+        if body.revolute[joint]:
+            arm = _arm(course, k, joint, x, y, z) + core
+            earlier, later = min(reach, arm + before), min(reach, arm + after)
+        before += earlier * (moved[k, joint] - moved[low, joint])
+        after += later * (moved[high, joint] - moved[k, joint])
+    return before, after
+
+
+@inlined
+def _rate(body: RobotParts, course: Course, stretch: Stretch, i: int, first: int, last: int, step: int) -> None:
+    """How far (m/rad, 1 where prismatic) each joint from `first` to `last` turns a part at most, before the middle of a stretch and after it.
+
+    The joints are taken from the part on: what those before move it by may take it further from an axis.
+    """
+    low, k, high = stretch
+    rates, moved = course.rates, course.moved
+    core = body.extents[i, 5] - body.extents[i, 4]
+    x, y, z = course.centers[i, 0], course.centers[i, 1], course.centers[i, 2]
+    before, after = 0.0, 0.0
+    for joint in range(first, last + step, step):
+        earlier, later = 1.0, 1.0
+        if body.revolute[joint]:
+            arm = _arm(course, k, joint, x, y, z) + core
+            earlier, later = arm + before, arm + after
+        rates[i, joint, 0], rates[i, joint, 1] = earlier, later
+        before += earlier * (moved[k, joint] - moved[low, joint])
+        after += later * (moved[high, joint] - moved[k, joint])
 
 
 @inlined
@@ -168,6 +236,12 @@ def _place(body: RobotParts, course: Course, k: int) -> None:
         return
     course.known[k] = True
     joint_frames(body.origin, body.revolute, course.q[k], course.joints)
+    for joint in range(course.joints.shape[0]):
+        for r in range(3):
+            course.axes[k, joint, r], course.axes[k, joint, 3 + r] = (
+                course.joints[joint, r, 2],
+                course.joints[joint, r, 3],
+            )
     for link in range(body.link_joint.shape[0]):
         j = body.link_joint[link]
         for r in range(3):
@@ -387,27 +461,46 @@ def _to_world(
 
 @inlined
 def _to_each_other(
-    body: RobotParts, course: Course, found: Array, one: int, other: int, k: int, enough: float, best: float
-) -> tuple[float, Array, float]:
-    """The same of two links; a part of `other` is noted as -1 minus its index."""
+    body: RobotParts,
+    course: Course,
+    found: Array,
+    one: int,
+    other: int,
+    stretch: Stretch,
+    travel: Kept,
+    best: float,
+) -> tuple[Kept, Array, float]:
+    """What two links keep clear of each other; a part of `other`, which is further in, is noted as -1 minus its index.
+
+    A joint turns two points nearer to each other by no more than the distance of either one from its axis.
+    """
+    low, k, high = stretch
+    before = after = max(best, 0.0)
     a = body.around
     ax, ay, az = _at(course.frames, k, one, a[one, 0], a[one, 1], a[one, 2])
     bx, by, bz = _at(course.frames, k, other, a[other, 0], a[other, 1], a[other, 2])
-    lowest = math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) - a[one, 3] - a[other, 3]
-    if lowest >= enough:
-        return lowest, found, best
-    lowest = enough
+    apart = math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) - a[one, 3] - a[other, 3]
+    if apart >= before + max(travel[0], travel[1]):
+        return (before, after), found, best
     _place_parts(body, course, k, one)
     _place_parts(body, course, k, other)
+    inner, outer = body.link_joint[other] + 1, body.link_joint[one]
+    for j in range(body.first[other], body.first[other + 1]):
+        _rate(body, course, stretch, j, inner, outer, 1)
+    rates, moved = course.rates, course.moved
     p = course.centers
     for i in range(body.first[one], body.first[one + 1]):
         reach = body.extents[i, 5] + a[other, 3]
-        limit = max(best, lowest, 0.0)
         apart = math.sqrt((p[i, 0] - bx) ** 2 + (p[i, 1] - by) ** 2 + (p[i, 2] - bz) ** 2)
-        if apart - reach >= limit:
+        if apart - reach >= max(best, before + travel[0], after + travel[1], 0.0):
             continue
+        _rate(body, course, stretch, i, outer, inner, -1)
         for j in range(body.first[other], body.first[other + 1]):
-            limit = max(best, lowest, 0.0)
+            own_before, own_after = 0.0, 0.0
+            for joint in range(inner, outer + 1):
+                own_before += min(rates[i, joint, 0], rates[j, joint, 0]) * (moved[k, joint] - moved[low, joint])
+                own_after += min(rates[i, joint, 1], rates[j, joint, 1]) * (moved[high, joint] - moved[k, joint])
+            limit = max(best, before + own_before, after + own_after, 0.0)
             x, y, z = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1], p[i, 2] - p[j, 2]
             apart = math.sqrt(x * x + y * y + z * z)
             reach = body.extents[i, 5] + body.extents[j, 5]
@@ -428,9 +521,9 @@ def _to_each_other(
                     center, own, _core(body.extents, i, 0), _core(body.extents, j, 0), limit + rounded
                 )
                 lower, upper = lower - rounded, upper - rounded
-            lowest = min(lowest, lower)
+            before, after = min(before, lower - own_before), min(after, lower - own_after)
             found, best = _note(found, lower, upper, i, -1 - j, k, best)
-    return lowest, found, best
+    return (before, after), found, best
 
 
 @kernel
@@ -447,25 +540,31 @@ def look(body: RobotParts, world: Obstacles, course: Course, best: float, most: 
     found[0, 0] = 0.0
     over = False
     for _ in range(most):
-        floor = max(best, 0.0)
-        if course.size[0] == 0 or course.keys[0] >= floor - PRECISION or (best <= 0.0 and course.q.shape[0] > 1):
+        if (
+            course.size[0] == 0
+            or course.keys[0] >= max(best, 0.0) - PRECISION
+            or (best <= 0.0 and course.q.shape[0] > 1)
+        ):
             over = True
             break
         key, subject = course.keys[0], course.stretches[0, 0]
         low, high = course.stretches[0, 1], course.stretches[0, 2]
         _drop_top(course)
         k = (low + high) // 2
+        stretch = low, k, high - 1
         _place(body, course, k)
-        before = _travel(body, course, subject, low, k)
-        after = _travel(body, course, subject, k, high - 1)
-        enough = floor + max(before, after)
+        one = subject if subject < links else int(body.pairs[subject - links, 1])
+        x, y, z = _at(course.frames, k, one, body.around[one, 0], body.around[one, 1], body.around[one, 2])
+        travel = _travel(body, course, subject, stretch, x, y, z, body.spread[one])
         if subject < links:
-            lowest, found, best = _to_world(body, world, course, found, subject, k, enough, best)
+            enough = max(best, 0.0) + max(travel[0], travel[1])
+            lowest, found, best = _to_world(body, world, course, found, one, k, enough, best)
+            kept = lowest - travel[0], lowest - travel[1]
         else:
-            one, other = body.pairs[subject - links, 1], body.pairs[subject - links, 0]
-            lowest, found, best = _to_each_other(body, course, found, one, other, k, enough, best)
-        if low < k and before > 0.0:
-            _push(course, max(key, lowest - before), subject, low, k)
-        if k + 1 < high and after > 0.0:
-            _push(course, max(key, lowest - after), subject, k + 1, high)
+            other = body.pairs[subject - links, 0]
+            kept, found, best = _to_each_other(body, course, found, one, other, stretch, travel, best)
+        if low < k and travel[0] > 0.0:
+            _push(course, max(key, kept[0]), subject, low, k)
+        if k + 1 < high and travel[1] > 0.0:
+            _push(course, max(key, kept[1]), subject, k + 1, high)
     return found[1 : int(found[0, 0]) + 1], best, over

@@ -56,7 +56,7 @@ def way_out(context: PlanningContext, q: Array, direction: Array) -> Array | Non
 
 def edge_is_free(context: PlanningContext, a: Array, b: Array) -> bool:
     """Whether the straight edge between two configurations (dof,) is free in exact geometry."""
-    return context.exact.nearest(points(context.exact, a, b), context.deadline.check).distance > 0.0
+    return context.exact.is_free(points(context.exact, a, b), context.deadline.check)
 
 
 def points(scene: ExactScene, a: Array, b: Array) -> Array:

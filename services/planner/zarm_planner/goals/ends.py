@@ -63,24 +63,24 @@ class End:
         return cls(q, q, np.empty((0, len(q))))
 
 
-def check_start(context: PlanningContext, q: Array, field: str = "start") -> Nearest:
-    """What is nearest at the start of a path, the request's `field`. Raises PlanningFailed (`start_in_collision`)."""
-    nearest = context.exact.nearest(q, context.deadline.check)
-    if nearest.distance <= 0.0:
+def check_start(context: PlanningContext, q: Array, field: str = "start") -> None:
+    """Raises PlanningFailed (`start_in_collision`) where the start of a path, the request's `field`, is in collision."""
+    if not context.exact.is_free(q, context.deadline.check):
+        overlap = _overlap(context.exact.nearest(q, context.deadline.check))
         raise PlanningFailed(
-            f"the start is in collision: {_overlap(nearest)}; move the robot away by hand, or correct the scene",
+            f"the start is in collision: {overlap}; move the robot away by hand, or correct the scene",
             code="start_in_collision",
             field=field,
         )
-    return nearest
 
 
 def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End:
     """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
-    nearest = check_start(context, q)
+    check_start(context, q)
     if (end := _end(context, q, constraint, _ALONE)) is None:
+        gap = _gap(context.exact.nearest(q, context.deadline.check))
         raise PlanningFailed(
-            f"there is no way out of the start, where {_gap(nearest)}; move the robot away by hand, or lower margin",
+            f"there is no way out of the start, where {gap}; move the robot away by hand, or lower margin",
             code="start_in_collision",
             field="start",
         )
@@ -106,10 +106,10 @@ def goal_ends(
     """
     if isinstance(goal, JointGoal):
         q = within_range(context.model, goal.position, f"{field}.position")
-        nearest = context.exact.nearest(q, context.deadline.check)
-        end = _end(context, q, constraint, _ALONE) if nearest.distance > 0.0 else None
+        check = context.deadline.check
+        end = _end(context, q, constraint, _ALONE) if context.exact.is_free(q, check) else None
         if end is None:
-            raise _blocked([nearest]).of_goal(field)
+            raise _blocked([context.exact.nearest(q, check)]).of_goal(field)
         if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
             raise fault.of_goal(field)
         return (end,)

@@ -51,6 +51,28 @@ def knots(ramps: Ramps, count: int, window: float, begin: float, fastest: Array,
 
 
 @brief
+def subdivided(knots: Array, factor: float, dt: float, most: int) -> Array:
+    """Times (n,) from the first to the last of the ascending `knots` (k,) in s, these among them; at `factor` times as long
+    they are `dt` s apart or less. None where these are more than `most`.
+    """
+    total = 1.0
+    for k in range(knots.shape[0] - 1):
+        total += max(1.0, np.ceil((knots[k + 1] - knots[k]) * factor / dt - 1e-6))
+    if not total <= most + 1:
+        return np.empty(0)
+    times = np.empty(int(total))
+    n = 0
+    for k in range(knots.shape[0] - 1):
+        step = knots[k + 1] - knots[k]
+        pieces = int(max(1.0, np.ceil(step * factor / dt - 1e-6)))
+        for piece in range(pieces):
+            times[n] = knots[k] + piece * (step / pieces)
+            n += 1
+    times[n] = knots[-1]
+    return times
+
+
+@brief
 def sample_average(ramps: Ramps, count: int, window: float, t: Array, out: Array) -> None:
     """Position, velocity and acceleration (3, n, dof) at the ascending times `t` (n,) of the first `count` ramps, averaged
     over the last `window` s; before and after them the robot rests.

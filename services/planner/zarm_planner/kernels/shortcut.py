@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
-from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.compiled import brief, inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.vectors import apart, between, copy
 from zarm_planner.kernels.clock import passed
@@ -18,6 +18,8 @@ PATIENCE = 40
 """Shortcuts in a row that do not help before it ends; twice as many would make paths 1 % shorter."""
 GAIN = 0.005
 """A shortcut that saves less than this part of the path is not worth a check."""
+SAME = 1e-6
+"""Rows nearer to each other (rad) differ by the rounding of float32."""
 
 
 @inlined
@@ -93,3 +95,37 @@ def shortcut(
         copy(b, path[i + 2])
         count += moved
     return skip_vertices(checks, path, count, deadline, now)
+
+
+@brief
+def without_repeats(
+    rows: Single,
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """A path (n, dof) of the kernels with its very ends (dof,), between `lower` and `upper` (dof,); no row is another one's but for
+    rounding.
+    """
+    dof = start.shape[0]
+    path = np.empty((max(rows.shape[0], 2), dof))
+    for k in range(dof):
+        path[0, k] = start[k]
+    count = 1
+    for i in range(1, rows.shape[0] - 1):
+        moved, left = 0.0, 0.0
+        for k in range(dof):
+            value = min(max(float(rows[i, k]), lower[k]), upper[k])
+            path[count, k] = value
+            moved, left = max(moved, abs(value - path[count - 1, k])), max(left, abs(value - end[k]))
+        if min(moved, left) > SAME:
+            count += 1
+    differs = False
+    for k in range(dof):
+        differs = differs or end[k] != path[count - 1, k]
+    if differs:
+        for k in range(dof):
+            path[count, k] = end[k]
+        count += 1
+    return path[:count]

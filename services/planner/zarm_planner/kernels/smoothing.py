@@ -45,6 +45,9 @@ EQUAL = 1e-6
 ENOUGH = 0.005
 """Part of its time that a motion may last longer than any can between its ends, for further shortcuts to be of no use."""
 
+STALLED = 0.005
+"""Part of its time of which shortcuts must have saved so much lately for more of them to be tried."""
+
 
 @inlined
 def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
@@ -210,12 +213,14 @@ def smooth(
     limits: Array,
     begin: float,
     attempts: int,
+    patience: int,
     random: NDArray[np.uint64],
     deadline: NDArray[np.float64],
 ) -> int:
     """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns how many it has.
 
-    It ends when the motion is about as fast as any between its ends can be.
+    It ends when the motion is about as fast as any between its ends can be, and when `patience` attempts saved less than
+    STALLED.
 
     Before `begin` (s) it stays as it is. `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration
     (rad/s^2). Vias are passed as before, perhaps at another velocity.
@@ -235,6 +240,7 @@ def smooth(
     for j in range(dof):
         time = least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j])
         least = max(least, time if time < np.inf else 0.0)  # infinite from a start that is faster than allowed
+    period, marks = max(patience // 4, 1), np.full(4, np.inf)
     for attempt in range(attempts):
         if count + 5 > capacity or passed(deadline, now):
             break
@@ -243,6 +249,11 @@ def smooth(
             total += ramps.duration[i]
         if total - begin <= (1.0 + ENOUGH) * least:
             break
+        if attempt % period == 0:
+            mark = attempt // period % 4
+            if marks[mark] - total < STALLED * total:
+                break
+            marks[mark] = total
         early = begin + uniform(random) * (total - begin)
         late = begin + uniform(random) * (total - begin)
         if early > late:

@@ -75,7 +75,7 @@ def _route(context: PlanningContext, problem: PlanningProblem, constraint: Const
 
 def _timed(context: PlanningContext, constraint: ConstraintManifold, route: Route) -> TimedTrajectory | None:
     def free(q: Array) -> bool:
-        return context.exact.nearest(q, context.deadline.check).distance > 0.0
+        return context.exact.is_free(q, context.deadline.check)
 
     return time_constrained(
         constraint, route.path, context.limits, context.dt, free=free, deadline=context.deadline, vias=route.vias

@@ -19,9 +19,6 @@ from zarm_planner.search.rrt_connect import sampling_range
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-6
-"""Rows nearer to each other (rad) differ by the rounding of float32."""
-
 
 def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadline: Deadline) -> Array:
     """A free path (m, dof) between the ends of the free `path` (n, dof) that is no longer, without repeated rows.
@@ -78,11 +75,4 @@ def quickest_of(
 
 
 def _without_repeats(model: RobotModel, rows: NDArray[np.float32], start: Array, end: Array) -> Array:
-    """A path of the kernels with its very ends, within the joints' ranges; no row is another one's but for rounding."""
-    path = [start]
-    for row in np.clip(rows[1:-1].astype(np.float64), model.lower, model.upper):
-        if min(np.abs(row - path[-1]).max(), np.abs(row - end).max()) > _SAME:
-            path.append(row)
-    if np.any(end != path[-1]):
-        path.append(end)
-    return np.array(path)
+    return kernel.without_repeats(rows, start, end, model.lower, model.upper)

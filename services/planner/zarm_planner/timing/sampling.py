@@ -9,6 +9,7 @@ import numpy as np
 
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.kernels.quintic import peaks
+from zarm_planner.kernels.sampling import subdivided
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -26,14 +27,14 @@ def sample_times(knots: Array, factor: float, dt: float) -> Array:
 
     Raises InvalidRequest where these are more than MAX_SAMPLES.
     """
-    pieces = np.maximum(1.0, np.ceil(np.diff(knots) * factor / dt - 1e-6))
-    if (count := pieces.sum()) > MAX_SAMPLES:
+    times = subdivided(knots, factor, dt, MAX_SAMPLES)
+    if len(times) == 0:
         raise InvalidRequest(
             f"the motion would last {(knots[-1] - knots[0]) * factor:.3g} s, and needs more than the {MAX_SAMPLES} samples "
             "that one message holds; raise velocity_scale and acceleration_scale",
             field="velocity_scale",
         )
-    return np.interp(np.arange(int(count) + 1), np.insert(np.cumsum(pieces), 0, 0.0), knots)
+    return times
 
 
 def load(trajectory: TimedTrajectory, limits: Limits) -> float:
