@@ -141,7 +141,7 @@ def test_the_inside_of_a_closed_mesh_is_filled_and_nothing_else(tmp_path: Path, 
     shape = SHAPES[name]().apply_transform(trimesh.transformations.euler_matrix(turn, 2 * turn, -turn))
     found = Meshes((tmp_path,))
     item = found.checked(mesh(saved(shape, tmp_path / "shape.stl").name), "")
-    parts = found.rows(item)
+    parts = found.tree(item).rows
     lower, upper = rows.bounds(parts[parts[:, 15] >= 0.0])
     rng = np.random.default_rng(4)
     points = rng.uniform(shape.bounds[0] - 0.05, shape.bounds[1] + 0.05, (150, 3))
@@ -293,7 +293,7 @@ def test_single_triangles_without_area_are_dropped_and_the_rest_stays_closed(tmp
         + "".join(f"f {a} {b} {c}\n" for a, b, c in box.faces + 1)
     )
     meshes = Meshes((tmp_path,))
-    parts = meshes.rows(meshes.checked(mesh("box.obj"), ""))
+    parts = meshes.tree(meshes.checked(mesh("box.obj"), "")).rows
     assert np.count_nonzero(parts[:, 15] < 0.0) == 12
     assert np.count_nonzero(parts[:, 15] >= 0.0) == 1
 
