@@ -194,7 +194,7 @@ def test_small_faults_of_a_mesh_are_mended_and_said_and_of_an_open_one_only_the_
     saved(with_faults(ball, 0.04), tmp_path / "bowl.stl")
     found = Meshes((tmp_path,))
     whole, broken, bowl = (found.checked(mesh(f"{name}.stl", name), "") for name in ("whole", "broken", "bowl"))
-    solid_parts = [rows[rows[:, 15] >= 0.0] for rows in map(found.rows, (whole, broken, bowl))]
+    solid_parts = [rows[rows[:, 15] >= 0.0] for rows in (found.tree(item).rows for item in (whole, broken, bowl))]
     assert found.notes(whole) == ()
     assert [note.split(": ")[0] for note in found.notes(broken)] == ["broken", "broken"]
     assert "turned" in found.notes(broken)[0]
@@ -283,6 +283,17 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(limits, "MAX_BYTES", 1000)
     with pytest.raises(InvalidRequest, match="more than 1000"):
         Meshes((tmp_path,)).checked(mesh("ball.stl"), "x")
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_triangles_that_are_there_twice_leave_a_mesh_closed_and_are_said(tmp_path: Path, flipped: bool) -> None:
+    box = trimesh.creation.box((0.3, 0.3, 0.3))
+    again = box.faces[:3, ::-1] if flipped else box.faces[:3]
+    saved(trimesh.Trimesh(box.vertices, np.vstack([box.faces, again]), process=False), tmp_path / "box.stl")
+    meshes = Meshes((tmp_path,))
+    item = meshes.checked(mesh("box.stl"), "")
+    assert (meshes.tree(item).rows[:, 15] >= 0.0).sum() == 1  # its inside
+    assert meshes.notes(item) == ("vice: triangles that were there more than once were taken once",)
 
 
 def test_single_triangles_without_area_are_dropped_and_the_rest_stays_closed(tmp_path: Path) -> None:
