@@ -38,7 +38,9 @@ class BoxTree(NamedTuple):
         """The tree over shapes (n, 17)."""
         lower, upper = rows.bounds(shapes)
         order = median_split(np.ascontiguousarray((lower + upper) / 2), BRANCHES)
-        return cls(shapes[order], order, *_nodes(lower[order], upper[order]))
+        skip, leaf = _nodes(len(shapes))
+        there, boxes = refit(shapes[order], skip, leaf, np.eye(4))
+        return cls(there, order, boxes, skip, leaf)
 
     def placed(self, pose: Array) -> Self:
         """The tree of an object that stands at `pose` (4, 4), from that in its own frame: a tenth of the work of a new one."""
@@ -64,9 +66,8 @@ def forest(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
     )
 
 
-def _nodes(lower: Array, upper: Array) -> tuple[Array, Index, Index]:
-    """`boxes`, `skip` and `leaf` over boxes (n, 3) in their order: each level joins BRANCHES neighbours; nodes lie depth first."""
-    count = len(lower)
+def _nodes(count: int) -> tuple[Index, Index]:
+    """`skip` and `leaf` over so many shapes in their order: each level joins BRANCHES neighbours; nodes lie depth first."""
     widths = [1]
     while widths[-1] * BRANCHES < count:
         widths.append(widths[-1] * BRANCHES)
@@ -75,16 +76,13 @@ def _nodes(lower: Array, upper: Array) -> tuple[Array, Index, Index]:
         return np.asarray(np.sum([-(-shape // width) for width in widths], axis=0), np.intp)
 
     total = int(nodes_before(np.array(count)))
-    boxes = np.empty((total, 6))
     skip = np.empty(total, np.int32)
     leaf = np.full(total, -1, np.int32)
     for level, width in enumerate(widths):
         first = np.arange(0, count, width)
         ancestors = sum((first % wider == 0 for wider in widths[level + 1 :]), np.zeros(len(first), np.intp))
         at = nodes_before(first) + ancestors
-        low, high = np.minimum.reduceat(lower, first), np.maximum.reduceat(upper, first)
-        boxes[at] = np.hstack(((low + high) / 2, (high - low) / 2))
         skip[at] = nodes_before(np.minimum(first + width, count))
         if level == 0:
             leaf[at] = first
-    return boxes, skip, leaf
+    return skip, leaf
