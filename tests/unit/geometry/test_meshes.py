@@ -230,7 +230,7 @@ FILES = {
         ("points.obj", "no triangles"),
         ("missing_corner.obj", "cannot be read as OBJ"),
         ("flat.obj", "no triangles in space"),
-        ("nan.obj", "no numbers"),
+        ("nan.obj", "not numbers"),
         ("far.obj", "scale 0.001"),
         ("line.obj", "without area"),
         ("nowhere.stl", "no file nowhere.stl"),
