@@ -1,7 +1,7 @@
 """What meshes of many triangles and clouds of many points cost: `python tests/benchmarks/fine_scenes.py [--plans 20]`.
 
 Panda plans around a bumpy ball of 0.2 m radius in its way, as a mesh of more and more triangles, and as a cloud of points on
-it. Times are CPU time of this process: of the edit that adds the object, from its JSON on and with what it makes ready, and of plans to joints with
+it; around a lathed part, whose triangles are long and thin; and before a rough wall, an open surface like that of a scan. Times are CPU time of this process: of the edit that adds the object, from its JSON on and with what it makes ready, and of plans to joints with
 `optimize_s` 0, the first one after the edit and the median of the others. Needs the robot in ../shared/mbm.
 """
 
@@ -34,6 +34,8 @@ AT = (0.55, 0.0, 0.45)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 SIDE = (1.0, 0.6, 0.0, -1.2, 0.0, 1.8, 0.8)
 SUBDIVISIONS = (2, 3, 4, 5, 6)
+SECTIONS = (18, 6200)
+SQUARES = (12, 223)
 POINTS = (1_000, 10_000, 100_000)
 
 
@@ -54,7 +56,12 @@ def main() -> None:
         planner.warm_up(lambda _: None)
         gc.collect()
         gc.freeze()  # as the service does
-        for objects in ([_mesh(meshes, count) for count in SUBDIVISIONS], [_cloud(count) for count in POINTS]):
+        for objects in (
+            [_mesh(meshes, "ball", _ball(count), AT) for count in SUBDIVISIONS],
+            [_mesh(meshes, "lathed part", _lathed(count), (0.5, 0.0, 0.3)) for count in SECTIONS],
+            [_mesh(meshes, "rough wall", _wall(count), (0.0, 0.0, 0.0)) for count in SQUARES],
+            [_cloud(count) for count in POINTS],
+        ):
             coarsest = 0.0
             for what, item in objects:
                 edit, first, rest = _costs(planner, item, options.plans)
@@ -89,18 +96,36 @@ def _ball(subdivisions: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(ball.vertices * bumps[:, None] * RADIUS, ball.faces)
 
 
-def _mesh(folder: Path, subdivisions: int) -> tuple[str, Mesh]:
-    ball = _ball(subdivisions)
-    ball.export(folder / f"{subdivisions}.stl")
-    item = Mesh(kind="mesh", name="ball", file=f"{subdivisions}.stl", position=AT, orientation=UPRIGHT)
-    return f"mesh of {len(ball.faces)} triangles", item
+def _lathed(sections: int) -> trimesh.Trimesh:
+    rod = trimesh.creation.cylinder(radius=0.06, height=0.6, sections=sections)
+    flange = trimesh.creation.cylinder(radius=0.12, height=0.03, sections=sections)
+    ring = trimesh.creation.annulus(r_min=0.1, r_max=0.16, height=0.05, sections=sections)
+    flange.apply_translation((0.0, 0.0, 0.1))
+    ring.apply_translation((0.0, 0.0, 0.25))
+    return trimesh.util.concatenate([rod, flange, ring])
+
+
+def _wall(squares: int) -> trimesh.Trimesh:
+    u, v = np.meshgrid(np.linspace(-1.0, 1.0, squares + 1), np.linspace(0.0, 1.2, squares + 1), indexing="ij")
+    x = 0.75 + 0.03 * np.sin(9 * u) * np.sin(11 * v) + 0.001 * np.random.default_rng(1).standard_normal(u.shape)
+    corner = np.arange(u.size).reshape(u.shape)
+    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return trimesh.Trimesh(np.stack([x, 0.8 * u, v], axis=-1).reshape(-1, 3), faces)
+
+
+def _mesh(folder: Path, what: str, shape: trimesh.Trimesh, at: tuple[float, float, float]) -> tuple[str, Mesh]:
+    file = f"{what}-{len(shape.faces)}.stl"
+    shape.export(folder / file)
+    item = Mesh(kind="mesh", name="thing", file=file, position=at, orientation=UPRIGHT)
+    return f"{what}, {len(shape.faces)} triangles", item
 
 
 def _cloud(count: int) -> tuple[str, PointCloud]:
     points, _ = trimesh.sample.sample_surface(_ball(6), count, seed=0)
     item = PointCloud(
         kind="cloud",
-        name="ball",
+        name="thing",
         resolution=0.005,
         points=tuple(map(tuple, points.tolist())),
         position=AT,

@@ -174,7 +174,7 @@ def obstacles(world: World) -> Obstacles:
     """The world for kernels that compute with the shapes as they are."""
     arrays = world.arrays
     error = _SINGLE * float(np.abs(arrays.boxes).max(initial=0.0))
-    return Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, -error)
+    return Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, error)
 
 
 def subjects(model: RobotModel, body: RobotParts) -> NDArray[np.bool_]:

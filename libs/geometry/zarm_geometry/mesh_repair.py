@@ -19,7 +19,7 @@ SMALL = 0.01
 def closed(mesh: Trimesh) -> tuple[Trimesh | None, tuple[str, ...]]:
     """The mesh as a closed surface wound one way, or None where it is none; and what was done or is missing, a sentence each.
 
-    Corners at the same place are one, triangles that are wound against their neighbours are turned, and holes up to SMALL
+    Corners at the same place are one, and triangles with the same corners, triangles that are wound against their neighbours are turned, and holes up to SMALL
     are closed with a fan of triangles around their middle.
     """
     from trimesh import repair  # takes half a second, which a planner without meshes need not wait
@@ -28,6 +28,10 @@ def closed(mesh: Trimesh) -> tuple[Trimesh | None, tuple[str, ...]]:
     mesh.merge_vertices()
     a, b, c = mesh.faces.T
     mesh.update_faces((a != b) & (b != c) & (c != a))
+    once = mesh.unique_faces()
+    if not once.all():
+        mesh.update_faces(once)
+        notes.append("triangles that were there more than once were taken once")
     if not mesh.is_winding_consistent:
         repair.fix_winding(mesh)  # type: ignore[no-untyped-call]
         if mesh.is_winding_consistent:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import Mesh, Voxels
 from zarm_geometry import rows
+from zarm_geometry.box_tree import BoxTree
 from zarm_geometry.mesh_repair import closed
 from zarm_geometry.solid import around, inside
 from zarm_geometry.voxels import cells_of, coarse
@@ -32,9 +33,9 @@ _Known = tuple[str, tuple[float, float, float]]
 
 
 class _Read(NamedTuple):
-    """What a file was found to hold: its shapes (n, 17), and a sentence about each of its faults."""
+    """What a file was found to hold: the tree over its shapes, and a sentence about each of its faults."""
 
-    shapes: Array
+    tree: BoxTree
     notes: tuple[str, ...]
 
 
@@ -54,16 +55,16 @@ class Meshes:
         digest, _ = self._read(item, field)
         return item.model_copy(update={"sha256": digest})
 
-    def rows(self, item: Mesh) -> Array:
-        """The shapes (n, 17) of a mesh of the scene, in its own frame, see `zarm_geometry.rows`.
+    def tree(self, item: Mesh) -> BoxTree:
+        """The tree over the shapes of a mesh of the scene, in its own frame.
 
         Raises Unavailable where its file has to be read again and is not there any more, or is another one.
         """
         known = self._known.get((item.sha256 or "", item.scale))
         if known is not None:
-            return known.shapes
+            return known.tree
         try:
-            return self._read(item, "")[1].shapes
+            return self._read(item, "")[1].tree
         except InvalidRequest as error:
             raise Unavailable(
                 f"the scene holds the mesh {item.name}, which cannot be read: {error.problem.message}. Until its file is "
@@ -74,14 +75,14 @@ class Meshes:
         """At most `most` boxes, by their corners (m, 3) in its own frame, that contain an object. Raises Unavailable like `rows`."""
         if isinstance(item, Voxels):
             return coarse(cells_of(item), item.resolution, most)
-        shapes = self.rows(item)
+        shapes = self.tree(item).rows
         flat = shapes[:, 15] < 0.0
         return around(rows.corners(shapes[flat]), most, solid=not flat.all())
 
     def count(self, item: Mesh) -> int:
         """How many shapes a mesh consists of; 0 while its file cannot be read."""
         known = self._known.get((item.sha256 or "", item.scale))
-        return 0 if known is None else len(known.shapes)
+        return 0 if known is None else len(known.tree.rows)
 
     def notes(self, item: Mesh) -> tuple[str, ...]:
         """What is said of a mesh that has been checked: what was mended, and whether only its surface is an obstacle."""
@@ -175,5 +176,5 @@ def _held(item: Mesh, content: bytes, field: str) -> _Read:
         raise refused(f"{item.file} holds only triangles without area; check the scale, or export it again")
     solid, notes = closed(trimesh.Trimesh(vertices, faces, process=False))
     if solid is None:
-        return _Read(surface, notes)
-    return _Read(np.concatenate([surface, rows.boxes(*inside(np.asarray(solid.triangles)))]), notes)
+        return _Read(BoxTree.over(surface), notes)
+    return _Read(BoxTree.over(np.concatenate([surface, rows.boxes(*inside(np.asarray(solid.triangles)))])), notes)

@@ -68,7 +68,10 @@ def occupied(points: Array, resolution: float) -> Cells:
 def distinct(cells: Cells) -> Cells:
     """Cells (n, 3), each once, sorted by x, then y, then z."""
     i, j, k = cells.T + _MIDDLE
-    codes = np.sort((i << 2 * _BITS) | (j << _BITS) | k)
+    codes = (i << 2 * _BITS) | (j << _BITS) | k
+    if np.all(codes[1:] > codes[:-1]):
+        return cells
+    codes.sort()
     codes = codes[np.diff(codes, prepend=-1) != 0]
     mask = (1 << _BITS) - 1
     return np.column_stack([codes >> 2 * _BITS, (codes >> _BITS) & mask, codes & mask]) - _MIDDLE

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.messages import Mesh, Primitive, SceneObject, Voxels
 from zarm_geometry import rows
-from zarm_geometry.box_tree import BoxTree
+from zarm_geometry.box_tree import BoxTree, forest
 from zarm_geometry.frames import matrix
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.voxels import cells_of, edges, merged
@@ -18,11 +20,12 @@ Array = NDArray[np.float64]
 
 
 class World:
-    """Scene objects in the base frame, with `margin` (m) added all around in `arrays`. Immutable.
+    """Scene objects in the base frame, with `margin` (m) kept to them in `arrays`. Immutable.
 
     `rows` (n, 17) are the convex shapes that the objects consist of, in the order of the tree and without the margin, see
     `zarm_geometry.rows`; `owner` (n,) is the index in `names` of the object that each is part of. What `before`, an earlier world,
-    has made ready of the same meshes and voxels is taken from there. Raises Unavailable for a mesh that is not in `meshes`.
+    has made ready of the same meshes and voxels is taken from there; one that was only moved is only placed anew. Raises
+    Unavailable for a mesh that is not in `meshes`.
     """
 
     def __init__(
@@ -32,34 +35,67 @@ class World:
         meshes: Meshes | None = None,
         before: World | None = None,
     ) -> None:
-        known = before._trees if before else {}
-        self._trees: dict[str, tuple[Mesh | Voxels, BoxTree]] = {}
+        known = before._made if before else {}
+        self._made: dict[str, _Made] = {}
         single: list[Primitive] = []
         owners: list[int] = []
         for index, item in enumerate(objects):
             if isinstance(item, Mesh | Voxels):
-                kept = known.get(item.name)
-                if kept is None or kept[0] is not item:
-                    kept = item, BoxTree.over(convex_shapes(item, meshes or Meshes()))
-                self._trees[item.name] = kept
+                self._made[item.name] = _made(item, meshes or Meshes(), known.get(item.name))
             else:
                 single.append(item)
                 owners.append(index)
+        trees = [made.placed for made in self._made.values()]
+        singles = BoxTree.over(rows.primitives(single))
         place = {item.name: index for index, item in enumerate(objects)}
-        trees = [BoxTree.over(rows.primitives(single)), *(tree for _, tree in self._trees.values())]
-        of_trees = [np.full(len(tree.rows), place[name]) for name, (_, tree) in self._trees.items()]
-        tree = BoxTree.joined(trees)
+        places, counts = [place[name] for name in self._made], [len(tree.rows) for tree in trees]
         self.names = tuple(item.name for item in objects)
         self.margin = margin
-        self.rows, self.owner = tree.rows, np.concatenate([np.array(owners, np.intp), *of_trees])[tree.order]
-        self.arrays = tree.arrays(margin)
+        self.rows = np.concatenate([*(tree.rows for tree in trees), singles.rows])
+        self.owner = np.concatenate(
+            [np.repeat(np.array(places, np.intp), counts), np.array(owners, np.intp)[singles.order]]
+        )
+        self.arrays = forest([*trees, singles], margin)
+
+    def with_margin(self, margin: float) -> Self:
+        """The same objects with another margin (m), at no cost."""
+        if margin == self.margin:
+            return self
+        other = copy(self)
+        other.margin, other.arrays = margin, self.arrays._replace(margin=margin)
+        return other
+
+
+class _Made(NamedTuple):
+    """What is made ready of an object: the tree over its shapes in its own frame, and that where it stands."""
+
+    item: Mesh | Voxels
+    tree: BoxTree
+    placed: BoxTree
+
+
+def _made(item: Mesh | Voxels, meshes: Meshes, before: _Made | None) -> _Made:
+    """The tree of a mesh or of voxels, where it stands; what is known `before` under its name may be of another one."""
+    if before is not None and before.item is item:
+        return before
+    if isinstance(item, Mesh):
+        tree = meshes.tree(item)
+    elif before is not None and isinstance(before.item, Voxels) and _same_cells(before.item, item):
+        tree = before.tree
+    else:
+        tree = BoxTree.over(_boxes(item))
+    return _Made(item, tree, tree.placed(matrix(item.position, item.orientation)))
+
+
+def _same_cells(one: Voxels, other: Voxels) -> bool:
+    return one.cells is other.cells and one.resolution == other.resolution
 
 
 def convex_shapes(item: SceneObject, meshes: Meshes) -> Array:
     """The shapes (n, 17) that an object consists of, in the base frame."""
     if not isinstance(item, Mesh | Voxels):
         return rows.primitives([item])
-    own = meshes.rows(item) if isinstance(item, Mesh) else _boxes(item)
+    own = meshes.tree(item).rows if isinstance(item, Mesh) else _boxes(item)
     return rows.placed(own, matrix(item.position, item.orientation))
 
 

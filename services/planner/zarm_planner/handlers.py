@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import operator
 import os
 import secrets
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +68,6 @@ from zarm_trajectory.quintic import Array
 
 log = logging.getLogger(__name__)
 
-_MARGINS = 4
-"""How many margins a scene is kept ready with."""
 _BATCH_TIMEOUT = 60.0
 """Seconds that a batch of kinematics or checks may take."""
 
@@ -97,12 +97,12 @@ class Handlers:
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
         self.moved = MovedObjects(lambda: store.scene)
-        self._ready_for: SceneRevision | None = None
-        self._objects: tuple[SceneObject, ...] = ()
         # what it carries, the links that are ignored, and the robot with that
         self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model
-        self._world: World | None = None  # the latest, which the next one takes over from
-        self._scenes: dict[float, PlanningScene] = {}  # by margin, the one used last at the end
+        # A scene that is ready for planning with its objects where they are: that of the latest plan, and that of the latest edit.
+        self._ready: _Ready | None = None
+        self._edited: _Ready | None = None
+        self._world: World | None = None  # the newest, which the next one takes over from
 
     def warm_up(self, report: Callable[[str], None]) -> None:
         """Compile what plans run on, or load it; `report` is told what comes next."""
@@ -309,27 +309,27 @@ class Handlers:
         """Make ready what an edit has brought, before it holds: so that no plan waits for that."""
         self._with(scene).with_self_margin(0.0)  # measures the room between its links, once for all margins
         with suppress(Unavailable):  # the file of a mesh is missing, which every plan will say
-            self._world = World(scene.objects, self._settings.margin, self._store.meshes, self._world)
+            self._edited = self._made_ready(scene, self.moved.objects_to_be(scene))
 
     def _look(self, margin: float | None = None) -> PlanningScene:
-        """The present scene, made ready for planning once per revision, poses of moving objects and margin (m, left out: that of the settings).
+        """The present scene with a margin (m, left out: that of the settings), made ready once for each revision and poses of moving objects.
 
         Raises Unavailable while the file of one of its meshes is missing.
         """
         with self._lock:
             scene, kept = self._store.scene, self._settings.margin if margin is None else margin
             objects = self.moved.objects(scene)
-            if self._ready_for != scene.revision or self._objects is not objects:
-                self._ready_for, self._objects, self._scenes = scene.revision, objects, {}
-            ready = self._scenes.pop(kept, None)
-            if ready is None:
-                model = self._with(scene)
-                world = self._world = World(objects, kept, self._store.meshes, self._world)
-                ready = PlanningScene(scene.revision, model, world, ExactScene(model, world))
-            self._scenes[kept] = ready
-            if len(self._scenes) > _MARGINS:
-                del self._scenes[next(iter(self._scenes))]
-            return ready
+            known = (
+                ready for ready in (self._ready, self._edited) if ready is not None and ready.holds(scene, objects)
+            )
+            ready = self._ready = next(known, None) or self._made_ready(scene, objects)
+        return ready.scene.with_margin(kept)
+
+    def _made_ready(self, scene: Scene, objects: tuple[SceneObject, ...]) -> _Ready:
+        """A scene whose `objects` are where they are. What has not changed is taken from the world before. Raises Unavailable."""
+        model = self._with(scene)
+        world = self._world = World(objects, 0.0, self._store.meshes, self._world)
+        return _Ready(objects, PlanningScene(scene.revision, model, world, ExactScene(model, world)))
 
     def _with(self, scene: Scene) -> RobotModel:
         """The robot with what it carries in a scene, made once for each change of that."""
@@ -345,6 +345,19 @@ class Handlers:
             return self._measured()
         except ExecutionRefused:
             return np.array(self._model.robot.descriptor.home)
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """A scene without margin, and its objects where they are."""
+
+    objects: tuple[SceneObject, ...]
+    scene: PlanningScene
+
+    def holds(self, scene: Scene, objects: tuple[SceneObject, ...]) -> bool:
+        """Whether it is of this scene, with these very objects."""
+        same = len(objects) == len(self.objects) and all(map(operator.is_, objects, self.objects))
+        return same and scene.revision == self.scene.revision
 
 
 def _two(points: NDArray[np.float64]) -> tuple[Vector3, Vector3]:

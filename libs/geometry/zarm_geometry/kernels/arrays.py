@@ -89,7 +89,7 @@ class Space(NamedTuple):
     boxes: Pointer
     skip: Pointer
     leaf: Pointer
-    margin: float
+    margin: np.float32
     start: Pointer
     step: Pointer
     motion: Pointer
@@ -117,9 +117,9 @@ def memory(robot: RobotArrays) -> Memory:
     """Working memory for one call of a kernel for this robot."""
     dof, balls = robot.reach.shape
     sizes = (dof, dof, (dof + 1) * balls, balls * 3 * LANES, 65 * LANES, 65 * LANES)
-    return Memory(
-        *(np.empty(size, np.float32) for size in sizes), np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64)
-    )
+    start, step, motion, centers, middle, half = (np.empty(size, np.float32) for size in sizes)
+    active, until = np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64)
+    return Memory(start, step, motion, centers, middle, half, active, until)
 
 
 @inlined

@@ -64,14 +64,14 @@ class RobotParts(NamedTuple):
 class Obstacles(NamedTuple):
     """A world: `rows` (n, 17) as `WorldArrays.shapes`, without margin, and the tree of `WorldArrays` over them.
 
-    Its boxes are `grown` (m) larger in all directions than is sure to be enough for the rows.
+    Its boxes, in single precision, may be too small by `slack` (m).
     """
 
     rows: Array
     boxes: NDArray[np.float32]
     skip: Index
     leaf: Index
-    grown: float
+    slack: float
 
 
 class Course(NamedTuple):
@@ -316,9 +316,9 @@ def _note(found: Array, lower: float, upper: float, part: int, other: int, k: in
 def _box_distance(world: Obstacles, node: int, x: float, y: float, z: float) -> float:
     """Square of the distance of a point to a box of the world's tree."""
     b = world.boxes
-    dx = max(abs(x - b[node, 0]) - b[node, 3] + world.grown, 0.0)
-    dy = max(abs(y - b[node, 1]) - b[node, 4] + world.grown, 0.0)
-    dz = max(abs(z - b[node, 2]) - b[node, 5] + world.grown, 0.0)
+    dx = max(abs(x - b[node, 0]) - b[node, 3] - world.slack, 0.0)
+    dy = max(abs(y - b[node, 1]) - b[node, 4] - world.slack, 0.0)
+    dz = max(abs(z - b[node, 2]) - b[node, 5] - world.slack, 0.0)
     apart: float = dx * dx + dy * dy + dz * dz
     return apart
 
@@ -351,11 +351,12 @@ def _to_row(
     )  # fmt: skip
     x, y, z = turned(turn, (course.centers[i, 0], course.centers[i, 1], course.centers[i, 2]))
     center = (x + r[row, 3], y + r[row, 7], z + r[row, 11])
-    apart = core_distance(center, core) - rounding
-    if apart - body.extents[i, 5] >= limit:
-        return apart - body.extents[i, 5], math.inf
-    if body.extents[i, 4] == body.extents[i, 5] and apart > -rounding:
-        return apart - body.extents[i, 4], apart - body.extents[i, 4]
+    apart = core_distance(center, core)
+    least: float = apart - rounding - body.extents[i, 5]
+    if least >= limit:
+        return least, math.inf
+    if body.extents[i, 4] == body.extents[i, 5] and apart > 0.0:
+        return least, least
     own = _part_turn(body, course, k, link, i)
     u = turned(turn, (own[0], own[3], own[6]))
     v = turned(turn, (own[1], own[4], own[7]))
@@ -372,22 +373,21 @@ def _to_box(
 ) -> float:
     """What a part keeps at least from a box of the world's tree; exact below `limit` (m) only for balls."""
     b = world.boxes
-    half = (
-        max(b[node, 3] - world.grown, 0.0), max(b[node, 4] - world.grown, 0.0), max(b[node, 5] - world.grown, 0.0), 0.0
-    )  # fmt: skip
+    half = (b[node, 3] + world.slack, b[node, 4] + world.slack, b[node, 5] + world.slack, 0.0)
     center = (
         course.centers[i, 0] - b[node, 0],
         course.centers[i, 1] - b[node, 1],
         course.centers[i, 2] - b[node, 2],
     )
-    apart = core_distance(center, half) - body.extents[i, 5]
+    apart: float = core_distance(center, half) - body.extents[i, 5]
     if apart >= limit or body.extents[i, 4] == body.extents[i, 5]:
         return apart
     rounding = body.extents[i, 4]
     lower, _, _ = core_gap(
         center, _part_turn(body, course, k, link, i), _core(body.extents, i, 0), half, limit + rounding
     )
-    return max(apart, lower - rounding)
+    kept: float = max(apart, lower - rounding)
+    return kept
 
 
 @inlined

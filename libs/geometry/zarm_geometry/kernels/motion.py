@@ -159,7 +159,7 @@ class View(NamedTuple):
     nodes: int
     rows: int
     movers: int
-    grown: float
+    slack: float
     carrier: Pointer
     pose: Pointer
     extents: Pointer
@@ -200,7 +200,7 @@ def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, 
         world.boxes.shape[0],
         standing.pose.shape[0],
         movers.speed.shape[0],
-        world.grown,
+        world.slack,
         pointer(body.carrier),
         pointer(body.solids.pose),
         pointer(body.solids.extents),
@@ -390,7 +390,7 @@ def _obstacle_in(view: View, node: int, box: Box) -> int:
     while node < view.nodes:
         at = 6 * node
         x, y, z = boxes[at], boxes[at + 1], boxes[at + 2]
-        hx, hy, hz = boxes[at + 3] - view.grown, boxes[at + 4] - view.grown, boxes[at + 5] - view.grown
+        hx, hy, hz = boxes[at + 3] + view.slack, boxes[at + 4] + view.slack, boxes[at + 5] + view.slack
         if (
             x - hx > box[3] or x + hx < box[0] or y - hy > box[4] or y + hy < box[1] or z - hz > box[5] or z + hz < box[2]
         ):  # fmt: skip

@@ -134,9 +134,9 @@ def near(
             shift, growth = still, 0.0
             if node < view.nodes:
                 box = 6 * node
-                dx = abs(x - view.boxes[box]) - view.boxes[box + 3] + view.grown
-                dy = abs(y - view.boxes[box + 1]) - view.boxes[box + 4] + view.grown
-                dz = abs(z - view.boxes[box + 2]) - view.boxes[box + 5] + view.grown
+                dx = abs(x - view.boxes[box]) - view.boxes[box + 3] - view.slack
+                dy = abs(y - view.boxes[box + 1]) - view.boxes[box + 4] - view.slack
+                dz = abs(z - view.boxes[box + 2]) - view.boxes[box + 5] - view.slack
                 if max(dx, dy, dz) > wide:
                     node = view.skip[node]
                     continue

@@ -40,10 +40,19 @@ class MovedObjects:
         """All objects of the scene, each where it is now: the same tuple as long as nothing has changed."""
         with self._lock:
             if self._placed is None or self._placed[0] is not scene.objects:
-                told = self._told
-                known = {item.name: item for item in scene.objects} if told else {}
-                self._told = told = {name: one for name, one in told.items() if known.get(name) is one[0]}
-                moved = {name: placed for name, (_, placed, _) in told.items()}
-                objects = tuple(moved.get(item.name, item) for item in scene.objects) if moved else scene.objects
-                self._placed = scene.objects, objects
+                known = {item.name: item for item in scene.objects} if self._told else {}
+                self._told = {name: one for name, one in self._told.items() if known.get(name) is one[0]}
+                self._placed = scene.objects, self._where_they_are(scene)
             return self._placed[1]
+
+    def objects_to_be(self, scene: Scene) -> tuple[SceneObject, ...]:
+        """The same of a scene that does not hold yet."""
+        with self._lock:
+            return self._where_they_are(scene)
+
+    def _where_they_are(self, scene: Scene) -> tuple[SceneObject, ...]:
+        told = self._told
+        if not told:
+            return scene.objects
+        known = ((item, told.get(item.name)) for item in scene.objects)
+        return tuple(item if one is None or one[0] is not item else one[1] for item, one in known)

@@ -24,6 +24,10 @@ class PlanningScene:
     exact: ExactScene
     self_margin: float = 0.0
 
+    def with_margin(self, margin: float) -> Self:
+        """The same scene with another margin (m) to objects."""
+        return replace(self, world=self.world.with_margin(margin))
+
     def with_self_margin(self, margin: float) -> Self:
         """The same scene with another `self_margin` (m)."""
         return replace(self, model=self.exact.model.with_self_margin(margin), self_margin=margin)
