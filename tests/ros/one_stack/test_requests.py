@@ -98,7 +98,7 @@ LARGE: dict[str, tuple[str, dict[str, Any], str]] = {
         "1 to 255 characters",
     ),
     "a strategy of a million": ("set_robot_strategy", {"robot_strategy": "x" * 10**6}, "this robot has"),
-    "10,000 links": ("set_link_collision", {"link_names": [f"link {i}" for i in range(10_000)]}, "those are"),
+    "10,000 links": ("set_link_collision", {"link_names": [f"link {i}" for i in range(10_000)]}, "choose among"),
 }
 
 

@@ -64,6 +64,7 @@ def every_kind_of_plan(model: RobotModel) -> None:
                 context = PlanningContext(snapshot, limits, deadline, held, max_attempts=10, optimize_s=0.05)
                 plan(choose("auto", goal, constrains(held)), context, home, goal)
         slowly = np.stack((0.05 * limits.velocity, np.zeros(model.dof)))
+        context = PlanningContext(snapshot, limits, Deadline(60.0), None, max_attempts=10, optimize_s=0.05)
         plan(choose("auto", to_joints, False, moving=True), context, home, to_joints, slowly)
 
 
