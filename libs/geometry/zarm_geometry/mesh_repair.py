@@ -1,4 +1,4 @@
-"""Closed surfaces out of meshes with small faults, where that can only add obstacles that nothing passes anyway."""
+"""Closes meshes with small faults, where that only adds obstacles in places that nothing can pass."""
 
 from __future__ import annotations
 

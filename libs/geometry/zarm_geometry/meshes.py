@@ -1,4 +1,4 @@
-"""Meshes of the scene: read from files in configured folders, checked, and turned to convex shapes."""
+"""Meshes of the scene: read from configured folders, checked, and turned into convex shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exact shapes of robot links and obstacles, and what FCL says about two of them."""
+"""The exact shapes of links and obstacles, and their distances by FCL."""
 
 from __future__ import annotations
 

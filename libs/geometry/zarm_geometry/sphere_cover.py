@@ -1,4 +1,4 @@
-"""Balls that cover a convex shape whole: what the kernels know of an attached object."""
+"""Spheres that cover a convex shape completely: attached objects for the collision kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The certificates of this process, checked before anything is opened, and Zenoh's settings for them.
+"""The certificates of this process, checked before a session opens, and Zenoh's settings for them.
 
 Loaded where ZARM_SECURITY is on alone: the standard library's ssl takes its time.
 """

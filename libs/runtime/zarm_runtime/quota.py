@@ -1,4 +1,4 @@
-"""How many requests are in hand, in all and of each client."""
+"""Limits on pending requests, in total and per client."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What belongs to a record of what happened: which keys of a robot, and the class of message on each."""
+"""What a record contains: the recorded keys of a robot, and the message class of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Zenoh sessions as zarm opens them: clients of a router, nothing found by multicast."""
+"""Zenoh sessions as zarm opens them: clients of a router, without multicast discovery."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that outlive a process: one message in each, of a version that it states, in a folder that has one owner.
+"""Saved state: one message per file, with a version, in a folder that has one owner.
 
 A file is `{"version": 1, "written_by": "<version of zarm>", "content": <the message>}`. What was written before files stated a
 version is of version 0, and the whole of it is its content. No file is ever lost: whatever takes the place of one that was of

@@ -1,4 +1,4 @@
-"""Leading a robot from the motion that it makes over to another one, without a jump.
+"""Blends from the present motion of a robot to another one, without a jump.
 
 From one moment on the old trajectory is left on a quintic that meets the new one in position, velocity and acceleration a
 blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit, that of jerk

@@ -1,4 +1,4 @@
-"""Moving along a trajectory at a path speed that falls and rises as fast as the joints' limits of acceleration and jerk allow.
+"""Follows a trajectory at a path speed that changes as fast as the joint limits of acceleration and jerk allow.
 
 The commanded motion is q(s(t)) with path time s and path speed sigma = ds/dt in [0, 1], so the robot stays on the
 verified path while it brakes or its speed is scaled. Within a step the rate of the path speed changes at a constant rate.

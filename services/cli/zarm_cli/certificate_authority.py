@@ -1,4 +1,4 @@
-"""A private authority of X.509 certificates: one for each role on the bus, whose common name is the role."""
+"""A private X.509 authority: one certificate for each role, with the role as its common name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The client that a command is: which robot it talks to, and requests made from what a person typed."""
+"""The client of a command: which robot it talks to, and requests from its arguments."""
 
 from __future__ import annotations
 

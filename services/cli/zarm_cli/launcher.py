@@ -1,4 +1,4 @@
-"""`zarm up`: a router, a planner, a servo and an executor for one robot, started together and stopped together."""
+"""`zarm up`: starts and stops the router, planner, servo and executor of one robot together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`zarm plan`, and the goals that a person types for it and for `execute` and `ik`."""
+"""`zarm plan`, and the goals typed for `plan`, `execute` and `ik`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a goal comes to the robot: one at a time is checked, and what was told to stop meanwhile does not start."""
+"""Admission of goals: they are checked one at a time, and one that was stopped meanwhile does not start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One motion on its way to an end."""
+"""One goal, from acceptance to its end."""
 
 from __future__ import annotations
 

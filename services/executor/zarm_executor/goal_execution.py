@@ -1,4 +1,4 @@
-"""A goal on its way: what becomes of it at every tick, from its start to the rest in which it ends."""
+"""Executes a goal tick by tick, from its start until the robot is at rest."""
 
 from __future__ import annotations
 

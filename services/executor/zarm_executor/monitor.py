@@ -1,4 +1,4 @@
-"""What must hold while a robot moves, and until it rests where it should."""
+"""Conditions that must hold while a robot moves, and until it is at rest in the right place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which scene there is now, and what was made for another one."""
+"""The present scene revision, and whether a plan was made for another one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the planner process answers: requests in, messages out, whatever carries them."""
+"""The request handlers of the planner: messages in, messages out, independent of the transport."""
 
 from __future__ import annotations
 

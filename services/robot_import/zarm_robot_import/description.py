@@ -1,4 +1,4 @@
-"""Everything that a URDF says about a robot: links with their geometry, joints of all types, limits, mimics."""
+"""The content of a URDF: links with their geometry, joints of all types, limits, mimics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pose to start from: free, far from joint limits and singularities, upright."""
+"""Finds a home configuration: collision-free, far from joint limits and singularities, upright."""
 
 from __future__ import annotations
 

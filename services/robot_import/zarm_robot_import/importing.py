@@ -1,4 +1,4 @@
-"""From a URDF or xacro to a robot that can be planned for: all steps, in order."""
+"""Imports a URDF or xacro: all steps, in order."""
 
 from __future__ import annotations
 

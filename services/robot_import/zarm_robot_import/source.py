@@ -1,4 +1,4 @@
-"""What is imported: a URDF or xacro as XML with the line of each element, and where the files are that it names."""
+"""The source of an import: a URDF or xacro as XML with the line of each element, and the files that it names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals in closed loop: the servo leads the robot after a target that may move."""
+"""Goals in closed loop: the servo makes the robot follow a target that may move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a driver's progress, one number from 0 to 1, says about the command that was sent to it last."""
+"""Maps a driver's progress, a number from 0 to 1, to the command last sent to it."""
 
 from __future__ import annotations
 

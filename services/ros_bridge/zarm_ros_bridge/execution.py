@@ -1,4 +1,4 @@
-"""Actions that move the robot: execute_trajectory, which is send_trajectory too, and mpc_move."""
+"""Actions that move the robot: execute_trajectory (also as send_trajectory) and mpc_move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals of clients, and the goals of the executor that they become, followed to their end."""
+"""Goals of clients and the executor goals behind them, followed to their end."""
 
 from __future__ import annotations
 

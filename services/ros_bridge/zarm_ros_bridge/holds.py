@@ -1,4 +1,4 @@
-"""What a goal waits for that its executor holds, in a sentence."""
+"""Describes in a sentence what a held goal waits for."""
 
 from __future__ import annotations
 

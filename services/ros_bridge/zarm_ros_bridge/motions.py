@@ -1,4 +1,4 @@
-"""How what a client asks for becomes a plan, for services and actions alike."""
+"""Turns a client's request into a plan, for services and actions alike."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is used of rclpy beside its interface, and may be another with any version; nothing else of the bridge knows of it.
+"""Private parts of rclpy that any version may change; only this module uses them.
 
 Tried with rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy). tests/ros/test_rclpy_parts.py says what a new version has changed.
 """

@@ -1,4 +1,4 @@
-"""A changed descriptor is taken by every service of the robot."""
+"""Makes every service of the robot load a changed descriptor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a trajectory is free in a scene: up to which path time a robot may go, and what is in the way there."""
+"""How far a trajectory is free in a scene: the path time up to which the robot may go, and the obstacle after it."""
 
 from __future__ import annotations
 

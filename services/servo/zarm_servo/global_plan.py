@@ -1,4 +1,4 @@
-"""A global plan: a way in joint space to a live target, as the planner finds it, and the point on it that is to be steered for."""
+"""A global plan: the planner's path in joint space to a live target, and the point on it to steer for."""
 
 from __future__ import annotations
 

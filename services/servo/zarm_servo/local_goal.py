@@ -1,4 +1,4 @@
-"""What the local controller is to steer for: the live target, or where it is stuck on the way there, a point on a global plan."""
+"""What the local controller steers for: the live target or, when stuck, a point on a global plan."""
 
 from __future__ import annotations
 

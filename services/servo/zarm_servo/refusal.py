@@ -1,4 +1,4 @@
-"""Why something that came was not taken: told long enough that whoever looks now and then sees it."""
+"""The reason of a refusal, published long enough for occasional readers to see it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replanning in motion: a goal whose way is blocked gets another trajectory to the same end, while the robot moves or from rest."""
+"""Replanning: a blocked goal gets another trajectory to the same end, in motion or from rest."""
 
 from __future__ import annotations
 

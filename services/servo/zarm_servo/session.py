@@ -1,4 +1,4 @@
-"""A session: in cycles of 4 ms the robot goes one step towards a live target, and what that makes is streamed to the executor."""
+"""A session: every 4 ms one step towards a live target, streamed to the executor."""
 
 from __future__ import annotations
 

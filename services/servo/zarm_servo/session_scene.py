@@ -1,4 +1,4 @@
-"""The scene that the steps of a session are checked in: it is kept beside the cycles, as to load a large scene takes long."""
+"""The scene that a session checks its steps in, loaded outside the cycles because large scenes take long."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may lead the robot: one session at a time, opened and ended by requests."""
+"""Opens and ends sessions on request, one at a time."""
 
 from __future__ import annotations
 

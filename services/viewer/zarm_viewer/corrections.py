@@ -1,4 +1,4 @@
-"""Corrections of a robot descriptor: its home, its spheres and its ignored pairs, written into the file where they stand."""
+"""Writes corrections of home, spheres and ignored pairs into the file of a robot descriptor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shapes in the picture: primitives of the scene and of a robot's links, meshes and voxels."""
+"""Draws shapes: primitives of the scene and of links, meshes and voxels."""
 
 from __future__ import annotations
 

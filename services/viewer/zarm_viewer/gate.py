@@ -1,4 +1,4 @@
-"""Who is let in: viser's server behind a check of host, origin and token, and TLS.
+"""Access control of the page: viser's server behind a check of host, origin and token, and TLS.
 
 viser has no hook for that, and a proxy before it would leave viser's own port open to every page of the browser. So its server
 is built with `websockets.serve` replaced for that moment. Tried with viser 1.1.1 and websockets 16.1.

@@ -1,4 +1,4 @@
-"""Joint positions that have a name, kept in a file of the viewer's."""
+"""Named joint positions, saved in a file of the viewer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A record in the place of the bus: what it tells at any moment, as often as somebody wants to look."""
+"""Plays a record instead of the live bus: its state at any moment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the bus tells of one robot: the newest of each kind, taken by the page when it draws."""
+"""The newest messages of one robot from the bus, read by the page when it draws."""
 
 from __future__ import annotations
 

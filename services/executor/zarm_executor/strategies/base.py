@@ -1,4 +1,4 @@
-"""What the executor asks of every control strategy."""
+"""The interface of every control strategy."""
 
 from __future__ import annotations
 

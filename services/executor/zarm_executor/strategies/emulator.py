@@ -1,4 +1,4 @@
-"""The emulated robot, and the strategy that moves it: it is exactly where it is commanded to be, on time."""
+"""The emulated robot, which is always exactly where it is commanded, and the strategy that moves it."""
 
 from __future__ import annotations
 

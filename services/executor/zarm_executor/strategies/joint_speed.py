@@ -1,4 +1,4 @@
-"""The strategy that streams velocities and closes the loop by the measured joints.
+"""The strategy that streams velocities and closes the loop with the measured joints.
 
 velocity = planned + gain * (planned position - measured position), both at the moment at which the joints were measured,
 then clamped. The robot integrates velocities, so the error e obeys de/dt = -gain * e: it dies away at that rate instead

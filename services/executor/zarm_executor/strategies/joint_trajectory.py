@@ -1,4 +1,4 @@
-"""The strategy that hands a whole trajectory to the driver, as ros2_control's JointTrajectoryController takes it."""
+"""The strategy that sends a whole trajectory, as for ros2_control's JointTrajectoryController."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a robot can be moved by, and why not by the rest."""
+"""The strategies of a robot, and why the others are not available."""
 
 from __future__ import annotations
 

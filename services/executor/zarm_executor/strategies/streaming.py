@@ -1,4 +1,4 @@
-"""Moving a robot by short chunks of points, sent again and again: what `joint_speed` and `joint_pose` have in common.
+"""Streams short chunks of points to the driver: the common part of `joint_speed` and `joint_pose`.
 
 Every chunk holds the motion from now on and replaces what is left of the one before. It reaches further than the next
 one is away, so that a late chunk does no harm, and ends with braking along the path, so that without further chunks the driver

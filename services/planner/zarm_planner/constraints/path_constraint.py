@@ -1,4 +1,4 @@
-"""The path constraint: what a motion keeps of the tip's pose at its start, how far off a pose is, and the way back."""
+"""The path constraint: which parts of the tip pose are kept, the error of a pose, and its projection."""
 
 from __future__ import annotations
 

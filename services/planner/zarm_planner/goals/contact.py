@@ -1,4 +1,4 @@
-"""From a configuration with little or no room to one that has room."""
+"""Ways out of configurations with little or no room."""
 
 from __future__ import annotations
 

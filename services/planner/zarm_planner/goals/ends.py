@@ -1,4 +1,4 @@
-"""The two ends of a path: where the robot is and where it may go, and the nearest places from which the search can work.
+"""Start and goals of a path, and the nearest configurations from which the search can work.
 
 Spheres are larger than the links that they cover. So a robot that holds its tool close to a table, and touches nothing,
 seems to touch it; from there it first moves a little away, on a way that exact geometry finds free.

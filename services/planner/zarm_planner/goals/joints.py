@@ -1,4 +1,4 @@
-"""Joint vectors that come from outside: from requests, and measured on the robot."""
+"""Checks joint vectors from requests and from the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A start in motion: whether the robot may be in that state, and a way to brake from it that hits nothing.
+"""A start in motion: whether it is valid, and collision-free braking from it.
 
 The path of a plan begins where that way comes to rest; smoothing in time then cuts through the rest where there is room.
 """

@@ -1,4 +1,4 @@
-"""What a planner is: the interface between the pipeline and the ways to find trajectories."""
+"""The planner interface between the pipeline and the methods that find trajectories."""
 
 from __future__ import annotations
 

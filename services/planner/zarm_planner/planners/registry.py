@@ -1,4 +1,4 @@
-"""The planners that there are, and which of them takes a request."""
+"""The list of planners, and the choice of one for a request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Through which configuration of each target a motion goes, and the quick free path through them.
+"""Chooses a configuration for each target, and finds a quick free path through them.
 
 A pose can be reached in many ways, and a path to one costs a search. So paths are searched only between configurations
 that the quickest route may still lead through: a straight line is the quickest that a path between two can be (Dellin and

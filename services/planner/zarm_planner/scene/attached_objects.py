@@ -1,4 +1,4 @@
-"""What edits do to the part of the scene that is the robot's: attached objects, and links that are not looked at."""
+"""Edits of the robot's part of the scene: attached objects, and links whose collisions are ignored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scene: named objects, changed by whole edits, kept in a file that survives a crash at any moment."""
+"""The scene: named objects, changed by atomic edits, in a file that survives a crash at any moment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A disconnection proof: the first joints alone cannot get from the start to the goal, wherever the other joints are.
+"""Proves that the first joints cannot get from start to goal, wherever the other joints are.
 
 The positions of the first joints fix those of balls inside the links that they carry. A cell of a grid over these joints is in
 collision where one of the balls overlaps an obstacle in all of it. If the other cells do not connect the start to the goal, no path

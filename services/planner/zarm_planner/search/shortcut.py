@@ -1,4 +1,4 @@
-"""Shortcuts: a shorter path along a given one, and the quickest of several."""
+"""Shortcuts: makes a path shorter, and chooses the quickest of several."""
 
 from __future__ import annotations
 

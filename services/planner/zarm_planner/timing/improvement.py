@@ -1,4 +1,4 @@
-"""Ever faster motions for as long as there is time: other routes, and more shortcuts on the best motions so far."""
+"""Improves motions while there is time: other routes, and more shortcuts on the best motions so far."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a trajectory is sampled, and how slow it must be to hold its limits."""
+"""Samples a trajectory, and slows it down until it keeps its limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Path -> trajectory that arrives soon: shortcuts in time at bounded acceleration, then bounded jerk.
+"""From a path to a fast trajectory: shortcuts in time at bounded acceleration, then bounded jerk.
 
 A motion that stops at every corner of the path is made faster by replacing pieces of it with the fastest ramps between
 their ends, straight or bent (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of

@@ -1,4 +1,4 @@
-"""Path -> trajectory: when the joints are where, inside the limits on velocity, acceleration and jerk.
+"""From a path to a trajectory within the limits of velocity, acceleration and jerk.
 
 Corners of the path are rounded by quintic curves that leave it by at most a stated distance; TOPPRA (Pham and Pham, "A New
 Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018) finds the fastest way along; a moving

@@ -1,4 +1,4 @@
-"""When a trajectory passes its waypoints, and whether it comes near enough."""
+"""When a trajectory passes its waypoints, and whether it comes close enough."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A driver's joint states, as they come from DDS."""
+"""A driver's joint states, as they arrive over DDS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fields of requests: numbers that are none, and the names under which a client on ROS knows them."""
+"""Fields of requests: numbers that are not finite, and the field names that a ROS client knows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joints by name, of a request and of a driver.
+"""Joints by name, in requests and from drivers.
 
 `joint1` is as good as `joint_1`: Doosan's drivers have had both, and their links too.
 """

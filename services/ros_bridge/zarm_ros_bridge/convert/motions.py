@@ -1,4 +1,4 @@
-"""What a client asks to be planned."""
+"""Converts planning requests of clients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects of the scene and occupied voxels, from and to ROS."""
+"""Converts objects of the scene and occupied voxels."""
 
 from __future__ import annotations
 
