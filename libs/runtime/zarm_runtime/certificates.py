@@ -78,7 +78,7 @@ class Certificates:
         return {f"transport/link/tls/{name}": value for name, value in tls.items()}
 
     def why_not(self, host: str, port: int) -> str | None:
-        """Why a router at this address is not to be talked to; None where the fault is not one of certificates."""
+        """Why a router at this address is not to be talked to; None if the fault is not one of certificates."""
         context = self._context(ssl.PROTOCOL_TLS_CLIENT)
         try:
             with (

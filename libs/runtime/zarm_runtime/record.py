@@ -93,7 +93,7 @@ class RecordFile:
 
 
 def read_record(path: Path) -> Iterator[Entry]:
-    """The messages of a record in the order of their `log_time`. Raises InvalidRequest where it cannot be read."""
+    """The messages of a record in the order of their `log_time`. Raises InvalidRequest if it cannot be read."""
     try:
         with path.open("rb") as stream:
             for described, channel, message in make_reader(stream, validate_crcs=True).iter_messages():

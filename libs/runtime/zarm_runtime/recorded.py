@@ -48,5 +48,5 @@ class Recorded:
         self._goal = self._goals.removesuffix("*")
 
     def model(self, key: str) -> type[Message] | None:
-        """The class of the messages on `key`; None where the key is not recorded."""
+        """The class of the messages on `key`; None if the key is not recorded."""
         return self.models.get(self._goals if key.startswith(self._goal) else key)

@@ -93,7 +93,7 @@ def _by_rest(
 ) -> TimedTrajectory | None:
     """`trajectory` until it rests for the first time from `begin` (s) on, and from there straight to the end of `chunk`.
 
-    None where that rest is later than that of `chunk`, or more than the longest blending time before it, or further from it than can be
+    None if that rest is later than that of `chunk`, or more than the longest blending time before it, or further from it than can be
     gone in that time.
     """
     rest, end = _rests(trajectory, begin), _moves_until(chunk)

@@ -124,7 +124,7 @@ class Follower:
     def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
         """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more.
 
-        Raises InternalError where that is without end.
+        Raises InternalError if that is without end.
         """
         scout = copy.copy(self)
         rows: list[tuple[float, float, float]] = []

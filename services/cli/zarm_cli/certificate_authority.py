@@ -59,7 +59,7 @@ class Authority:
 
     @classmethod
     def load(cls, folder: Path) -> Authority:
-        """The authority in `folder`. Raises InvalidRequest where it is damaged."""
+        """The authority in `folder`. Raises InvalidRequest if it is damaged."""
         try:
             key = load_pem_private_key((folder / "ca.key").read_bytes(), None)
         except (OSError, ValueError, TypeError) as error:

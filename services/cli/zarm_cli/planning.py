@@ -173,7 +173,7 @@ def read_plan(path: Path) -> Plan:
 
 
 def _write_text(path: Path, text: str) -> None:
-    """Write a file. Raises InvalidRequest where it cannot be written."""
+    """Write a file. Raises InvalidRequest if it cannot be written."""
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

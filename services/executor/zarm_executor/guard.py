@@ -107,7 +107,7 @@ class Guard:
     def limit(
         self, trajectory: TimedTrajectory, until: float | None, obstruction: Obstruction | None = None
     ) -> Limit | None:
-        """The end of an authority over this trajectory up to the path time `until` (s); None where it reaches to its end."""
+        """The end of an authority over this trajectory up to the path time `until` (s); None if it reaches to its end."""
         if until is None or until >= trajectory.duration:
             return None
         return Limit(Follower(trajectory, self._limits), until, obstruction)

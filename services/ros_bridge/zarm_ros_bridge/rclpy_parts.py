@@ -43,7 +43,7 @@ def goal_asked_for(taken: dict[str, Any]) -> Any | None:
 
 
 def goal_taken_up(server: ActionServer, goal: bytes) -> ServerGoalHandle | None:
-    """The handle of a goal that an earlier server had accepted, without its request; None where this server knows it already."""
+    """The handle of a goal that an earlier server had accepted, without its request; None if this server knows it already."""
     info = GoalInfo()
     info.goal_id.uuid = list(goal)
     with server._lock:

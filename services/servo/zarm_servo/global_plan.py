@@ -15,7 +15,7 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 PlanFor = Callable[[PlanRequest], Plan]
-"""Asks the planner. Raises what it refuses with, and Unavailable where there is none."""
+"""Asks the planner. Raises what it refuses with, and Unavailable if there is none."""
 
 TIMEOUT = 0.5
 """The planner may take so long (s)."""

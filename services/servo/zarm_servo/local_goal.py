@@ -16,7 +16,7 @@ from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
 from zarm_trajectory.quintic import Array
 
 Find = Callable[[PoseTarget | JointTarget, Array, float], GlobalPlan]
-"""Finds a plan to a target from a position (J,) that is `distance` (m) away from it. Raises ZarmError where there is none."""
+"""Finds a plan to a target from a position (J,) that is `distance` (m) away from it. Raises ZarmError if there is none."""
 Free = Callable[[Array, Array], bool]
 """Whether the straight line between two positions (J,) keeps the margin."""
 

@@ -98,7 +98,7 @@ class SessionScene:
         ).free
 
     def catch_up(self) -> None:
-        """Load what was seen last, where it is another scene. Raises Unavailable where a mesh cannot be read."""
+        """Load what was seen last, where it is another scene. Raises Unavailable if a mesh cannot be read."""
         if self._news.is_set():
             self._news.clear()
             self._load()

@@ -63,7 +63,7 @@ class Gate:
         return f"{'https' if self.tls else 'http'}://{shown}:{port}/{path}"
 
     def serve(self, title: str) -> viser.ViserServer:
-        """viser's server behind this gate. Raises Unavailable where the port is taken."""
+        """viser's server behind this gate. Raises Unavailable if the port is taken."""
         self._require_free()
         rich.get_console().quiet = True  # viser says where it listens, without the token
         with _BUILDING:

@@ -81,7 +81,7 @@ class JointSpeed(Streaming):
         return follower is None or (follower.target == 0.0 and follower.settled)
 
     def _error(self, now: float) -> Array | None:
-        """Commanded less measured position (J,); None where the joints are too old or too far off to be led by them."""
+        """Commanded less measured position (J,); None if the joints are too old or too far off to be led by them."""
         measured, execution = self.link.measured(), self.link.execution
         if measured is None or now - measured.time > execution.joint_state_timeout:
             return None

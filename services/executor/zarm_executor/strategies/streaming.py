@@ -242,7 +242,7 @@ class Streaming(DriverStrategy, Steerable):
         return self._follower
 
     def _begin(self, now: float) -> float | None:
-        """The moment at which the chunk that is to be sent now begins; None where none is due.
+        """The moment at which the chunk that is to be sent now begins; None if none is due.
 
         Chunks begin `chunk_period` after one another, which need not be a whole number of ticks: each is sent by the last
         tick before it begins.

@@ -168,7 +168,7 @@ def _nearest_free(model: RobotModel, rows: Array, near: Array, world: World | No
 
 
 def _require(device: Device) -> None:
-    """Raises InvalidRequest where a device that needs torch cannot be had."""
+    """Raises InvalidRequest if a device that needs torch cannot be had."""
     if not _has_torch():
         raise InvalidRequest(
             f"the device {device} needs torch and pytorch-kinematics where the planner runs; install them with "

@@ -25,7 +25,7 @@ def choose(
 ) -> Planner:
     """The planner that takes a request; `constrained` says that there is a path constraint, `moving` a start in motion.
 
-    Raises InvalidRequest where the one that `name` asks for does not take it.
+    Raises InvalidRequest if the one that `name` asks for does not take it.
     """
     fitting: dict[str, Planner] = {}
     for planner in planners:

@@ -73,7 +73,7 @@ def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
 
 
 def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:
-    """Raises InvalidRequest where one of `names` is that of an attached object; its index goes into `field`."""
+    """Raises InvalidRequest if one of `names` is that of an attached object; its index goes into `field`."""
     attached = {one.object.name for one in scene.attached}
     for index, name in enumerate(names):
         if name in attached:

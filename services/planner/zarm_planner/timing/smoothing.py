@@ -94,7 +94,7 @@ class Smoothing:
         )
 
     def trajectory(self) -> TimedTrajectory:
-        """The motion as it is now. Raises InvalidRequest where it is longer than `trajectory.MAX_SAMPLES`."""
+        """The motion as it is now. Raises InvalidRequest if it is longer than `trajectory.MAX_SAMPLES`."""
         if self._count == 0:
             return TimedTrajectory.standing(self._path[0], self._dt)
         if self._lead_in is None:
@@ -140,7 +140,7 @@ def smooth_path(
     from which `kernels.smoothing.BOW` keeps it. The limits hold as `sampling.load` measures them. The same seed gives the same
     motion; `deadline` only makes the search for a faster one end sooner.
 
-    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     smoothing = Smoothing(model, world, path, limits, dt, vias=vias, deviation=deviation, lead_in=lead_in)
     smoothing.shortcut(ATTEMPTS, seed, deadline)

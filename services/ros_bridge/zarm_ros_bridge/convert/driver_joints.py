@@ -84,7 +84,7 @@ class _Layout:
         )
 
     def read(self, message: bytes) -> JointState | None:
-        """The joint state; None where the message is another, or has no stamp, or a number that is none."""
+        """The joint state; None if the message is another, or has no stamp, or a number that is none."""
         begin, count = self.begin, self.count
         if message[:2] != _LITTLE_ENDIAN or len(message) < begin + self.numbers.size:
             return None

@@ -9,7 +9,7 @@ from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
 
 
 def finite(value: float, field: str) -> float:
-    """The number itself. Raises InvalidRequest where it is NaN or infinite."""
+    """The number itself. Raises InvalidRequest if it is NaN or infinite."""
     if not math.isfinite(value):
         raise InvalidRequest(f"{value} is not a finite number; give one", field=field)
     return value
