@@ -10,7 +10,7 @@ MESSAGES ?= b
 
 REQUIREMENTS := deploy/requirements
 
-# Where Python is told not to keep what it compiles, each of the many processes of the tests would compile all of zarm again.
+# With this set, each of the many test processes would compile all of zarm's Python files again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-all test-deploy ros lint docs bench requirements licences audit clean
@@ -18,27 +18,27 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(VENV)/.kernels
 	@$(BIN)/zarm demo
 
-# Runs tests. Where a busy machine stands still for a second, what it interrupts fails; so what has failed runs once more, with
-# nothing beside it, and has to pass. Both are printed.
+# Runs tests. A busy machine that freezes for a second makes tests fail, so failed tests run once more, one at a time, and must pass
+# then. Both runs are printed.
 PYTEST = $(BIN)/pytest --ignore=tests/deploy
 define run_tests
 @$(PYTEST) --cache-clear $(1) $(2) || { [ $$? = 1 ] && echo "== what failed, once more" && $(PYTEST) $(1) $(if $(2),--numprocesses=1) --last-failed; }
 endef
 
-# Every promise once. Tests mostly wait for robots, so that four at once are none too many for two cores; what is timed runs
-# alone. Without the ROS bridge its tests are skipped, and say so.
+# Every promise once. Tests mostly wait for robots, so two cores can run four at a time; timed tests run alone. Without the ROS
+# bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
 	$(call run_tests,-m "not slow and not timed",--numprocesses=4)
 	$(call run_tests,-m "timed and not slow")
 
-# What `make test` runs, what it leaves out as repetition, and more examples of each property.
+# Every test, also the slow ones that `make test` skips, with more examples of each property.
 test-all: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
 	$(call run_tests,--hypothesis-profile=full -m "not timed",--numprocesses=4)
 	$(call run_tests,--hypothesis-profile=full -m timed)
 
-# The images and the composition of deploy/, on a Docker engine. The first time takes minutes, mostly for compilers.
+# Builds the images of deploy/ and tests them on a Docker engine. The first time takes minutes, mostly to compile.
 COMPOSE = $(if $(shell docker compose version 2>/dev/null),docker compose,docker-compose)
 
 test-deploy: export ZARM_TAG = test
@@ -47,7 +47,7 @@ test-deploy: $(VENV)/.dev
 	@docker image ls --filter reference='zarm-*:test'
 	@$(BIN)/pytest tests/deploy
 
-# The bridge with a generation of its messages, `make ros MESSAGES=a`; what was built before is taken from a cache.
+# Installs ROS 2 and builds one generation of the bridge's messages, `make ros MESSAGES=a`; earlier builds come from a cache.
 ros: $(VENV)/.ros_packages | $(VENV)/.planner
 	@$(BIN)/python $(BRIDGE)/build_messages.py $(MESSAGES)
 
@@ -58,7 +58,7 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 	$(BIN)/deptry .
 
-# The reference from the code, then the site, in site/: nothing is fetched, and a broken link is an error.
+# Generates the reference from the code, then builds the site in site/, without network; a broken link is an error.
 docs: $(VENV)/.dev
 	@$(BIN)/python docs/generate.py
 	@$(BIN)/zensical build --clean --strict
@@ -66,8 +66,8 @@ docs: $(VENV)/.dev
 bench: $(VENV)/.dev $(VENV)/.kernels
 	@for file in tests/benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
-# What each image of deploy/ installs, in the versions of constraints.txt, with the hashes of every file of each. The
-# templates of empy only generate messages: what runs them does without.
+# Writes what each image of deploy/ installs, in the versions of constraints.txt, with the hashes of all files. empy only generates
+# messages, so the image of the bridge does without it.
 COMPILE := $(BIN)/uv pip compile --quiet --no-config --python-version 3.11 --python-platform x86_64-manylinux_2_36 \
 	--only-binary :all: --no-binary empy --generate-hashes --annotation-style line \
 	--custom-compile-command "make requirements" --constraints constraints.txt
@@ -85,7 +85,7 @@ licences: $(VENV)/.dev $(VENV)/.ros_packages
 	$(BIN)/uv tool run --quiet pip-licenses@5.5.5 --python $(BIN)/python --with-system --format json > $(VENV)/licences.json
 	$(BIN)/python deploy/licences.py < $(VENV)/licences.json > deploy/LICENCES.md
 
-# Asks the database of PyPI; what it cannot answer for is a failure too.
+# Asks PyPI for known vulnerabilities; a package that it cannot check is a failure too.
 audit: $(VENV)/.dev
 	@for file in $(REQUIREMENTS)/*.txt; do echo "== $$file"; \
 		$(BIN)/uv tool run --quiet pip-audit@2.10.1 --strict --disable-pip --require-hashes --progress-spinner off -r $$file || exit 1; done
@@ -94,7 +94,7 @@ clean:
 	rm -rf $(VENV) site .cache .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find libs services tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# One stamp for what runs zarm, one for what develops it; the second includes the first.
+# One stamp for the packages that run zarm, one for those that develop it; the second includes the first.
 $(VENV)/.planner: $(PINNED) | $(BIN)/python
 	@echo "installing zarm into $(VENV) ..."
 	@$(PIP) install -c constraints.txt -e ".[planner,import,viewer]"
@@ -111,7 +111,7 @@ $(VENV)/.ros_packages: $(PINNED) | $(BIN)/python
 	for this machine and Python; all else works without, and where ROS 2 Jazzy is installed colcon builds the messages."; exit 1; }
 	@touch $@
 
-# The compiled kernels of planner and servo are kept between runs; this is the one time that they are waited for.
+# Compiles the kernels of planner and servo once; later runs load them from the cache.
 $(VENV)/.kernels: $(VENV)/.planner $(wildcard libs/*/*/kernels/*.py services/*/*/kernels/*.py)
 	@echo "compiling the kernels, once ..."
 	@$(BIN)/python -m zarm_planner.warm_up

@@ -20,16 +20,15 @@ READ = {"ros-fastcdr": "Apache-2.0", "ros-fastrtps": "Apache-2.0"}
 """Read in the licence files of packages that state theirs nowhere else."""
 
 HEADER = """\
-# Licences of what the images hold
+# Licences of the packages in the images
 
-Made by `make licences` from what each package states. zarm itself is under Apache-2.0, as are its own `curobo_msgs`.
+Written by `make licences` from what each package states. zarm itself is under Apache-2.0, as are its own `curobo_msgs`.
 
-No package is under the GPL or a licence like it; certifi and tqdm are under MPL-2.0, and come unchanged; eclipse-zenoh may be used
-under either of its two licences. Wheels carry
-libraries under other licences than their own, all of them loaded as libraries: numpy and scipy OpenBLAS (BSD), libgfortran (GPL
-with GCC's runtime library exception, for programs of any licence) and libquadmath (LGPL); pillow image libraries (permissive
-licences); ROS OpenSSL 1.1.1 (its own licence), lttng-ust and liburcu (LGPL). Packages of Debian, some under the GPL, come
-unchanged, with their licences in `/usr/share/doc/*/copyright` of each image.
+No package is under the GPL or a similar licence. certifi and tqdm are under MPL-2.0, and are shipped unchanged; eclipse-zenoh may be used
+under either of its two licences. Some wheels contain libraries under other licences, all of them loaded as libraries: numpy and scipy
+OpenBLAS (BSD), libgfortran (GPL with GCC's runtime library exception, for programs of any licence) and libquadmath (LGPL); pillow
+image libraries (permissive licences); ROS OpenSSL 1.1.1 (its own licence), lttng-ust and liburcu (LGPL). Debian packages, some under
+the GPL, are shipped unchanged, with their licences in `/usr/share/doc/*/copyright` of each image.
 
 | package | version | licence | image |
 |---|---|---|---|

@@ -112,7 +112,7 @@ def build(definitions: Iterable[Definition], cache: Path, progress: Progress) ->
     """Build the definitions, of one package or of several of which none refers to one before it.
 
     Returns a folder in `cache` laid out like an installation prefix, and the definitions that are left out: each one's
-    name, and the package that it refers to and nobody has. Raises CalledProcessError where a compiler fails.
+    name, and the package that it refers to and nobody has. Raises CalledProcessError if a compiler fails.
     """
     known = {one.name: one for one in definitions}
     left_out: dict[str, str] = {}

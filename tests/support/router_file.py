@@ -14,11 +14,11 @@ CERTIFICATES = "/certs"
 """Where a container finds them."""
 
 _HEAD = """\
-// Made from router.json5 and the table in libs/contract/zarm_contract/access.py by tests/support/router_file.py.
+// Generated from router.json5 and the table in libs/contract/zarm_contract/access.py by tests/support/router_file.py.
 // The router of a zarm bus with certificates and access control, for Zenoh's own router:
 //     ZENOH_RUNTIME='(rx: (worker_threads: 16))' zenohd -c deploy/router-secure.json5 -l tls/0.0.0.0:7447
-// `ZARM_SECURITY=on ZARM_CERTS=/certs zarm router` sets the same; a test holds the two equal. /certs is what `zarm certs`
-// made: ca.pem, router.pem and router.key are all that a router needs of it.
+// `ZARM_SECURITY=on ZARM_CERTS=/certs zarm router` sets the same; a test compares the two. /certs is the folder made by
+// `zarm certs`: a router needs only ca.pem, router.pem and router.key from it.
 """
 
 _TLS = f"""\
@@ -26,13 +26,13 @@ _TLS = f"""\
         root_ca_certificate: "{CERTIFICATES}/ca.pem",
         listen_certificate: "{CERTIFICATES}/router.pem",
         listen_private_key: "{CERTIFICATES}/router.key",
-        // To the routers of other machines.
+        // For links to routers of other machines.
         connect_certificate: "{CERTIFICATES}/router.pem",
         connect_private_key: "{CERTIFICATES}/router.key",
         verify_name_on_connect: true,
-        // Nobody is let in without a certificate of the same authority.
+        // Only clients with a certificate of the same authority may connect.
         enable_mtls: true,
-        // Whoever connects anew must have a certificate that is valid; no robot in motion is stopped by the calendar.
+        // New connections need a valid certificate; existing ones stay open, so an expired certificate stops no moving robot.
         close_link_on_expiration: false,
       }},
 """
@@ -45,7 +45,7 @@ def text() -> str:
     body = re.sub(r"  // Loopback.*\n", "  // Loopback, until -l says otherwise.\n", body).replace('"tcp/', '"tls/')
     body = body.replace("    link: {\n", f"    link: {{\n{_TLS}")
     rules = re.sub(r"\[[^\[\]{}]*\]", _on_one_line, json.dumps(access_control(), indent=2)).replace("\n", "\n  ")
-    who = "// By common name of the certificate: who may send what. What no rule allows is denied.\n  "
+    who = "// Who may send what, by the common name of the certificate. Everything else is denied.\n  "
     return f"{_HEAD}{{\n{body.removesuffix(chr(10)).removesuffix('}')}\n  {who}access_control: {rules},\n}}\n"
 
 

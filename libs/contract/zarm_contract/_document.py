@@ -1,4 +1,4 @@
-"""A YAML file together with the line of each of its keys, so that a fault can be shown where it stands."""
+"""A YAML file with the line of each of its keys, so that errors can name the line."""
 
 from __future__ import annotations
 

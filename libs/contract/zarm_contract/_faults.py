@@ -1,4 +1,4 @@
-"""Where a validation error points, in the words of whoever wrote the data."""
+"""Names the place of a validation error as the author of the data knows it."""
 
 from __future__ import annotations
 

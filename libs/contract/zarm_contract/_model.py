@@ -1,4 +1,4 @@
-"""The base of everything on the wire, which others find as `zarm_contract.messages.Message`."""
+"""The base class of every message, exported as `zarm_contract.messages.Message`."""
 
 from __future__ import annotations
 

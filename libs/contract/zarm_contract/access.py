@@ -1,4 +1,4 @@
-"""Who may do what on the bus: one table of every key by role, and the rules for a router that follow from it.
+"""Access control: one table of keys and roles, and the router rules that follow from it.
 
 Whoever has a certificate may read: subscribe to everything, ask for the values that are latched, see who is alive. What it
 may publish, answer, or ask for besides stands in `TABLE`; what does not stand there, nobody may.

@@ -48,7 +48,7 @@ def schema(model: type[Message]) -> str:
 
 @functools.lru_cache(256)
 def other_contract(encoding: str) -> str | None:
-    """The contract that an encoding or the name of a schema states, where it is not this one; None where it states none."""
+    """The contract in an encoding or schema name if it is another one than this; None if it names none."""
     found = _SCHEMA.search(encoding)
     return found[1] if found is not None and found[1] != CONTRACT else None
 

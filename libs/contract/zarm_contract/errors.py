@@ -1,4 +1,4 @@
-"""What goes wrong, as one model on the wire and one exception tree in the code.
+"""Errors: one model on the wire, one exception tree in the code.
 
 ZarmError                       carries a Problem; every error that a user meets is one of these
 ├── InvalidRequest              the request cannot be read or breaks a rule; nothing was done

@@ -1,4 +1,4 @@
-"""Every key expression of the bus, built here and nowhere else: `zarm/<robot>/<service>/<noun-or-verb>`."""
+"""Every key expression of the bus, built only here: `zarm/<robot>/<service>/<noun-or-verb>`."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Keys:
 
     @property
     def scene_revision(self) -> str:
-        """SceneEdited. The present revision alone, for those who need no more."""
+        """SceneEdited. Only the present revision, for clients that need no more."""
         return self._key("scene", "revision")
 
     @property
@@ -135,12 +135,12 @@ class Keys:
 
     @property
     def stream(self) -> str:
-        """StreamChunk. What a closed-loop planner wants next."""
+        """StreamChunk. The next motion from a closed-loop planner."""
         return self._key("executor", "stream")
 
     @property
     def authority(self) -> str:
-        """Authority. Up to where the running goal may go, from the servo."""
+        """Authority. How far the running goal may go, from the servo."""
         return self._key("executor", "authority")
 
     @property
@@ -197,7 +197,7 @@ class Keys:
 
     @property
     def simulated_fault(self) -> str:
-        """DriverFault -> Nothing. A fault that the simulated driver is to have; an empty request ends all faults."""
+        """DriverFault -> Nothing. Give the simulated driver a fault; an empty request ends all faults."""
         return self._key("leeloo_sim", "fault")
 
     # robot and ghost

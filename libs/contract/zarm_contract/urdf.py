@@ -51,7 +51,7 @@ class Urdf:
     joint_of_child: dict[str, Joint]
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
-        """The joints from `base` to `tip`, fixed ones included. Raises InvalidRequest where there is no such chain."""
+        """The joints from `base` to `tip`, fixed ones included. Raises InvalidRequest if there is no such chain."""
         joints: list[Joint] = []
         link = tip
         while link != base:

@@ -1,1 +1,1 @@
-"""The robot's body and the world: what collides, where it is, and how far apart."""
+"""The geometry of the robot and the world: what collides, where it is, and distances."""

@@ -1,4 +1,4 @@
-"""What collides as one body and where on the robot it is fixed: links of the descriptor, and attached objects."""
+"""Rigid parts of the robot and where they are fixed: links of the descriptor, and attached objects."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ class ExactScene:
     def nearest_points(self, q: Array, nearest: Nearest) -> Array | None:
         """The points (2, 3) in the base frame between which `nearest`, found at `q` (dof,), is measured.
 
-        None where nothing is near or the two overlap.
+        None if nothing is near or the two overlap.
         """
         return None if nearest.shapes is None else nearest_points(*self._placed(q, *nearest.shapes))
 

@@ -1,4 +1,4 @@
-"""Rotations and poses between messages, which have quaternions, and matrices."""
+"""Conversions between the quaternions of messages and rotation matrices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Closed surfaces out of meshes with small faults, where that can only add obstacles that nothing passes anyway."""
+"""Closes meshes with small faults, where that only adds obstacles in places that nothing can pass."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SMALL = 0.01
 
 
 def closed(mesh: Trimesh) -> tuple[Trimesh | None, tuple[str, ...]]:
-    """The mesh as a closed surface wound one way, or None where it is none; and what was done or is missing, a sentence each.
+    """The mesh as a closed surface wound one way, or None if it is none; and what was done or is missing, a sentence each.
 
     Corners at the same place are one, and triangles with the same corners, triangles that are wound against their neighbours are turned, and holes up to SMALL
     are closed with a fan of triangles around their middle.

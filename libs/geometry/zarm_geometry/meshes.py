@@ -1,4 +1,4 @@
-"""Meshes of the scene: read from files in configured folders, checked, and turned to convex shapes."""
+"""Meshes of the scene: read from configured folders, checked, and turned into convex shapes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Meshes:
     def tree(self, item: Mesh) -> BoxTree:
         """The tree over the shapes of a mesh of the scene, in its own frame.
 
-        Raises Unavailable where its file has to be read again and is not there any more, or is another one.
+        Raises Unavailable if its file has to be read again and is not there any more, or is another one.
         """
         known = self._known.get((item.sha256 or "", item.scale))
         if known is not None:

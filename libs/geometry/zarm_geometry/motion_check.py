@@ -1,4 +1,4 @@
-"""Whether a timed motion keeps a margin to everything: what stands, what moves, and the robot itself."""
+"""Whether a timed motion keeps a margin to static and moving objects and to the robot itself."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _HALVES = np.array(list(np.ndindex(2, 2, 2)))
 def reached_cells(world: World, resolution: float, check: Callable[[], None]) -> Cells:
     """The cells (n, 3) that the shapes of a world reach into, sorted; cell `(i, j, k)` is a cube centred at itself times `resolution` (m).
 
-    `check` is called now and then and may raise. Raises InvalidRequest where there are more than MAX_CELLS.
+    `check` is called now and then and may raise. Raises InvalidRequest if there are more than MAX_CELLS.
     """
     found = np.empty((0, 3), np.int64)
     fresh: list[Cells] = []

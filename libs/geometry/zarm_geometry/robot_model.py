@@ -1,4 +1,4 @@
-"""The robot as geometry computes with it: its kinematic tree and collision spheres, packed into arrays."""
+"""The kinematic tree and collision spheres of the robot, packed into arrays."""
 
 from __future__ import annotations
 

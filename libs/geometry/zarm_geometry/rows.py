@@ -1,4 +1,4 @@
-"""Convex shapes as rows of 17 numbers, which is what obstacles consist of.
+"""Convex shapes as rows of 17 numbers, the form of all obstacles.
 
 The first 12 are the base frame in the shape's (3, 4), row by row; then come half extents x, y, z of its core, the radius
 of a disc about z that widens the core, and the rounding that is added all around. So a cuboid is its extents, a sphere a

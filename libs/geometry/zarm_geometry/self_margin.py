@@ -1,4 +1,4 @@
-"""How far the links of a robot can keep from each other."""
+"""The margin that each pair of links of the robot can keep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exact shapes of robot links and obstacles, and what FCL says about two of them."""
+"""The exact shapes of links and obstacles, and their distances by FCL."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def distance(a: Shape, pose_a: Array, b: Shape, pose_b: Array, upper: float = ma
 
 
 def nearest_points(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> Array | None:
-    """The points (2, 3) of two shapes that are nearest to each other by FCL, in the frame of the poses; None where they overlap."""
+    """The points (2, 3) of two shapes that are nearest to each other by FCL, in the frame of the poses; None if they overlap."""
     found = fcl.DistanceResult()
     measured = fcl.distance(
         fcl.CollisionObject(a.geometry, fcl.Transform(pose_a[:3, :3], pose_a[:3, 3])),

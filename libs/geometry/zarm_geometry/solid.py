@@ -1,4 +1,4 @@
-"""Boxes inside a closed surface of triangles, so that nothing can hide there, and boxes around any surface."""
+"""Fills closed surfaces of triangles with boxes, so that nothing can hide inside; boxes around any surface."""
 
 from __future__ import annotations
 

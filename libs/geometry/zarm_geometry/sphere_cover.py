@@ -1,4 +1,4 @@
-"""Balls that cover a convex shape whole: what the kernels know of an attached object."""
+"""Spheres that cover a convex shape completely: attached objects for the collision kernels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STANDS_OUT = 0.005
 
 
 def sphere_cover(shape: Shape, most: int = MOST) -> Array:
-    """Balls (n, 4), x, y, z and radius (m), in the frame that the shape's pose is given in; n <= `most`.
+    """Spheres (n, 4), x, y, z and radius (m), in the frame that the shape's pose is given in; n <= `most`.
 
     Every point of the shape is in one of them. They stand out of it by at most STANDS_OUT, or where that takes too many by
     as little as a grid of MOST allows: 8 mm for a box of 60 x 60 x 100 mm, 18 mm for one of 300 x 200 x 100 mm, 15 % of

@@ -1,4 +1,4 @@
-"""How far each of the robot's collision spheres is from the scene."""
+"""The distance of each of the robot's collision spheres to the scene."""
 
 from __future__ import annotations
 

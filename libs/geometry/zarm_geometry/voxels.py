@@ -1,4 +1,4 @@
-"""Occupied cells of a regular grid, found around points and merged to boxes."""
+"""Occupied voxels around points, merged into boxes."""
 
 from __future__ import annotations
 

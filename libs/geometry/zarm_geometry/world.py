@@ -1,4 +1,4 @@
-"""The obstacles of one scene, packed once for the collision kernels."""
+"""The obstacles of one scene, packed for the collision kernels."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What every process needs to live on the bus: sessions, queries and publications, the frame of a service, state, logs, records."""
+"""What every process on the bus needs: sessions, queries, publications, services, state files, logs, records."""

@@ -1,4 +1,4 @@
-"""The certificates of this process, checked before anything is opened, and Zenoh's settings for them.
+"""The certificates of this process, checked before a session opens, and Zenoh's settings for them.
 
 Loaded where ZARM_SECURITY is on alone: the standard library's ssl takes its time.
 """
@@ -78,7 +78,7 @@ class Certificates:
         return {f"transport/link/tls/{name}": value for name, value in tls.items()}
 
     def why_not(self, host: str, port: int) -> str | None:
-        """Why a router at this address is not to be talked to; None where the fault is not one of certificates."""
+        """Why a router at this address is not to be talked to; None if the fault is not one of certificates."""
         context = self._context(ssl.PROTOCOL_TLS_CLIENT)
         try:
             with (

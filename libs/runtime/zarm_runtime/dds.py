@@ -1,4 +1,4 @@
-"""How a process of zarm joins ROS 2: the settings of Fast DDS, which it reads from the environment."""
+"""How a zarm process joins ROS 2: Fast DDS settings in the environment."""
 
 from __future__ import annotations
 

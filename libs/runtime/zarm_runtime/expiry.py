@@ -1,4 +1,4 @@
-"""Late commands: what the driver's side of the bus must not begin any more."""
+"""Late commands: the process that passes commands to the driver drops them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The values of a latched key, as whoever follows it is told them."""
+"""The values of a latched key, delivered to one subscriber."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a service finds the files of the scene's meshes."""
+"""The folders in which a service looks for mesh files of the scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a process counts, for Prometheus to read over HTTP; nothing is counted, nor the library loaded, unless asked for."""
+"""Metrics for Prometheus over HTTP; off by default, and then the library is not even loaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What listens at an address where no session came about."""
+"""Finds out what listens at an address where no session could be opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ends of a publication: who publishes, who holds the present value, who keeps the newest message."""
+"""Publishers and subscribers: plain publications, latched values, and the newest message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Queries: a key that is served by threads of its own, and a request that waits for its answer."""
+"""Queries: a key served by its own threads, and a request that waits for its reply."""
 
 from __future__ import annotations
 

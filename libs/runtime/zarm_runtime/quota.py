@@ -1,4 +1,4 @@
-"""How many requests are in hand, in all and of each client."""
+"""Limits on pending requests, in total and per client."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Quota:
         self._lock = threading.Lock()
 
     def enter(self, client: str) -> None:
-        """Take a request in. Raises Busy where there is no room for it."""
+        """Take a request in. Raises Busy if there is no room for it."""
         with self._lock:
             left, held = self._total - self._held.total(), self._held[client]
             if not left:

@@ -1,4 +1,4 @@
-"""Real-time priority, where the system allows it: for whatever a moving robot waits for."""
+"""Real-time priority, where the system allows it, for everything that a moving robot waits for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A record of what happened as an MCAP file (https://mcap.dev), which Foxglove opens.
+"""Records as MCAP files (https://mcap.dev), which Foxglove opens.
 
 A channel is a key of the bus, a message is the very bytes that went over it (encoding `json`), with the schema of its
 class (`jsonschema`, named `zarm.<Message>.v3`). `log_time` is when it was sent or received here, in ns since 1970;
@@ -93,7 +93,7 @@ class RecordFile:
 
 
 def read_record(path: Path) -> Iterator[Entry]:
-    """The messages of a record in the order of their `log_time`. Raises InvalidRequest where it cannot be read."""
+    """The messages of a record in the order of their `log_time`. Raises InvalidRequest if it cannot be read."""
     try:
         with path.open("rb") as stream:
             for described, channel, message in make_reader(stream, validate_crcs=True).iter_messages():

@@ -1,4 +1,4 @@
-"""What belongs to a record of what happened: which keys of a robot, and the class of message on each."""
+"""What a record contains: the recorded keys of a robot, and the message class of each."""
 
 from __future__ import annotations
 
@@ -48,5 +48,5 @@ class Recorded:
         self._goal = self._goals.removesuffix("*")
 
     def model(self, key: str) -> type[Message] | None:
-        """The class of the messages on `key`; None where the key is not recorded."""
+        """The class of the messages on `key`; None if the key is not recorded."""
         return self.models.get(self._goals if key.startswith(self._goal) else key)

@@ -1,4 +1,4 @@
-"""Who sent the request that is being answered."""
+"""The client whose request is being answered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ZARM_SECURITY=on`: whether the bus is spoken to with certificates, and with whose."""
+"""`ZARM_SECURITY=on`: whether sessions use certificates, and whose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every service process does the same way: arguments, one owner per robot, health, signals, a clean end."""
+"""The common frame of every service: arguments, one owner per robot, health, signals, a clean end."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Service:
             relative = key.removeprefix(f"zarm/{self.keys.robot}/")
             self.metrics.count(
                 "zarm_queries",
-                "Requests answered; outcome is ok, the code of the problem, or unsent where no reply could be sent.",
+                "Requests answered; outcome is ok, the code of the problem, or unsent if no reply could be sent.",
                 key=relative,
                 outcome=outcome,
             )
@@ -139,7 +139,7 @@ class Service:
         self.metrics.read(
             "gauge",
             "zarm_service_info",
-            "What runs here; the value is always 1.",
+            "The service, its version, contract and robot; the value is always 1.",
             lambda: 1.0,
             service=self.name,
             version=health.version,

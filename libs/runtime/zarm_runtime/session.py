@@ -1,4 +1,4 @@
-"""Zenoh sessions as zarm opens them: clients of a router, nothing found by multicast."""
+"""Zenoh sessions as zarm opens them: clients of a router, without multicast discovery."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def router_config(listen: str | None = None, links: Sequence[str] = (), *, confi
 
 
 def run_router(config: zenoh.Config) -> zenoh.Session:
-    """A router in this process, of a configuration that `router_config` made. Raises Unavailable where it cannot listen.
+    """A router in this process, of a configuration that `router_config` made. Raises Unavailable if it cannot listen.
 
     Its threads have a real-time priority where that is allowed, as every command to a robot passes through them. Where
     everyone on the network may use it, a warning says so.

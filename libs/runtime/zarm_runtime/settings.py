@@ -48,7 +48,7 @@ SETTINGS = (
         "the viewer's --state",
         "The executor's folder for saved state, as the viewer reads it: records of faults.",
     ),
-    Setting("ZARM_VIEW_TOKEN", "drawn at random", "The token in the page's address, where it is not on loopback."),
+    Setting("ZARM_VIEW_TOKEN", "random", "The token in the page's address, unless that is on loopback."),
     Setting(
         "ZARM_METRICS", "off", "The `host:port` at which Prometheus reads the metrics of the service.", "--metrics"
     ),

@@ -1,4 +1,4 @@
-"""SIGTERM and SIGINT, and a wait of the main thread that none of them is lost in: the self-pipe trick.
+"""SIGTERM and SIGINT, and a wait in the main thread that loses none of them: the self-pipe trick.
 
 The system's own handler writes to a pipe, whatever Python is doing, and the wait looks at that pipe. Python's queues do
 not serve for it: in CPython 3.11 `SimpleQueue.get` waits for ever once a handler returns after its deadline, and a signal

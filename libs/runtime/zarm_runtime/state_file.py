@@ -1,4 +1,4 @@
-"""Files that outlive a process: one message in each, of a version that it states, in a folder that has one owner.
+"""Saved state: one message per file, with a version, in a folder that has one owner.
 
 A file is `{"version": 1, "written_by": "<version of zarm>", "content": <the message>}`. What was written before files stated a
 version is of version 0, and the whole of it is its content. No file is ever lost: whatever takes the place of one that was of
@@ -57,9 +57,9 @@ class StateFile(Generic[M]):
         self._saving = threading.Lock()  # two at once would take each other's draft away
 
     def load(self) -> M | None:
-        """The message; None where there is none, or where what was there could not be read and now lies beside it.
+        """The message; None if there is none, or if the file could not be read and was moved aside.
 
-        Raises Unavailable where a newer zarm wrote it or the folder cannot be used; then nothing has changed.
+        Raises Unavailable if a newer zarm wrote it or the folder cannot be used; then nothing has changed.
         """
         try:
             payload = self.path.read_bytes()
@@ -89,12 +89,12 @@ class StateFile(Generic[M]):
 
     @property
     def broken(self) -> Path | None:
-        """Where the content lies that could not be read, until another is saved; None where nothing is missing."""
+        """Where the content lies that could not be read, until another is saved; None if nothing is missing."""
         found = sorted(self.path.parent.glob(f"{self.path.name}.broken*"), key=lambda file: file.stat().st_mtime)
         return found[-1] if found and not self.path.exists() else None
 
     def save(self, message: M) -> None:
-        """Replace the message. Raises Unavailable where the file cannot be written; then the old one is there as before."""
+        """Replace the message. Raises Unavailable if the file cannot be written; then the old one is there as before."""
         self.write(encode(message))
 
     def write(self, content: bytes) -> None:

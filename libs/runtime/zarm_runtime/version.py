@@ -1,4 +1,4 @@
-"""Which zarm this is."""
+"""The version of zarm."""
 
 from __future__ import annotations
 

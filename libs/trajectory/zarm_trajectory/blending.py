@@ -1,4 +1,4 @@
-"""Leading a robot from the motion that it makes over to another one, without a jump.
+"""Blends from the present motion of a robot to another one, without a jump.
 
 From one moment on the old trajectory is left on a quintic that meets the new one in position, velocity and acceleration a
 blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit, that of jerk
@@ -93,7 +93,7 @@ def _by_rest(
 ) -> TimedTrajectory | None:
     """`trajectory` until it rests for the first time from `begin` (s) on, and from there straight to the end of `chunk`.
 
-    None where that rest is later than that of `chunk`, or more than the longest blending time before it, or further from it than can be
+    None if that rest is later than that of `chunk`, or more than the longest blending time before it, or further from it than can be
     gone in that time.
     """
     rest, end = _rests(trajectory, begin), _moves_until(chunk)

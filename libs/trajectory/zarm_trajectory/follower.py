@@ -1,4 +1,4 @@
-"""Moving along a trajectory at a path speed that falls and rises as fast as the joints' limits of acceleration and jerk allow.
+"""Follows a trajectory at a path speed that changes as fast as the joint limits of acceleration and jerk allow.
 
 The commanded motion is q(s(t)) with path time s and path speed sigma = ds/dt in [0, 1], so the robot stays on the
 verified path while it brakes or its speed is scaled. Within a step the rate of the path speed changes at a constant rate.
@@ -124,7 +124,7 @@ class Follower:
     def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
         """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more.
 
-        Raises InternalError where that is without end.
+        Raises InternalError if that is without end.
         """
         scout = copy.copy(self)
         rows: list[tuple[float, float, float]] = []

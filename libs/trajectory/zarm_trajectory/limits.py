@@ -1,4 +1,4 @@
-"""What a robot's joints may do, held against a timed trajectory, between its samples too."""
+"""Checks a timed trajectory against the joint limits, between its samples too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a robot is on a trajectory, and how fast it goes along it."""
+"""The position and speed of a robot along a trajectory."""
 
 from __future__ import annotations
 

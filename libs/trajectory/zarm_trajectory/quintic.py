@@ -1,4 +1,4 @@
-"""Quintic polynomials: what a timed trajectory is between two of its samples.
+"""Quintic polynomials: a timed trajectory between two of its samples.
 
 Coefficients are arrays (6, N, J), lowest power first, of N segments of J joints, each over its own time scaled to [0, 1].
 """

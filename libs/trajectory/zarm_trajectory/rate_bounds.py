@@ -1,4 +1,4 @@
-"""How fast the path speed may change along a trajectory, so that the joints' limits of acceleration and jerk hold.
+"""Bounds on changes of the path speed that keep the joint limits of acceleration and jerk.
 
 The commanded motion is q(s(t)) with path time s, path speed sigma = ds/dt, its rate a = dsigma/dt and u = da/dt. By the chain rule
 

@@ -1,4 +1,4 @@
-"""A trajectory that runs along another one at a speed of its own: what a driver is told to play."""
+"""A trajectory along another one with a different speed: what a driver is told to play."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From any velocity and acceleration to a constant velocity, in the shortest time that acceleration and jerk limits allow."""
+"""The fastest change from any velocity and acceleration to a constant velocity within acceleration and jerk limits."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class TimedTrajectory:
     def of(cls, trajectory: Trajectory, joints: tuple[str, ...]) -> Self:
         """The motion of `joints`, in this order, whatever the order in the message.
 
-        Raises InvalidRequest where the message does not name exactly these joints, or has samples too close in time to divide
+        Raises InvalidRequest if the message does not name exactly these joints, or has samples too close in time to divide
         by.
         """
         named = trajectory.joint_names

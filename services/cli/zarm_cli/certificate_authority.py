@@ -1,4 +1,4 @@
-"""A private authority of X.509 certificates: one for each role on the bus, whose common name is the role."""
+"""A private X.509 authority: one certificate for each role, with the role as its common name."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Authority:
 
     @classmethod
     def load(cls, folder: Path) -> Authority:
-        """The authority in `folder`. Raises InvalidRequest where it is damaged."""
+        """The authority in `folder`. Raises InvalidRequest if it is damaged."""
         try:
             key = load_pem_private_key((folder / "ca.key").read_bytes(), None)
         except (OSError, ValueError, TypeError) as error:

@@ -1,4 +1,4 @@
-"""`zarm certs`: a private authority, and a certificate for each role on the bus and for the page; again, what is about to end anew."""
+"""`zarm certs`: a private authority, certificates for each role and the page, and their renewal."""
 
 from __future__ import annotations
 

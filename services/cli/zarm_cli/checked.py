@@ -1,4 +1,4 @@
-"""What is wrong with a robot beyond its descriptor's schema: its geometry, and poses that were measured."""
+"""Checks of a robot beyond its descriptor's schema: its geometry, and measured poses."""
 
 from __future__ import annotations
 

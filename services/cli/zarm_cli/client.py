@@ -1,4 +1,4 @@
-"""The client that a command is: which robot it talks to, and requests made from what a person typed."""
+"""The client of a command: which robot it talks to, and requests from its arguments."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ SIGNALS = Signals()
 def connected(connect: str, name: str | None) -> Iterator[Robot]:
     """The robot `name`, or the only robot on the bus.
 
-    Raises Unavailable without a router or a robot, InvalidRequest where there are several or the name is none.
+    Raises Unavailable without a router or a robot, InvalidRequest if there are several or the name is invalid.
     """
     with ExitStack() as stack:
         with _naming_the_option():

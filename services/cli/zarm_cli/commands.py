@@ -1,4 +1,4 @@
-"""The command line of `zarm`: its commands by name, and how an error becomes one line and an exit code."""
+"""The commands of `zarm` by name, and how an error becomes one line and an exit code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether those who take part on one bus fit together: which differ in what, and what to do about it."""
+"""Whether the processes on a bus fit together: which differ in what, and what to do about it."""
 
 from __future__ import annotations
 

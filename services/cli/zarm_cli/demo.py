@@ -1,4 +1,4 @@
-"""`zarm demo`: plan around a post and go there, with every service as a process of its own on a private bus."""
+"""`zarm demo`: plans around a post and moves there, with all services as processes on a private bus."""
 
 from __future__ import annotations
 

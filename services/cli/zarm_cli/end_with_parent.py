@@ -1,4 +1,4 @@
-"""Run a module as a program that ends when its parent does: `python -m zarm_cli.end_with_parent MODULE ARGUMENTS`.
+"""Runs a module as a program that ends with its parent: `python -m zarm_cli.end_with_parent MODULE ARGUMENTS`.
 
 Standard input is a pipe. The parent holds the other end and never writes; whatever ends the parent,
 SIGKILL included, closes it, and the program then gets the SIGTERM that the parent could not send.

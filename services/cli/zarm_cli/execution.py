@@ -1,4 +1,4 @@
-"""`zarm execute` and the commands that stop, hold and free the robot."""
+"""`zarm execute`, and the commands that stop, pause, resume and reset the robot."""
 
 from __future__ import annotations
 

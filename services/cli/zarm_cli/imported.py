@@ -1,4 +1,4 @@
-"""A robot that is given as a URDF or xacro: imported once, and again when its files or zarm change."""
+"""A robot given as URDF or xacro: imported once, and again when its files or zarm change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: the first of them raises KeyboardInterrupt where a command waits, and nowhere else.
+"""Ctrl-C and SIGTERM: the first one raises KeyboardInterrupt where a command waits, and only there.
 
 Raised by the handler itself, as Python does it, KeyboardInterrupt comes up between any two lines: at the door of the
 `__exit__` that stops the services, which are then left, or within a library that swallows it (pydantic's serializer, wherever

@@ -1,4 +1,4 @@
-"""`zarm up`: a router, a planner, a servo and an executor for one robot, started together and stopped together."""
+"""`zarm up`: starts and stops the router, planner, servo and executor of one robot together."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def launch(
     the page that shows it.
 
     Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
-    is already up on that bus, Unavailable where the port is taken, no router answers, or packages are not installed.
+    is already up on that bus, Unavailable if the port is taken, no router answers, or packages are not installed.
     """
     _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
     if ros:

@@ -18,7 +18,7 @@ from zarm_contract.messages import Hold, Message, Pose
 
 
 def _width() -> int | None:
-    """Columns of standard output, None where it is a terminal, which knows. A pipe is as wide as is good to read; programs set
+    """Columns of standard output, None if it is a terminal, which knows. A pipe is as wide as is good to read; programs set
     COLUMNS to 80 that know no better, but fewer are meant."""
     columns = os.environ.get("COLUMNS", "")
     if sys.stdout.isatty():

@@ -1,4 +1,4 @@
-"""`zarm plan`, and the goals that a person types for it and for `execute` and `ik`."""
+"""`zarm plan`, and the goals typed for `plan`, `execute` and `ik`."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def read_plan(path: Path) -> Plan:
 
 
 def _write_text(path: Path, text: str) -> None:
-    """Write a file. Raises InvalidRequest where it cannot be written."""
+    """Write a file. Raises InvalidRequest if it cannot be written."""
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

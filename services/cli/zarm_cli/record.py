@@ -1,4 +1,4 @@
-"""`zarm record`: what passes on the bus, written to a file as it comes."""
+"""`zarm record`: writes the messages of a robot to a file."""
 
 from __future__ import annotations
 

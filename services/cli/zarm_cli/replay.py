@@ -1,4 +1,4 @@
-"""`zarm replay`: what a record tells, and its messages once more on a bus."""
+"""`zarm replay`: prints what a record holds, and publishes its messages again."""
 
 from __future__ import annotations
 

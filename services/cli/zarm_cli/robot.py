@@ -1,4 +1,4 @@
-"""`zarm robot`: the robots that zarm brings, a descriptor from any URDF, and what is wrong with one."""
+"""`zarm robot`: list the robots of zarm, import one from a URDF, check and edit a descriptor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`zarm router`: a router of the bus and nothing else, for machines where the services run apart."""
+"""`zarm router`: only a router, for machines where the services run separately."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`zarm scene`: what the planner keeps clear of."""
+"""`zarm scene`: edits the scene, which the planner avoids."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`zarm jog` and `zarm track`: the robot follows keys or a target, and is kept away from everything on its way."""
+"""`zarm jog` and `zarm track`: the robot follows keys or a target, and keeps clear of obstacles."""
 
 from __future__ import annotations
 

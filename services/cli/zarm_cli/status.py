@@ -1,4 +1,4 @@
-"""`zarm status`, `zarm health` and `zarm watch`: what runs, and what the robot does."""
+"""`zarm status`, `zarm health` and `zarm watch`: which services run, and what the robot does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keep service processes running, with supervisord: restart with back-off, stop in order, leave nothing behind.
+"""Keeps service processes running with supervisord: restart with back-off, stop in order, leave nothing behind.
 
 supervisord runs as a child with a configuration of its own in a temporary folder. It looks around once a second, so a
 process that died is started again after about 1 s; starting and stopping do not wait for that look, because a call on its

@@ -1,4 +1,4 @@
-"""`zarm view`: a page in the browser beside a bus that runs already."""
+"""`zarm view`: a page in the browser for a running bus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a goal comes to the robot: one at a time is checked, and what was told to stop meanwhile does not start."""
+"""Admission of goals: they are checked one at a time, and one that was stopped meanwhile does not start."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Admission:
         self._checking = threading.Lock()
 
     def demand_presence(self) -> None:
-        """Raises Busy where what is asked now may have been asked long ago, and given up since."""
+        """Raises Busy if what is asked now may have been asked long ago, and given up since."""
         if self._machine.was_away(time.monotonic()):
             raise Busy("the executor stood still for so long that the client may have given up; try again in a moment")
 

@@ -1,4 +1,4 @@
-"""What must hold before a robot moves; each check that fails is an error that says which joint, how far off, and what to do."""
+"""Checks before motion; each failure names the joint, how far off it is, and what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Moments of the monotonic clock as the time of day."""
+"""Converts times of the monotonic clock to times of day."""
 
 from __future__ import annotations
 

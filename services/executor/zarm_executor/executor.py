@@ -1,4 +1,4 @@
-"""What clients can ask of the executor, one method for each query."""
+"""The queries of the executor, one method for each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes the last minute to a file when the executor has come to a fault."""
+"""Writes the last minute to a file when the executor enters a fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ghost: every plan is replayed once for the eye, whatever the strategy. It never moves anything, and may fail alone."""
+"""The ghost: plays every plan once as a preview, whatever the strategy. It moves nothing, and may fail alone."""
 
 from __future__ import annotations
 

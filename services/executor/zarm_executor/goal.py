@@ -1,4 +1,4 @@
-"""One motion on its way to an end."""
+"""One goal, from acceptance to its end."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ class Chunk:
 class Goal:
     """A motion along `trajectory`; of a stream `chunk` is the newest one.
 
-    `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None where nobody had
+    `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None if nobody had
     told one.
-    `verified` is the revision in which the trajectory was verified, None where it was in none; `number` counts its trajectories.
+    `verified` is the revision in which the trajectory was verified, None if it was in none; `number` counts its trajectories.
     With `replan` the servo may replace its trajectory, by one to other joints where the pose `tip` is the goal.
     `hold` says why it is held though nobody told it to, since the moment `hold_since`; it `waits` once the robot rests.
     `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion.

@@ -1,4 +1,4 @@
-"""A goal on its way: what becomes of it at every tick, from its start to the rest in which it ends."""
+"""Executes a goal tick by tick, from its start until the robot is at rest."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class GoalExecution:
 
         It may go up to the time `until` (s) of `trajectory`, None: to its end.
 
-        Raises Busy for a goal that is told to pause or to end, Unavailable where the strategy cannot follow it, and ExecutionRefused
+        Raises Busy for a goal that is told to pause or to end, Unavailable if the strategy cannot follow it, and ExecutionRefused
         (`start_state_mismatch`) where it is too late for `at`, and what `continued` raises.
         """
         self._demand_no_end()
@@ -140,7 +140,7 @@ class GoalExecution:
 
         It may go up to the time `until` (s) of `trajectory`, None: to its end.
 
-        Raises Busy where it does not rest so, and what the strategy raises.
+        Raises Busy if it does not rest so, and what the strategy raises.
         """
         self._demand_no_end()
         goal, time = self.goal, self._strategy.progress().time

@@ -1,4 +1,4 @@
-"""The authority of a goal: how far the servo lets it go, and whether there is a servo at all.
+"""The authority of a goal: how far the servo lets it go, and whether there is a servo.
 
 The servo says up to which path time a goal may go, again and again. It says so of one scene; what it says of another than the
 present one only holds the goal back. One that is silent, or checks in an old scene, for `guard_timeout` guards nothing.
@@ -107,7 +107,7 @@ class Guard:
     def limit(
         self, trajectory: TimedTrajectory, until: float | None, obstruction: Obstruction | None = None
     ) -> Limit | None:
-        """The end of an authority over this trajectory up to the path time `until` (s); None where it reaches to its end."""
+        """The end of an authority over this trajectory up to the path time `until` (s); None if it reaches to its end."""
         if until is None or until >= trajectory.duration:
             return None
         return Limit(Follower(trajectory, self._limits), until, obstruction)

@@ -1,4 +1,4 @@
-"""Work done at a fixed rate in a thread of its own."""
+"""A function called at a fixed rate in its own thread."""
 
 from __future__ import annotations
 

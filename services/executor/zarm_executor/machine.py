@@ -104,7 +104,7 @@ class Machine:
     def start(self, goal: Goal, arrival: int) -> None:
         """Move the robot along the goal's path, which starts where it stands.
 
-        Raises what `admit` raises, and Cancelled where a stop, a pause or a cancel of this goal arrived later than this.
+        Raises what `admit` raises, and Cancelled if a stop, a pause or a cancel of this goal arrived later than this.
         """
         with self._lock:
             self._successor = None
@@ -135,7 +135,7 @@ class Machine:
     def preempt(self, goal_id: str, arrival: int, patience: float) -> None:
         """End the goal that there is, if any, as cancelled, so that `goal_id` can start where the robot rests then.
 
-        Raises Unavailable where it does not within `patience` s, and Cancelled as `start` does.
+        Raises Unavailable if it does not within `patience` s, and Cancelled as `start` does.
         """
         with self._lock:
             self._demand_not_overtaken(arrival, goal_id)
@@ -172,7 +172,7 @@ class Machine:
             self._end(goal_id, _cancelled(why))
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> Goal | None:
-        """Lead the robot over to this chunk of the stream `goal_id`, and return that; None where it is not under way.
+        """Lead the robot over to this chunk of the stream `goal_id`, and return that; None if it is not under way.
 
         Raises what `blended` raises.
         """
@@ -296,7 +296,7 @@ class Machine:
     def switch(self, strategy: Strategy, patience: float, arrival: float) -> None:
         """Bring the robot to rest within `patience` s, then let `strategy` move it; a fault stays.
 
-        Raises Busy where a stop arrived later and while another switch is under way, and Unavailable at the end of the process, where the robot does not
+        Raises Busy if a stop arrived later and while another switch is under way, and Unavailable at the end of the process, where the robot does not
         rest, or where `strategy` cannot be opened; then the old one is active as before. Where that cannot be opened again
         either, nothing can move the robot: that is a fault.
         """
@@ -387,7 +387,7 @@ class Machine:
             return self._motion.state() if self._motion else None
 
     def sequence(self, goal_id: str) -> int | None:
-        """The number of the newest chunk of the stream `goal_id`; None where it is not under way."""
+        """The number of the newest chunk of the stream `goal_id`; None if it is not under way."""
         with self._lock:
             motion = self._motion_of(goal_id)
             return motion.goal.chunk.sequence if motion is not None and motion.goal.chunk is not None else None

@@ -1,4 +1,4 @@
-"""What must hold while a robot moves, and until it rests where it should."""
+"""Conditions that must hold while a robot moves, and until it is at rest in the right place."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Monitor:
     def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> bool:
         """Whether the robot is seen to follow; while its joints are not reported the strategy holds it, for `hold_timeout`.
 
-        Raises ExecutionFailed where it does not follow: `tolerance_violated` or `driver_stalled`.
+        Raises ExecutionFailed if it does not follow: `tolerance_violated` or `driver_stalled`.
 
         The allowed duration counts time at path speed 1; what the executor itself slows down or holds is not held
         against the robot. A driver that is slower than it was told is on the path all the same: the allowed duration is
@@ -119,7 +119,7 @@ class Monitor:
         return False
 
     def missed(self, now: float, progress: Progress, measured: Measured | None) -> Problem | None:
-        """How far beside the end of the path the robot rests when the `settle_time` is over; None where it does not.
+        """How far beside the end of the path the robot rests when the `settle_time` is over; None if it does not.
 
         That is no fault: it rests, and the next motion starts from where it is.
         """
@@ -139,7 +139,7 @@ class Monitor:
         """Whether the robot stands still after it was told to stop; asked at every tick from then on.
 
         Raises ExecutionFailed when it does not report `settle_time` after what is commanded has come to rest; NotStopped when
-        it does not stand then, and at the latest that long after the longest braking, and where it stands further than
+        it does not stand then, and at the latest that long after the longest braking, and if it stands further than
         `path_tolerance` from where it was commanded to stop: then it has not heard of the stop.
         """
         if self._stopping_since is None:

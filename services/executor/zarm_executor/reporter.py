@@ -1,4 +1,4 @@
-"""Says on the bus what the state machine does: every change at once, and progress while something moves."""
+"""Publishes the state of the state machine: every change at once, and progress during motion."""
 
 from __future__ import annotations
 

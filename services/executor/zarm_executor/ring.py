@@ -1,4 +1,4 @@
-"""The last minute of what was sent and received, in memory."""
+"""The last minute of sent and received messages, in memory."""
 
 from __future__ import annotations
 

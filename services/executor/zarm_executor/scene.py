@@ -1,4 +1,4 @@
-"""Which scene there is now, and what was made for another one."""
+"""The present scene revision, and whether a plan was made for another one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PresentScene:
             self._machine.scene = scene.revision
 
     def look(self) -> SceneRevision | None:
-        """The present revision; None where nobody answers, nor has ever told one."""
+        """The present revision; None if nobody answers, nor has ever told one."""
         before = self._machine.scene
         try:
             answer = self._ask().revision
@@ -42,7 +42,7 @@ class PresentScene:
     def demand(self, what: str, verified_in: SceneRevision | None) -> SceneRevision | None:
         """The present revision. Raises ExecutionRefused (`stale_plan`) unless it is that in which `what` was verified.
 
-        Raises Unavailable where nobody has told one. `what` that claims none, None, holds in any.
+        Raises Unavailable if nobody has told one. `what` that claims none, None, holds in any.
         """
         present = self.look()
         if verified_in in (None, present):

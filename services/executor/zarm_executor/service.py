@@ -197,7 +197,7 @@ def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
     metrics.read(
         "counter",
         "zarm_ticks_missed",
-        "Ticks of the control loop that were left out.",
+        "Missed ticks of the control loop.",
         lambda: machine.state().missed_ticks,
     )
     metrics.read("gauge", "zarm_joint_state_age_seconds", "Age of the measured joint state.", age)

@@ -1,4 +1,4 @@
-"""Closed-loop motions: chunks that a client streams, each in place of what is left of the one before."""
+"""Closed-loop streams: each chunk from a client replaces the rest of the one before."""
 
 from __future__ import annotations
 

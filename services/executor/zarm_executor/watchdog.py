@@ -1,4 +1,4 @@
-"""Sees to it that a control loop which no longer ticks does not keep the robot."""
+"""Ends the process if the control loop no longer ticks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The joints of a robot as its driver has them: by index in commands, in an order of its own where it tells them."""
+"""The joints in the driver's order: by index in commands, reordered in joint states."""
 
 from __future__ import annotations
 

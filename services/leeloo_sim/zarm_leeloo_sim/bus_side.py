@@ -1,4 +1,4 @@
-"""The driver on the bus: `driver/*` as the executor speaks it."""
+"""The simulated driver on the bus: the keys `driver/*`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated driver: an arm in step with the clock, and the faults that it can be given. It knows no bus and no ROS."""
+"""The simulated driver: an arm in step with the clock, and its faults. It depends on neither bus nor ROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the simulated arm plays what it is sent: one point per tick, by index, through a drive with lag and limits.
+"""How the simulated arm plays commands: one point per tick, by index, through a drive with lag and limits.
 
 The model of one axis: the drive's velocity follows the point's with a first-order lag, dv/dt = (target - v) / lag, bounded
 by the acceleration and the velocity that the controller allows. The model knows no bus and no clock.

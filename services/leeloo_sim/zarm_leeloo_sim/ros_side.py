@@ -1,4 +1,4 @@
-"""The driver on ROS 2: the topics of the real one. It alone imports rclpy, and is imported where ROS is asked for alone."""
+"""The simulated driver on ROS 2, on the topics of the real one. Only this module imports rclpy, with `--ros`."""
 
 from __future__ import annotations
 

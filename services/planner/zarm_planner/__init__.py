@@ -1,4 +1,4 @@
-"""Goals to verified motions."""
+"""From goals to verified motions."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What a request carries through all stages of its planning."""
+"""The context of a request through all stages of planning."""
 
 from __future__ import annotations
 

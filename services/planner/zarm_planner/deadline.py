@@ -1,4 +1,4 @@
-"""When computing ends early: a deadline, and a cancel from another thread."""
+"""Ends computations early: a deadline, and a cancel from another thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the planner process answers: requests in, messages out, whatever carries them."""
+"""The request handlers of the planner: messages in, messages out, independent of the transport."""
 
 from __future__ import annotations
 
@@ -250,7 +250,7 @@ class Handlers:
         return self._scheduler.run(work, requester(), _BATCH_TIMEOUT)
 
     def occupancy(self, request: OccupancyRequest) -> Occupancy:
-        """Which cells of a grid the scene's objects reach into. Raises InvalidRequest where they are too many."""
+        """Which cells of a grid the scene's objects reach into. Raises InvalidRequest if they are too many."""
 
         def work(deadline: Deadline) -> Occupancy:
             scene = self._look()
@@ -266,7 +266,7 @@ class Handlers:
     def edit(self, request: SceneEdit) -> Scene:
         """Apply an edit of the scene and return the result.
 
-        Raises InvalidRequest for a fault of the edit, ExecutionRefused where it needs joints and nothing is measured, and
+        Raises InvalidRequest for a fault of the edit, ExecutionRefused if it needs joints and nothing is measured, and
         Unavailable where it cannot be saved; then nothing has changed.
         """
         match request.edit:

@@ -1,4 +1,4 @@
-"""From a goal to a verified trajectory: both ends, then what a planner finds, verified; and again where that is refused."""
+"""From a goal to a verified trajectory: both ends, planning, verification, and another attempt if it fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The work in hand: how much of it runs at once, whose turn is next, and how it is ended before its time."""
+"""Schedules requests: how many run at once, which is next, and how one is cancelled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the time of a plan goes."""
+"""Measures the time of each stage of a plan."""
 
 from __future__ import annotations
 

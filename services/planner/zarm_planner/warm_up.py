@@ -1,4 +1,4 @@
-"""Compile every kernel before the first request, or load what an earlier process compiled.
+"""Compiles every kernel before the first request, or loads it from the cache.
 
 `python -m zarm_planner.warm_up` does it after an installation, so that no planner has to.
 """

@@ -1,1 +1,1 @@
-"""A robot descriptor from any URDF or xacro, and what is wrong with one."""
+"""Makes a robot descriptor from any URDF or xacro, and checks one."""

@@ -1,4 +1,4 @@
-"""A link as a body: what is inside of its surface, what is outside, and how far from it."""
+"""A link as a solid body: whether a point is inside or outside its surface, and how far."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses that a user has measured on the real arm, against the descriptor's kinematics, and what would explain a difference."""
+"""Compares poses measured on the real arm with the descriptor's kinematics, and explains differences."""
 
 from __future__ import annotations
 

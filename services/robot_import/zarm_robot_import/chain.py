@@ -67,7 +67,7 @@ def choose_chain(
     """The chain from `base` (default: the root) to `tip` (default: the only sensible one).
 
     `positions` of joints beside the chain replace 0, or what is nearest to it within their limits. Raises InvalidRequest:
-    with the choices where there are several, and for what cannot be planned for.
+    with the choices if there are several, and for what cannot be planned for.
     """
     base = _known(robot, base, "--base") if base else robot.root
     tip = _known(robot, tip, "--tip") if tip else _tip(robot, base)

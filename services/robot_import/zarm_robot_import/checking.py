@@ -1,4 +1,4 @@
-"""What a person would get wrong in a descriptor and no schema finds: units, covers, links that do not meet, a robot that cannot move."""
+"""Mistakes in a descriptor that no schema finds: units, covers, links that do not meet, a robot that cannot move."""
 
 from __future__ import annotations
 

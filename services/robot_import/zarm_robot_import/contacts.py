@@ -1,4 +1,4 @@
-"""Whether the meshes of two links touch, at configurations from all over the joint ranges."""
+"""Whether the meshes of two links touch at configurations sampled from the joint ranges."""
 
 from __future__ import annotations
 

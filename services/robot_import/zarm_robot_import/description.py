@@ -1,4 +1,4 @@
-"""Everything that a URDF says about a robot: links with their geometry, joints of all types, limits, mimics."""
+"""The content of a URDF: links with their geometry, joints of all types, limits, mimics."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """One <joint>; `origin` (4, 4) in the parent, limits in rad (m where prismatic), None where they are not given."""
+    """One <joint>; `origin` (4, 4) in the parent, limits in rad (m where prismatic), None if they are not given."""
 
     name: str
     type: str
@@ -83,7 +83,7 @@ class Description:
     children: dict[str, list[Joint]] = field(default_factory=dict)
 
     def path(self, base: str, tip: str) -> list[Joint] | None:
-        """The joints from `base` to `tip`, None where `tip` does not hang on `base`."""
+        """The joints from `base` to `tip`, None if `tip` does not hang on `base`."""
         found: list[Joint] = []
         link = tip
         while link != base:

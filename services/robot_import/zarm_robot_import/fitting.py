@@ -1,4 +1,4 @@
-"""Exact geometry and sphere cover of all links of a robot, and how far each stands out of the meshes."""
+"""Exact geometry and sphere covers of all links, and how far each stands out of the meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pose to start from: free, far from joint limits and singularities, upright."""
+"""Finds a home configuration: collision-free, far from joint limits and singularities, upright."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LOOKED_AT = 200
 
 
 def choose_home(model: RobotModel) -> tuple[float, ...]:
-    """The best of random configurations near the middle. Raises InvalidRequest where none is free of self-collision."""
+    """The best of random configurations near the middle. Raises InvalidRequest if none is free of self-collision."""
     rng = np.random.default_rng(2)
     lower, upper = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
     candidates = np.round(rng.uniform(lower, upper, (SAMPLES, model.dof)), 2)

@@ -1,4 +1,4 @@
-"""From a URDF or xacro to a robot that can be planned for: all steps, in order."""
+"""Imports a URDF or xacro: all steps, in order."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def import_robot(
     """Make `<name>.yaml`, `.urdf`, `.md` and `.png` in `folder` from a URDF or xacro; returns the descriptor's path.
 
     `progress` is told the step and the share that is done. Raises InvalidRequest with what is wrong in the file and what to
-    do, Unavailable where a package is missing; then nothing is written.
+    do, Unavailable if a package is missing; then nothing is written.
     """
     begun = time.process_time()
     progress("reading", 0.0)

@@ -1,4 +1,4 @@
-"""Joint limits: what the URDF says, and careful assumptions for what it does not."""
+"""Joint limits from the URDF, and cautious assumptions for missing ones."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class Surface:
 
 
 def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | None:
-    """What a link's geometry is, None where it has none.
+    """What a link's geometry is, None if it has none.
 
     `prefer`: `collision`, `visual`, or `auto`: the collision geometry, together with the visual one where that sticks out of it.
     Raises InvalidRequest for a mesh that cannot be read or is not there.

@@ -1,4 +1,4 @@
-"""Exact geometry of a link: the convex primitives that contain its surface, few and tight.
+"""Exact geometry of a link: a few tight convex primitives that contain its surface.
 
 A link is cut by planes, as in convex decomposition (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh approximate
 convex decomposition", 2009), and around what is in each cell goes the smallest box, cylinder, capsule or ball. The one that stands

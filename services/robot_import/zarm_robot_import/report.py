@@ -1,4 +1,4 @@
-"""What an import found, as a page to read."""
+"""The report of an import."""
 
 from __future__ import annotations
 

@@ -24,10 +24,10 @@ def controlled(robot: Description, joints: Sequence[str]) -> bool:
 
 
 def trajectory_controller(robot: Description, joints: Sequence[str]) -> str | None:
-    """The name, with its namespace, of the controller for exactly these joints; None where the URDF names none.
+    """The name, with its namespace, of the controller for exactly these joints; None if the URDF names none.
 
     It is named by a <param> of the <ros2_control> that has the joints, or in the file of parameters that the plugin of a simulator
-    is given. Raises InvalidRequest where that file is no YAML.
+    is given. Raises InvalidRequest if that file is no YAML.
     """
     if not controlled(robot, joints):
         return None

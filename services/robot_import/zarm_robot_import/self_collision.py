@@ -1,4 +1,4 @@
-"""Which pairs of links can meet, decided on the original meshes and not on what contains them; a pair in doubt stays checked."""
+"""Which pairs of links can collide, judged on the original meshes; a pair in doubt stays checked."""
 
 from __future__ import annotations
 

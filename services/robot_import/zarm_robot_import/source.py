@@ -1,4 +1,4 @@
-"""What is imported: a URDF or xacro as XML with the line of each element, and where the files are that it names."""
+"""The source of an import: a URDF or xacro as XML with the line of each element, and the files that it names."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Source:
         return f"{self.path}:{self.lines[element]}{' (of the expanded xacro)' if self.expanded else ''}"
 
     def file(self, name: str) -> Path | None:
-        """The file that a URI in the XML names, None where there is none."""
+        """The file that a URI in the XML names, None if there is none."""
         scheme, _, rest = name.rpartition("://")
         rest = unquote(rest)
         if scheme == "package" or scheme == "model":

@@ -1,4 +1,4 @@
-"""The sphere cover of a robot: balls that contain the exact geometry of its links, which the search computes with.
+"""The sphere cover of a robot: spheres that contain the exact geometry of its links, for the search.
 
 What counts is the space that the balls take outside of the links, what is far from them more. Each link begins as one ball. Again and
 again the ball is split for which that frees the most space, until the balls of the whole robot are as many as they may be; and balls

@@ -1,4 +1,4 @@
-"""Which visual meshes are taken beside the collision geometry: all but those that hold two links together that part."""
+"""Chooses visual meshes used besides the collision geometry: not those that would keep two links from separating."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What generation C adds: plans and voxels are cleared, objects carried, and spheres shown when somebody wants to see them."""
+"""Services of generation C: clear plans and voxels, attach and detach objects, show collision spheres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a service answers: what goes wrong becomes a sentence in its response, and nothing reaches rclpy."""
+"""Replies of services: an error becomes a message in the response, and never reaches rclpy."""
 
 from __future__ import annotations
 

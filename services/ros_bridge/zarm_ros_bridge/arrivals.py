@@ -1,4 +1,4 @@
-"""The order in which the goals of actions came, which threads that execute them do not keep."""
+"""The order in which action goals arrived, which the threads that execute them do not keep."""
 
 from __future__ import annotations
 

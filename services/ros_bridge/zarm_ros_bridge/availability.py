@@ -1,4 +1,4 @@
-"""The parameter node_is_available: whether everything behind the node is warm."""
+"""The parameter node_is_available: whether planner and executor are ready."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals in closed loop: the servo leads the robot after a target that may move."""
+"""Goals in closed loop: the servo makes the robot follow a target that may move."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class ClosedLoop:
         )
 
     def _check(self, tracking: Tracking) -> None:
-        """Raises Unavailable where the bridge ends, and Cancelled where somebody else has ended the session."""
+        """Raises Unavailable if the bridge ends, and Cancelled where somebody else has ended the session."""
         if self._engine.ending.is_set():
             raise Unavailable("the ROS bridge ends, and brings the robot to rest; send the goal again when it is back")
         if not tracking.running:
@@ -200,7 +200,7 @@ def check_plans(planner: str) -> None:
 
 
 def _one_pose(asked: MotionRequest, planner: str) -> Pose:
-    """The target. Raises InvalidRequest where what is asked for is not one pose from where the robot is."""
+    """The target. Raises InvalidRequest if what is asked for is not one pose from where the robot is."""
     if not is_empty(asked.start):
         raise InvalidRequest(
             f"the planner {planner} starts where the robot is; leave start_pose empty", field="start_pose"

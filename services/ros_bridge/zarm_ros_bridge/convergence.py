@@ -1,4 +1,4 @@
-"""How near a robot in closed loop is to its target, and whether it counts as being there."""
+"""How far a robot in closed loop is from its target, and whether it counts as on target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The URDF that ROS is shown: the robot's own, and a shape for each link that has none."""
+"""The URDF for ROS: the robot's own, with a shape for each link that has none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the robot's motion waits for and whether a servo watches it, on /diagnostics, where tools of ROS look."""
+"""/diagnostics: what the robot's motion waits for, and whether a servo guards it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a driver's progress, one number from 0 to 1, says about the command that was sent to it last."""
+"""Maps a driver's progress, a number from 0 to 1, to the command last sent to it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ProgressReader:
             self._told, self._counts_on = 0.0, False
 
     def read(self, told: float) -> DriverProgress | None:
-        """How far the driver is with the last command; None where that was to stop, or nothing was sent."""
+        """How far the driver is with the last command; None if that was to stop, or nothing was sent."""
         if self._base and (told <= self._told or abs(told * self._base - round(told * self._base)) > _WHOLE):
             self._base, self._counts_on = 0, False  # it counts anew
         self._told = told

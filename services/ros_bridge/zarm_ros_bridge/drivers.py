@@ -1,4 +1,4 @@
-"""A robot's driver: its topics on ROS to and from `driver/*` on the bus."""
+"""Connects a robot's driver: its ROS topics to and from `driver/*` on the bus."""
 
 from __future__ import annotations
 

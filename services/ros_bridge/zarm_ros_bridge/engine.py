@@ -1,4 +1,4 @@
-"""The zarm that a bridge stands for: a client of its planner and its executor, and what they publish."""
+"""The robot behind a bridge: a client of its planner and executor, and their publications."""
 
 from __future__ import annotations
 

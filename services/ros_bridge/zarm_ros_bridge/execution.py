@@ -1,4 +1,4 @@
-"""Actions that move the robot: execute_trajectory, which is send_trajectory too, and mpc_move."""
+"""Actions that move the robot: execute_trajectory (also as send_trajectory) and mpc_move."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ class ExecutionActions:
     def _take_turn(self, run: Run) -> None:
         """Wait for the goal that runs where this one preempts it; whichever came last has the turn.
 
-        Raises Busy where it does not preempt, or where the robot does not come to rest, and Cancelled for a goal that came later.
+        Raises Busy if it does not preempt, or if the robot does not come to rest, and Cancelled for a goal that came later.
         """
         preempt = self._parameters.value("preempt")
         with self._turn:

@@ -1,4 +1,4 @@
-"""How a client on ROS goes on after a fault: by saying so."""
+"""How a ROS client leaves a fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals of clients, and the goals of the executor that they become, followed to their end."""
+"""Goals of clients and the executor goals behind them, followed to their end."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NOTED = 5.0  # s from being told of a cancel to rclpy's note of it, at most: tw
 def states_of(engine: Engine, goal_id: str) -> Iterator[GoalState]:
     """A goal's states up to its last one; where there is no new one, the same again ten times a second.
 
-    Raises Unavailable where the executor has not been heard of for SILENCE s, and where this process ends.
+    Raises Unavailable if the executor has not been heard of for SILENCE s, and where this process ends.
     """
     return engine.client.connection.goals.states(goal_id, _Ending(engine, goal_id), silence=SILENCE)
 
@@ -99,7 +99,7 @@ class Run:
         return bool(self.handle.is_cancel_requested)
 
     def go_on(self) -> None:
-        """Raises Cancelled where somebody wants it to end."""
+        """Raises Cancelled if somebody wants it to end."""
         if self._stopped is not None or self.handle.is_cancel_requested:
             raise Cancelled("the goal was cancelled before the robot moved")
 

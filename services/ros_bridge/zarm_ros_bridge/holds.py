@@ -1,4 +1,4 @@
-"""What a goal waits for that its executor holds, in a sentence."""
+"""Describes in a sentence what a held goal waits for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from zarm_contract.messages import GoalState, Hold
 
 
 def waiting(goal: GoalState | None) -> str | None:
-    """What this goal waits for, without a full stop; None where there is none, or it is not held."""
+    """What this goal waits for, without a full stop; None if there is none, or it is not held."""
     return None if goal is None or goal.hold is None else f"the goal waits: {_reason(goal.hold)}"
 
 

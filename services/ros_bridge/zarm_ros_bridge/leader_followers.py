@@ -1,4 +1,4 @@
-"""The executor of what may wait, by the pattern Leader/Followers."""
+"""The rclpy executor for callbacks that may wait, by the pattern Leader/Followers."""
 
 from __future__ import annotations
 

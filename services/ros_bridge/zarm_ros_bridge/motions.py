@@ -1,4 +1,4 @@
-"""How what a client asks for becomes a plan, for services and actions alike."""
+"""Turns a client's request into a plan, for services and actions alike."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Motions:
             self._last = None
 
     def check_last(self) -> None:
-        """Raises InvalidRequest where the last plan was cleared, and none has been made since."""
+        """Raises InvalidRequest if the last plan was cleared, and none has been made since."""
         with self._turn:
             if self._cleared is not None:
                 raise InvalidRequest("the last plan was cleared; plan again, or give the goal a target")

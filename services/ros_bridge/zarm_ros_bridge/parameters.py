@@ -1,4 +1,4 @@
-"""The parameters of the node: what they may be, and what they are."""
+"""The parameters of the node: their ranges and their values."""
 
 from __future__ import annotations
 

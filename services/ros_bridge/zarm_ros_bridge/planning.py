@@ -1,4 +1,4 @@
-"""Services that plan, and that choose how."""
+"""Services that plan, and that choose the planner."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a robot in closed loop is led, for RViz: its target, and the way of the tip that is checked."""
+"""Markers of a goal in closed loop for RViz: its target, and the verified path of the tip."""
 
 from __future__ import annotations
 

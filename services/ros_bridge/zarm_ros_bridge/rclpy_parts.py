@@ -1,4 +1,4 @@
-"""What is used of rclpy beside its interface, and may be another with any version; nothing else of the bridge knows of it.
+"""Private parts of rclpy that any version may change; only this module uses them.
 
 Tried with rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy). tests/ros/test_rclpy_parts.py says what a new version has changed.
 """
@@ -43,7 +43,7 @@ def goal_asked_for(taken: dict[str, Any]) -> Any | None:
 
 
 def goal_taken_up(server: ActionServer, goal: bytes) -> ServerGoalHandle | None:
-    """The handle of a goal that an earlier server had accepted, without its request; None where this server knows it already."""
+    """The handle of a goal that an earlier server had accepted, without its request; None if this server knows it already."""
     info = GoalInfo()
     info.goal_id.uuid = list(goal)
     with server._lock:

@@ -1,4 +1,4 @@
-"""A key of the bus on topics of ROS, as long as somebody listens there."""
+"""Relays a key of the bus to ROS topics while somebody subscribes to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replies to clients that DDS is still getting to know.
+"""Replies to clients that DDS has not fully discovered yet.
 
 DDS finds the two directions of a service one after the other, so a request may come before the way back to its client is known.
 rmw_fastrtps waits a moment for it (`dds_network.xml`), in which rclpy lets no other thread of Python run; then it drops the reply,

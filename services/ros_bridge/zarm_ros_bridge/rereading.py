@@ -1,4 +1,4 @@
-"""A changed descriptor is taken by every service of the robot."""
+"""Makes every service of the robot load a changed descriptor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def reread_robot(engine: Engine) -> str:
     """Have the robot's file read again, and what starts anew with it be ready; what was done, empty where nothing has changed.
 
     The strategy that was active is active again. Raises InvalidRequest for a file with faults, Busy while the robot moves, and
-    Unavailable where a service does not come back in time, or where the file has changed in what the bridge is built on.
+    Unavailable if a service does not come back in time, or where the file has changed in what the bridge is built on.
     """
     robot = load_robot(str(engine.robot.path))
     changed = [name for name in _FIXED if getattr(robot.descriptor, name) != getattr(engine.robot.descriptor, name)]

@@ -1,4 +1,4 @@
-"""Services of the scene: its obstacles, what is known of distances to them, and what is looked at."""
+"""Services of the scene: obstacles, distances to them, and ignored link collisions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Topics that the clients of MoveIt Servo know: twists, poses and joint speeds in, a status out."""
+"""Topics of MoveIt Servo: twists, poses and joint speeds in, status out."""
 
 from __future__ import annotations
 

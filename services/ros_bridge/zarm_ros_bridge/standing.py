@@ -1,4 +1,4 @@
-"""How often a driver's joint states are passed on: all of them while the robot moves, some while it stands."""
+"""Which of a driver's joint states are passed on: all while the robot moves, some while it is at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which control strategy moves the robot: the services of both versions, and the two parameters that say the same."""
+"""The control strategy: the services of both versions, and the two parameters for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the services of zarm say in keys of the bus, in names that a client on ROS knows."""
+"""Translates messages of zarm's services from bus keys to names that a ROS client knows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the bridge publishes on ROS: the robot, the ghost, the scene."""
+"""Topics published by the bridge: the robot, the ghost, the scene."""
 
 from __future__ import annotations
 

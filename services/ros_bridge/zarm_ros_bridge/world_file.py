@@ -1,4 +1,4 @@
-"""The parameter world_file: a scene that is read from a file on the bridge's machine."""
+"""The parameter world_file: a scene read from a file on the bridge's machine."""
 
 from __future__ import annotations
 

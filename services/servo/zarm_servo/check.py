@@ -1,4 +1,4 @@
-"""How far a trajectory is free in a scene: up to which path time a robot may go, and what is in the way there."""
+"""How far a trajectory is free in a scene: the path time up to which the robot may go, and the obstacle after it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class SceneCheck:
         self._updates = 0
 
     def load(self, objects: Mapping[str, SceneObject], without: Collection[str] = ()) -> None:
-        """Have these objects in the world, by their names, less some of them, and no others. Raises Unavailable where a mesh cannot
+        """Have these objects in the world, by their names, less some of them, and no others. Raises Unavailable if a mesh cannot
         be read.
         """
         objects = {name: item for name, item in objects.items() if name not in without} if without else objects
@@ -88,7 +88,7 @@ class Checker:
         """How far `trajectory` is free in the scene, from the path time `begin` (s) on, `without` some objects.
 
         In the scene `verified` it was checked as a whole, so what has not changed since then need not be looked at: other objects, and
-        the robot's own links, which may pass one another closely. The robot brakes along the trajectory, so its braking is free where the trajectory is. Raises Unavailable where a mesh cannot be read.
+        the robot's own links, which may pass one another closely. The robot brakes along the trajectory, so its braking is free where the trajectory is. Raises Unavailable if a mesh cannot be read.
         """
         same = verified is not None and (verified.attached, verified.ignored_links) == (
             scene.attached,
@@ -138,7 +138,7 @@ class Checker:
 
         It is free where nothing can be at the moment `now` (s, monotonic) or in the `stopping` s after it, in which the robot comes
         to rest from there. The first AHEAD s are looked at. The obstruction's time is that of the contact with the object where it
-        is now, or the end of the trajectory. Raises Unavailable where a mesh cannot be read.
+        is now, or the end of the trajectory. Raises Unavailable if a mesh cannot be read.
         """
         if begin >= trajectory.duration:
             return PathValidity()

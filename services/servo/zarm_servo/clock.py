@@ -1,4 +1,4 @@
-"""How far the executor has commanded a stream, from what it tells some ten times a second."""
+"""Estimates how far the executor has commanded a stream, from a state published some ten times a second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The local controller: one step towards a live target every period, with a verified way to rest from where it ends."""
+"""The local controller: each period one step towards a live target, with verified braking from its end."""
 
 from __future__ import annotations
 

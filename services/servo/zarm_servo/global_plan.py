@@ -1,4 +1,4 @@
-"""A global plan: a way in joint space to a live target, as the planner finds it, and the point on it that is to be steered for."""
+"""A global plan: the planner's path in joint space to a live target, and the point on it to steer for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 PlanFor = Callable[[PlanRequest], Plan]
-"""Asks the planner. Raises what it refuses with, and Unavailable where there is none."""
+"""Asks the planner. Raises what it refuses with, and Unavailable if there is none."""
 
 TIMEOUT = 0.5
 """The planner may take so long (s)."""

@@ -1,4 +1,4 @@
-"""Which goal the executor follows, along which trajectory, and how far the robot is on it."""
+"""The goal that the executor follows: its trajectory, and how far the robot is on it."""
 
 from __future__ import annotations
 

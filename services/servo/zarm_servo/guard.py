@@ -1,4 +1,4 @@
-"""Authority: while a goal runs, what is left of it is checked against every scene, and the executor is told how far it may go."""
+"""Authority: checks the rest of a running goal against every scene, and tells the executor how far it may go."""
 
 from __future__ import annotations
 

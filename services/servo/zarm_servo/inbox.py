@@ -1,4 +1,4 @@
-"""The live target of a session: the newest one that came, how old it is, and why others were refused."""
+"""The live target of a session: the newest one, its age, and why others were refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far ahead on a running trajectory a new one is to take over: as soon as it can be there."""
+"""How far ahead on a running trajectory a new one takes over: as soon as it can be ready."""
 
 from __future__ import annotations
 

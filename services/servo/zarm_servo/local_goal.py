@@ -1,4 +1,4 @@
-"""What the local controller is to steer for: the live target, or where it is stuck on the way there, a point on a global plan."""
+"""What the local controller steers for: the live target or, when stuck, a point on a global plan."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
 from zarm_trajectory.quintic import Array
 
 Find = Callable[[PoseTarget | JointTarget, Array, float], GlobalPlan]
-"""Finds a plan to a target from a position (J,) that is `distance` (m) away from it. Raises ZarmError where there is none."""
+"""Finds a plan to a target from a position (J,) that is `distance` (m) away from it. Raises ZarmError if there is none."""
 Free = Callable[[Array, Array], bool]
 """Whether the straight line between two positions (J,) keeps the margin."""
 

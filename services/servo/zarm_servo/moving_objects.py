@@ -1,4 +1,4 @@
-"""Moving objects: where each was told to be last, and how far it can be from there."""
+"""Moving objects: their last published poses, and how far they can be from there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why something that came was not taken: told long enough that whoever looks now and then sees it."""
+"""The reason of a refusal, published long enough for occasional readers to see it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ SHOWN = 1.0
 
 
 class Refusal:
-    """The last one, `problem`; None where there is none any more. Moments `now` are in s, monotonic."""
+    """The last one, `problem`; None if there is none any more. Moments `now` are in s, monotonic."""
 
     def __init__(self) -> None:
         self.problem: Problem | None = None

@@ -1,4 +1,4 @@
-"""Replanning in motion: a goal whose way is blocked gets another trajectory to the same end, while the robot moves or from rest."""
+"""Replanning: a blocked goal gets another trajectory to the same end, in motion or from rest."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ class Replanner:
         return True
 
     def _commanded(self, now: float) -> float:
-        """The path time (s) that is commanded at the moment `now`, or somewhat later. Raises Unavailable where the goal has ended."""
+        """The path time (s) that is commanded at the moment `now`, or somewhat later. Raises Unavailable if the goal has ended."""
         heard = self._goal
         if heard is None:
             raise Unavailable("the goal has ended")

@@ -1,4 +1,4 @@
-"""The servo's own copy of the scene: it is read from the bus object by object, and outlives the planner."""
+"""The servo's own copy of the scene, read from the bus object by object; it outlives the planner."""
 
 from __future__ import annotations
 

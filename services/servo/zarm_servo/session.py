@@ -1,4 +1,4 @@
-"""A session: in cycles of 4 ms the robot goes one step towards a live target, and what that makes is streamed to the executor."""
+"""A session: every 4 ms one step towards a live target, streamed to the executor."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Session:
         return self._done.is_set()
 
     def open(self) -> None:
-        """Begin. Raises what the executor refuses it with, and Unavailable where that says nothing."""
+        """Begin. Raises what the executor refuses it with, and Unavailable if that says nothing."""
         try:
             standing = TimedTrajectory.standing(self._controller.state[0], 1.0)
             self._put(0.0, standing, deadline=1.0)
@@ -179,7 +179,7 @@ class Session:
         self._thread.start()
 
     def close(self) -> None:
-        """Bring the robot to rest and end; returns once that is done. Raises Busy where it takes too long."""
+        """Bring the robot to rest and end; returns once that is done. Raises Busy if it takes too long."""
         self._give_up()
         if not self._done.wait(_RESTS):
             raise Busy(f"the session {self.goal_id} has not ended yet; see where the robot is, then try again")

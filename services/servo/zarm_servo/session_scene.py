@@ -1,4 +1,4 @@
-"""The scene that the steps of a session are checked in: it is kept beside the cycles, as to load a large scene takes long."""
+"""The scene that a session checks its steps in, loaded outside the cycles because large scenes take long."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class SessionScene:
         ).free
 
     def catch_up(self) -> None:
-        """Load what was seen last, where it is another scene. Raises Unavailable where a mesh cannot be read."""
+        """Load what was seen last, where it is another scene. Raises Unavailable if a mesh cannot be read."""
         if self._news.is_set():
             self._news.clear()
             self._load()

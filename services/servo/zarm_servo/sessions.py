@@ -1,4 +1,4 @@
-"""Who may lead the robot: one session at a time, opened and ended by requests."""
+"""Opens and ends sessions on request, one at a time."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Sessions:
             return Accepted(goal_id=goal_id)
 
     def end(self, request: ServoEnd) -> Nothing:
-        """End a session; nothing where there is none of that name. Raises Busy where the robot does not come to rest."""
+        """End a session; nothing where there is none of that name. Raises Busy if the robot does not come to rest."""
         session = self._open()
         if session is not None and request.goal_id in (None, session.goal_id):
             session.close()
@@ -145,7 +145,7 @@ class Sessions:
             session.hear_speed(state)
 
     def _free_executor(self) -> ExecutorState:
-        """The executor, which runs no goal. Raises Unavailable where it is not heard and Busy where it runs one."""
+        """The executor, which runs no goal. Raises Unavailable if it is not heard and Busy if it runs one."""
         with self._news:
             self._news.wait_for(lambda: self._executor is not None and self._goal() is None, _NEWS)
             executor, goal = self._executor, self._goal()

@@ -1,4 +1,4 @@
-"""How long a robot that follows a trajectory needs to come to rest, from the moment that something is in its way."""
+"""How long a robot on a trajectory needs to come to rest once an obstacle appears."""
 
 from __future__ import annotations
 

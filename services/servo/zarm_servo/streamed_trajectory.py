@@ -1,4 +1,4 @@
-"""What a session streams: the steps that were made since the last chunk, and the braking from the end of them."""
+"""The stream of a session: the steps since the last chunk, and the braking after them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a session may ask the robot for from moment to moment, and the joint speeds that this means."""
+"""The kinds of live target, and the joint speeds that each means."""
 
 from __future__ import annotations
 

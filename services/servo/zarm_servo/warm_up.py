@@ -1,4 +1,4 @@
-"""Compile the kernels of the check, or load what an earlier process compiled.
+"""Compiles the kernels of the motion check, or loads them from the cache.
 
 `python -m zarm_servo.warm_up` does it after an installation, so that no servo has to.
 """

@@ -1,4 +1,4 @@
-"""The goal in the picture: a gizmo at the tip, and the ghost of the robot where it would reach that pose.
+"""The goal in the 3D view: a gizmo at the tip, and the ghost of the robot at that pose.
 
 The planner's inverse kinematics answer while somebody drags; only the newest pose is asked for.
 """

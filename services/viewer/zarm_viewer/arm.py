@@ -1,4 +1,4 @@
-"""A robot in the picture: as measured, as a ghost, or where a goal would bring it."""
+"""A robot in the 3D view: as measured, as a ghost, or at a goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the links of a robot look like: visual meshes where the URDF names STL, OBJ or COLLADA files that are there, else the exact geometry."""
+"""The look of links: visual meshes (STL, OBJ, COLLADA) if the URDF's files exist, else the exact geometry."""
 
 from __future__ import annotations
 

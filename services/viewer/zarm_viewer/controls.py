@@ -1,4 +1,4 @@
-"""Buttons and inputs of the panels: what happens when somebody uses one, and what is set by the page itself."""
+"""Buttons and inputs of the panels: what happens on use, and values set by the page itself."""
 
 from __future__ import annotations
 

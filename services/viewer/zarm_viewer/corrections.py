@@ -1,4 +1,4 @@
-"""Corrections of a robot descriptor: its home, its spheres and its ignored pairs, written into the file where they stand."""
+"""Writes corrections of home, spheres and ignored pairs into the file of a robot descriptor."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Corrections:
     def write(self, robot: RobotDescription) -> RobotDescription:
         """Write them into the robot's file, in which all else stays as it is; the robot as it is read from there.
 
-        Raises InvalidRequest where the result is no descriptor, or where somebody else has changed the file; then it stays.
+        Raises InvalidRequest if the result is no descriptor, or where somebody else has changed the file; then it stays.
         """
         file = robot.path
         text = file.read_text(encoding="utf-8")

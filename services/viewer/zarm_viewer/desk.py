@@ -1,4 +1,4 @@
-"""What the panels of one robot share: whom they ask, what they know, and how they tell what went wrong."""
+"""The shared part of one robot's panels: its clients, its state, and its error messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shapes in the picture: primitives of the scene and of a robot's links, meshes and voxels."""
+"""Draws shapes: primitives of the scene and of links, meshes and voxels."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _metres(file: Path) -> float:
 
 
 def draw_object(brush: Brush, name: str, item: SceneObject, meshes: tuple[Path, ...]) -> SceneNodeHandle | None:
-    """An object of the scene, in the frame that its pose is in; None where its mesh lies in none of the folders `meshes`."""
+    """An object of the scene, in the frame that its pose is in; None if its mesh lies in none of the folders `meshes`."""
     if isinstance(item, Sphere):
         return brush.mesh(name, _ball(item.radius), SE3.from_translation(np.array(item.position)))
     at = pose_of(item.position, item.orientation)

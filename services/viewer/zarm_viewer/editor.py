@@ -1,4 +1,4 @@
-"""The process behind `zarm robot edit`: a page on which a robot's spheres, pairs of links and home are corrected and saved."""
+"""The process behind `zarm robot edit`: a page to correct and save a robot's spheres, link pairs and home."""
 
 from __future__ import annotations
 

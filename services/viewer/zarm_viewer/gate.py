@@ -1,4 +1,4 @@
-"""Who is let in: viser's server behind a check of host, origin and token, and TLS.
+"""Access control of the page: viser's server behind a check of host, origin and token, and TLS.
 
 viser has no hook for that, and a proxy before it would leave viser's own port open to every page of the browser. So its server
 is built with `websockets.serve` replaced for that moment. Tried with viser 1.1.1 and websockets 16.1.
@@ -63,7 +63,7 @@ class Gate:
         return f"{'https' if self.tls else 'http'}://{shown}:{port}/{path}"
 
     def serve(self, title: str) -> viser.ViserServer:
-        """viser's server behind this gate. Raises Unavailable where the port is taken."""
+        """viser's server behind this gate. Raises Unavailable if the port is taken."""
         self._require_free()
         rich.get_console().quiet = True  # viser says where it listens, without the token
         with _BUILDING:

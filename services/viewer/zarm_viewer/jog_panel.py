@@ -1,4 +1,4 @@
-"""Jog: by holding buttons or keys, and by leading the robot with the gizmo."""
+"""The jog panel: hold buttons or keys, or drag the gizmo."""
 
 from __future__ import annotations
 

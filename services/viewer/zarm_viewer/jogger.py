@@ -1,4 +1,4 @@
-"""Jogging with a dead man's switch: the robot moves as long as the page keeps asking, and no longer.
+"""Jogging with a dead man's switch: the robot moves only while the page keeps sending requests.
 
 A page asks again and again while a button is held. Where it asks no more, as when it is closed or frozen, nothing is sent to the
 servo, whose target goes stale: the robot brakes. Requests that were held up on their way, as while the network or this process stood still,

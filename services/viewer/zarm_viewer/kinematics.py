@@ -1,4 +1,4 @@
-"""Where the tip is at joint positions, computed here: it is drawn many times a second."""
+"""Forward kinematics of the tip, computed here because it is drawn many times a second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What else can be seen of a robot, where somebody asks: collision spheres, the clearance, axes, the room to the limits."""
+"""Optional views of a robot: collision spheres, clearance, axes, distance to the limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint positions that have a name, kept in a file of the viewer's."""
+"""Named joint positions, saved in a file of the viewer."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class NamedPoses:
         return self._home if name == "home" else self._poses.get(name, self._home)
 
     def remove(self, name: str) -> None:
-        """Keep a pose no longer. Raises InvalidRequest for home, and Unavailable where the file cannot be written."""
+        """Keep a pose no longer. Raises InvalidRequest for home, and Unavailable if the file cannot be written."""
         if name == "home":
             raise InvalidRequest("home is the descriptor's and stays", field="pose")
         self._save(Poses(poses={each: joints for each, joints in self._poses.items() if each != name}))
 
     def keep(self, name: str, joints: tuple[float, ...]) -> None:
-        """Keep joint positions under a name. Raises Unavailable where the file cannot be written."""
+        """Keep joint positions under a name. Raises Unavailable if the file cannot be written."""
         self._save(Poses(poses={**self._poses, name: joints}))
 
     def _save(self, poses: Poses) -> None:

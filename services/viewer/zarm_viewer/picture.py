@@ -1,4 +1,4 @@
-"""The robot in the picture: measured, its ghost, the trail of its tip and the path that is planned."""
+"""The robot in the 3D view: measured, its ghost, the trail of its tip and the planned path."""
 
 from __future__ import annotations
 

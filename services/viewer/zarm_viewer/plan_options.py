@@ -1,4 +1,4 @@
-"""The options of a plan request, as its panel has them."""
+"""The options of a plan request in its panel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A record in the place of the bus: what it tells at any moment, as often as somebody wants to look."""
+"""Plays a record instead of the live bus: its state at any moment."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 class Playback:
-    """A record of `zarm record` or of a flight recorder. Raises InvalidRequest where the file is none.
+    """A record of `zarm record` or of a flight recorder. Raises InvalidRequest if the file is none.
 
     It plays from its beginning to its end, once. Messages are decoded when they are looked at, and stay as they were on the bus.
     """
@@ -103,7 +103,7 @@ class Playback:
         )
 
     def age(self) -> float | None:
-        """How old (s) the newest joint state is at the moment that is looked at, None where none has come yet."""
+        """How old (s) the newest joint state is at the moment that is looked at, None if none has come yet."""
         times = self._times.get(self._keys.joint_states, [])
         index = bisect(times, self._at) - 1
         return self._at - times[index] if index >= 0 else None

@@ -1,4 +1,4 @@
-"""A record on the page: play it, look at any moment of it, and read what happened."""
+"""The panel of a record: play it, look at any moment, and read what happened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The room that robots stand in: light, floor, and where one looks from at first."""
+"""The room around the robots: light, floor, and the first camera position."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scene in the picture: objects, what the robot carries."""
+"""The scene in the 3D view: objects, and what the robot carries."""
 
 from __future__ import annotations
 

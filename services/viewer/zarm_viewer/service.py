@@ -1,4 +1,4 @@
-"""The viewer process: a page in the browser that shows the robots on a bus, and moves them where its role may."""
+"""The viewer process: a page in the browser that shows the robots on a bus, and moves them if its role may."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ def parser() -> argparse.ArgumentParser:
         "--listen",
         default=os.environ.get("ZARM_VIEW", LISTEN),
         metavar="HOST:PORT",
-        help="where the page is served (default: $ZARM_VIEW, else %(default)s); elsewhere than on this machine it asks for a token",
+        help="where the page is served (default: $ZARM_VIEW, else %(default)s); on an address beyond this machine it asks for a token",
     )
     parser.add_argument(
         "--role",
         choices=("viewer", "operator"),
-        help="a viewer sees everything and moves nothing, but stops (default: $ZARM_ROLE, else operator)",
+        help="a viewer sees everything and can only stop (default: $ZARM_ROLE, else operator)",
     )
     add_meshes(parser)
     parser.add_argument(
         "--record",
         type=Path,
         metavar="FILE",
-        help="play this record of `zarm record` or of a flight recorder, and ask nothing of a bus",
+        help="play this record of `zarm record` or of a flight recorder, without a bus",
     )
     parser.add_argument(
         "--state",

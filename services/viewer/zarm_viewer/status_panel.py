@@ -1,4 +1,4 @@
-"""What the robot does, in words, and the log of events."""
+"""What the robot does, in words, and the event log."""
 
 from __future__ import annotations
 

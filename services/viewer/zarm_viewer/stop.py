@@ -1,4 +1,4 @@
-"""The Stop of the page: a thread and a session of its own for each robot, so that it works while anything else hangs."""
+"""The page's Stop: a thread and a session of its own for each robot, so it works while anything else hangs."""
 
 from __future__ import annotations
 

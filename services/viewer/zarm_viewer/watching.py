@@ -1,4 +1,4 @@
-"""What the bus tells of one robot: the newest of each kind, taken by the page when it draws."""
+"""The newest messages of one robot from the bus, read by the page when it draws."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Watching:
         )
 
     def age(self) -> float | None:
-        """How old (s) the newest joint state is, None where none has come."""
+        """How old (s) the newest joint state is, None if none has come."""
         return time.monotonic() - self._taken["joints"] if "joints" in self._taken else None
 
     def _new_joints(
@@ -118,7 +118,7 @@ class Ordered(NamedTuple):
 
 
 def in_order(state: JointState, joint_names: tuple[str, ...]) -> Ordered | None:
-    """A joint state in the order of `joint_names`; None where it is one of other joints."""
+    """A joint state in the order of `joint_names`; None if it is one of other joints."""
     if set(state.joint_names) != set(joint_names):
         return None
     order = [state.joint_names.index(joint) for joint in joint_names]

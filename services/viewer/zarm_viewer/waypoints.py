@@ -1,4 +1,4 @@
-"""Waypoints of the next plan: handles in the picture that people drag."""
+"""Waypoints of the next plan: handles to drag in the 3D view."""
 
 from __future__ import annotations
 

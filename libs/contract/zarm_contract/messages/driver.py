@@ -1,4 +1,4 @@
-"""What the executor sends to a robot's driver, and what the driver tells it; joint states are `JointState`."""
+"""Messages between the executor and a robot's driver; joint states are `JointState`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the executor is asked, and what it says about the robot."""
+"""Requests to the executor, and what it publishes about the robot."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class ExecuteRequest(Message):
     `goal_id` names the goal (default: chosen by the executor). A client that gets no answer cancels its goal by this name: the
     goal then does not start, whichever of the two messages arrives first.
 
-    With `replan` the servo plans anew to the end of the trajectory when something is put in its way. The new trajectory
-    replaces the old one while the robot moves; where there is no time for that, the robot stops first.
+    With `replan` the servo plans again to the end of the trajectory if an object blocks it. The new trajectory
+    replaces the old one while the robot moves; if there is no time for that, the robot stops first.
     """
 
     plan_id: Name | None = None
@@ -60,9 +60,9 @@ class Accepted(Message):
 
 
 class GoalTrajectory(Message):
-    """What the executor follows for a goal; `number` is 1 at its start and increases with every change, as of a stream.
+    """The trajectory that the executor follows for a goal; `number` is 1 at its start and increases with every change, also of a stream.
 
-    Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: in none.
+    Sample 0 of `trajectory` is at the path time `start` (s). `scene_revision` is the scene in which it was verified; left out: not verified.
     With `replan` the servo replaces it when something is in its way. `tip` is the pose of a pose goal: any joints that bring the tip
     there will do. Left out: the joints at the end are the goal.
     """
@@ -81,9 +81,9 @@ class ReplaceTrajectory(Message):
 
     `number` is that of the `GoalTrajectory` that is replaced. The new trajectory begins exactly where that one is at `at`, in position,
     velocity and acceleration, and ends at rest. Without `at` it begins where the robot rests, held by its authority. It was
-    verified in the scene `scene_revision`, and is free of what moves up to its time `until` (s), left out: to its end; the robot goes
-    no further before the servo says so. The executor refuses what comes when the robot has passed `at`, is not held
-    (without `at`), or is told to pause or to end.
+    verified in the scene `scene_revision`, and is free of moving objects up to its time `until` (s), left out: to its end; the robot goes
+    no further before the servo allows it. The executor refuses it if the robot has passed `at`, is not held
+    (without `at`), or has been told to pause or to end.
     """
 
     goal_id: Name
@@ -97,7 +97,7 @@ class ReplaceTrajectory(Message):
 class Obstruction(Message):
     """What is in the way of a goal: at the path time `time` (s), `link` would touch `object`, of the scene or another link.
 
-    Without `avoidable` the robot could not rest before that any more when it was found.
+    Without `avoidable` it was too late to stop before it when it was found.
     """
 
     object: str
@@ -107,7 +107,7 @@ class Obstruction(Message):
 
 
 class Hold(Message):
-    """Why the executor holds a goal, which goes on by itself when that is over.
+    """Why the executor holds a goal; the goal goes on by itself when the reason is gone.
 
     `obstruction`: something is in the way. `no_guard`: the servo is silent, and the descriptor demands one.
     """
@@ -121,7 +121,7 @@ class GoalState(Message):
 
     `duration` (s) is planned at full speed; at a speed scale of 0.5 the motion takes twice as long. `progress` is the share of
     it that has been reached, 0 to 1. For a stream, `duration` ends with the newest chunk, and `progress * duration` is the time
-    of the stream. `hold` says why the robot brakes or waits though nobody told it to. While it moves, `tick_lateness` (s) is how late the
+    of the stream. `hold` says why the robot brakes or waits without a command. While it moves, `tick_lateness` (s) is how late the
     latest tick of the control loop was since the state before.
     """
 
@@ -164,7 +164,7 @@ class Speed(Message):
 
 
 class StreamChunk(Message):
-    """The next part of a closed-loop motion; it replaces what is left of the chunks before.
+    """The next part of a closed-loop motion; it replaces the rest of the chunks before.
 
     A stream is one goal with the `goal_id` that its client chooses. `sequence` is 1 for the first chunk, which starts where the
     robot rests, and increases; a chunk out of order is dropped. Sample 0 of `trajectory` is at `start` (s) of the stream, whose

@@ -1,4 +1,4 @@
-"""Poses, joint states and trajectories, and the kinds of value that every message is made of."""
+"""Poses, joint states and trajectories, and the value types that all messages use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the planner is asked, and what it answers."""
+"""Requests to the planner, and its replies."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from zarm_contract.messages.scene import SceneRevision
 class PoseGoal(Message):
     """Move the tip to a pose in the base frame: `position` (m), `orientation` `[x, y, z, w]`.
 
-    With `alternatives` it is a goal set: the planner goes to that of all these poses that it reaches in the shortest time.
+    With `alternatives` it is a goal set: the plan leads to the pose that is reached in the shortest time.
     """
 
     kind: Literal["pose"]
@@ -108,9 +108,9 @@ class PlanRequest(Message):
     `request_id` names the request for `planner/cancel`. `timeout` (s) is the deadline of the whole request; `max_attempts`
     bounds the number of searches. After the first plan the planner looks for faster ones for `optimize_s` (s), as long as no
     other request waits. `margin` (m) is the distance to keep from objects, `self_margin` (m) that between the robot's
-    own links; left out, it is the descriptor's. Two links that are nearer in nearly all configurations keep what they can. Scales are shares of the velocity and acceleration
-    limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory. A plan that is not to `publish` goes to who
-    asked alone: it is not shown on `planner/plans`, and cannot be executed by its id.
+    own links; left out, it is the descriptor's. Two links that are nearer in nearly all configurations keep the distance that they can. Scales are shares of the velocity and acceleration
+    limits. With `optimize_s` 0 the same request, scene and `seed` give the same trajectory. With `publish` false only the
+    requester gets the plan: it is not on `planner/plans`, and cannot be executed by its id.
     """
 
     goal: Goal
@@ -150,7 +150,7 @@ class PlanTimings(Message):
 
 
 class TooNear(Message):
-    """A link comes nearer to an object or another link, `distance` m at `time` s of a trajectory, than the `margin` (m) to be kept."""
+    """A link comes nearer to an object or another link than the `margin` (m): `distance` m at `time` s of the trajectory."""
 
     pair: tuple[str, str]
     distance: float
@@ -162,10 +162,10 @@ class Plan(Message):
     """A verified trajectory, valid only in the scene of `scene_revision` and for the robot of `robot_hash`.
 
     `clearance` (m) is the smallest exact distance of the timed trajectory to the scene and of the robot to itself, at most
-    1 m. `too_near` names what it does not keep the margins to, as a rule because its start or goal does not. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
+    1 m. `too_near` names what comes nearer than the margins, usually because it does so at the start or goal. Nothing thicker than `resolution` (m) can be missed between two checks. `waypoint_times` (s) say when each waypoint is
     passed. `path_length` is the length in joint space (rad, Euclidean). `tip` is the pose at the end. `selected_goal_index`
     says which pose of a pose goal that is: 0 is its own, k its k-th alternative. With waypoints it belongs to the last one.
-    It is left out where the motion ends at a joint goal.
+    It is left out if the motion ends at a joint goal.
     """
 
     plan_id: Name
@@ -218,7 +218,7 @@ class IkRequest(Message):
 
 
 class IkSolutions(Message):
-    """The solutions (rad) of each pose, nearest first; an empty list where there is none."""
+    """The solutions (rad) of each pose, nearest first; an empty list if there is none."""
 
     solutions: tuple[tuple[Joints, ...], ...]
 
@@ -248,7 +248,7 @@ class CheckRequest(Message):
 
 
 class CheckResult(Message):
-    """Exact distance of one joint vector. `pair` names the two nearest things.
+    """Exact distance of one joint vector. `pair` names the two nearest links or objects.
 
     A negative `clearance` is a penetration depth (m). `spheres` (m) are the distances from the collision spheres of the robot
     to the scene, link by link in the order of the descriptor; negative inside an object, at most 1 m. They include links that

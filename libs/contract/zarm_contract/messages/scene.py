@@ -109,7 +109,7 @@ SceneObject = Annotated[Cuboid | Sphere | Capsule | Cylinder | Mesh | Voxels, Fi
 class Attached(Message):
     """An attached object: its pose is relative to the tip, and it may touch `touch_links`.
 
-    What is checked of a mesh or of voxels are `parts`, relative to the tip, which contain them.
+    A mesh or voxels are checked by their `parts`, relative to the tip, which contain them.
     """
 
     object: SceneObject
@@ -122,9 +122,9 @@ class ObjectPose(ShortMessage):
 
     The newest `stamp` counts. From there the object moves with `linear` (m/s) and turns with `angular` (rad/s); its true velocity is
     within `speed` (m/s) of that, whatever its direction. For an object that may turn around at any time leave `linear` out and
-    say its largest speed. Publish it again and again, also of an object that rests: without news it grows by these speeds for 1 s,
-    and is lost then, see `ServoState.lost_objects`. Objects that consist of voxels do not move. An edit of the object itself
-    places it anew.
+    give its greatest speed. Publish repeatedly, also for an object at rest: without news the object grows by these speeds for 1 s,
+    and is then lost, see `ServoState.lost_objects`. Objects that consist of voxels do not move. An edit of the object itself
+    sets its pose again.
     """
 
     stamp: float
@@ -221,9 +221,9 @@ class SceneEdit(Message):
 
 
 class SceneEdited(ShortMessage):
-    """The revision of the scene, how many objects it holds, and `notes` on what the edit has brought.
+    """The revision of the scene, its number of objects, and `notes` on the edit.
 
-    A mesh with small faults is mended, and of an open one only the surface is an obstacle: `notes` say so.
+    A mesh with small faults is repaired, and only the surface of an open one is an obstacle: `notes` say so.
     """
 
     revision: SceneRevision

@@ -1,4 +1,4 @@
-"""What every service is asked."""
+"""Requests that every service answers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Requester(ShortMessage):
 
 
 class Health(Message):
-    """What a service is. `activity` says what it does until it is `ready`; `uptime` is in s; `note` is what else there is to know.
+    """What a service is. `activity` says what it does until it is `ready`; `uptime` is in s; `note` holds other information.
 
     It is accepted from every version of the contract: unknown fields are ignored.
     """

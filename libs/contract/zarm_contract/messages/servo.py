@@ -1,4 +1,4 @@
-"""The servo: how far a goal that runs may go, and sessions in which the robot follows a live target."""
+"""The servo: how far a running goal may go, and sessions in which the robot follows a live target."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "
 
 
 class Authority(ShortMessage):
-    """Up to where the goal `goal_id` may go: the robot rests before the path time `until` (s); left out, it may go to the end.
+    """How far the goal `goal_id` may go: the robot comes to rest before the path time `until` (s); left out: to the end.
 
     `trajectory` is the number of the `GoalTrajectory` that was checked, and `scene_revision` the scene that it was checked in.
-    `obstruction` says what ends the authority. Without a goal the message says that the servo is there. It is repeated
-    several times a second; the executor takes a servo that is silent for `execution.guard_timeout` to be gone. `sequence`
+    `obstruction` says what ends the authority. Without a goal the message shows that the servo is alive. It is repeated
+    several times a second; a servo that is silent for `execution.guard_timeout` counts as gone. `sequence`
     increases with every message of one `servo`, an instance of the service.
     """
 
@@ -37,8 +37,8 @@ class Authority(ShortMessage):
 class ServoStart(ShortMessage):
     """Open a session: the robot follows the targets on `servo/target`, as the goal `goal_id` (default: chosen by the servo).
 
-    The robot keeps `margin` (m) to what is in the scene and between its own links; two links that are nearer in nearly all configurations
-    keep what they can. Scales are shares of the velocity and
+    The robot keeps `margin` (m) from objects of the scene and between its own links; two links that are nearer in nearly all configurations
+    keep the distance that they can. Scales are shares of the velocity and
     acceleration limits. While another session is open the answer is `busy`; with `take_over` that one is brought to rest and ended.
     """
 
@@ -93,11 +93,11 @@ class JointTarget(Message):
 
 
 class ServoTarget(ShortMessage):
-    """The live target of the session `goal_id`; the newest counts. Publish it again and again: one older than 0.1 s brakes the robot.
+    """The live target of the session `goal_id`; the newest counts. Publish repeatedly: the robot brakes when the newest is older than 0.1 s.
 
-    `sequence` increases with every target of a session. `stamp` (s) is when the target was made, on a clock of the client that
-    need not agree with any other: the servo sees by it how much longer than others a target was under way. What is refused is
-    told in `ServoState.session.refused`.
+    `sequence` increases with every target of a session. `stamp` (s) is when the target was made, on any clock
+    of the client: it shows the servo how much longer than others a target took to arrive. Refusals are
+    in `ServoState.session.refused`.
     """
 
     goal_id: Name
@@ -107,10 +107,10 @@ class ServoTarget(ShortMessage):
 
 
 class ServoSession(Message):
-    """A session that is open: the goal `goal_id` of the executor, and what limits the robot now.
+    """The open session: the goal `goal_id` of the executor, and what limits the robot now.
 
     `slowing` and `blocked` name the `link` and the `object`, of the scene or another link, and their `distance` (m). `clearance` (m) is
-    the least distance that there is, left out beyond 0.15 m; that of two links which cannot keep the margin from each other does not count. The errors are those of the measured robot to a target that is a
+    the smallest distance, left out beyond 0.15 m; two links that cannot keep the margin from each other do not count. The errors are those of the measured robot to a target that is a
     pose (m, rad) or joint positions (rad, the worst joint). `sequence` is that of the newest target, which came `target_age` (s)
     ago; `refused` says, for 1 s at least, why a target was not taken. Of its `cycles` the `late_cycles` began more than 2 ms late;
     `computing` (s) is how long 99 of the last 100 took at most. `planned`: it follows a global plan of the planner, because a
@@ -140,11 +140,11 @@ class ServoSession(Message):
 class ServoState(ShortMessage):
     """What the servo does, and in which scene. `guarding`: it checks the goal `goal_id`, which may go up to `until` (s), if given.
 
-    `following`: it leads that goal, which follows the targets of the `session`.
+    `following`: that goal follows the targets of the `session`.
 
-    `scene_revision` is the scene that it knows, left out before the first. With `scene_lost` the planner is gone or has lost its
-    scene; then what was known still counts. `problem` says why it gives no authority. `check` is how long the last check took (s).
-    Of `lost_objects` no pose has come for 1 s: each counts as anywhere that it can have moved within that time. `pose_refused` says, for
+    `scene_revision` is the scene that it has, left out before the first. With `scene_lost` the planner is gone or has lost its
+    scene; then the last known scene still counts. `problem` says why it gives no authority. `check` is how long the last check took (s).
+    `lost_objects` have had no pose for 1 s: each may be anywhere that it can have moved within that time. `pose_refused` says, for
     1 s at least, why the pose of an object was not taken.
     """
 

@@ -1,4 +1,4 @@
-"""Ways to move the robot, one small class each, behind one interface."""
+"""Control strategies, one small class each, behind one interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the executor asks of every control strategy."""
+"""The interface of every control strategy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 class Measured:
     """Joint positions (J,) rad and velocities (J,) rad/s, measured at `time` on the monotonic clock.
 
-    `stamp` is the time of day (Unix s) that the robot's driver gave, by its own clock; None where no driver told them.
+    `stamp` is the time of day (Unix s) that the robot's driver gave, by its own clock; None if no driver told them.
     """
 
     position: Array
@@ -49,26 +49,26 @@ class Strategy(ABC):
     name: ClassVar[str]
 
     def obstacle(self) -> str | None:
-        """Why this strategy could not be opened now, in a sentence with the remedy; None where it could."""
+        """Why this strategy cannot be opened now, in a sentence with the remedy; None if it can."""
         return None
 
     @abstractmethod
     def open(self) -> None:
-        """Take hold of the robot. Raises a ZarmError where that fails; then nothing is held."""
+        """Take control of the robot. Raises a ZarmError if that fails; then nothing is held."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the robot, which is at rest. May be opened again."""
+        """Release the robot, which is at rest. May be opened again."""
 
     @abstractmethod
     def admit(self) -> None:
-        """Raise Unavailable, with the remedy, where this strategy could not move the robot now."""
+        """Raise Unavailable, with the remedy, if this strategy cannot move the robot now."""
 
     @abstractmethod
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
-        """Begin to move along `trajectory`, which starts where the robot stands, at this path speed in (0, 1].
+        """Start to move along `trajectory`, which starts where the robot is, at this path speed in (0, 1].
 
-        Its first sample may be later than 0 s: path time goes on where a goal gets another trajectory at rest.
+        Its first sample may be later than 0 s: path time goes on if a goal gets another trajectory at rest.
         """
 
     @abstractmethod
@@ -86,8 +86,8 @@ class Strategy(ABC):
     def tick(self, now: float, dt: float) -> None:
         """One period of the control loop: `now` on the monotonic clock, `dt` s since the last one.
 
-        Where the robot's joints are older than `joint_state_timeout` it is brought to rest, and when they are back the motion goes on from
-        where it stands, unless it was told to stop.
+        If the joint states are older than `joint_state_timeout` the robot is brought to rest. When they return, the
+        motion goes on from where it is, unless it was told to stop.
         """
 
     @abstractmethod
@@ -96,7 +96,7 @@ class Strategy(ABC):
 
     @abstractmethod
     def braking_from(self) -> PathState:
-        """From where the robot would brake if `stop` came now."""
+        """The path state from which the robot would brake if `stop` were called now."""
 
     @abstractmethod
     def progress(self) -> Progress:
@@ -112,4 +112,4 @@ class Steerable(Strategy):
 
     @abstractmethod
     def steer(self, trajectory: TimedTrajectory) -> None:
-        """Go on along `trajectory`, which is at the commanded path time where the present one is there."""
+        """Continue along `trajectory`, which meets the present one at the commanded path time."""

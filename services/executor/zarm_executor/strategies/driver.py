@@ -1,4 +1,4 @@
-"""What all strategies have in common that move a robot through its driver."""
+"""The common part of all strategies that move a robot through its driver."""
 
 from __future__ import annotations
 

@@ -156,12 +156,12 @@ class DriverLink:
         return bool(np.all(np.abs(measured.velocity) <= self.execution.stopped_velocity))
 
     def fraction(self, sequence: int) -> float | None:
-        """How much of the command `sequence` is played; None where the driver has said nothing about it."""
+        """How much of the command `sequence` is played; None if the driver has said nothing about it."""
         received = self._progress.received()
         return received[0].fraction if received is not None and received[0].sequence == sequence else None
 
     def obstacle(self) -> str | None:
-        """Why the robot cannot be moved through this driver now; None where it can."""
+        """Why the robot cannot be moved through this driver now; None if it can."""
         measured = self.measured()
         if measured is None:
             return f"no driver publishes the robot's joints on {self._key}; start the robot's driver"
@@ -174,7 +174,7 @@ class DriverLink:
         return None
 
     def _order(self, names: tuple[str, ...]) -> list[int] | None:
-        """Where each of the executor's joints stands among these names; None where one is missing."""
+        """Where each of the executor's joints stands among these names; None if one is missing."""
         if names not in self._orders:
             missing = [joint for joint in self.joints if joint not in names]
             if missing:

@@ -1,4 +1,4 @@
-"""The emulated robot, and the strategy that moves it: it is exactly where it is commanded to be, on time."""
+"""The emulated robot, which is always exactly where it is commanded, and the strategy that moves it."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Emulator(Steerable):
         self._saving_fails = False
 
     def open(self) -> None:
-        """Begin to save the position; fails where it cannot be written."""
+        """Begin to save the position; fails if it cannot be written."""
         self._robot.rest(time.monotonic())  # it may not have been looked at for a while, but it is known where it is
         self._robot.save()
         self._saver.start()

@@ -1,4 +1,4 @@
-"""The strategy under which nothing moves the robot: to plan and look at previews without a risk."""
+"""The strategy that never moves the robot: plan and look at previews without risk."""
 
 from __future__ import annotations
 

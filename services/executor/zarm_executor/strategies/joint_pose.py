@@ -1,4 +1,4 @@
-"""The strategy that streams positions, for drivers without an interface for velocities."""
+"""The strategy that streams positions, for drivers without a velocity interface."""
 
 from __future__ import annotations
 

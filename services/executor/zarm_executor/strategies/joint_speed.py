@@ -1,4 +1,4 @@
-"""The strategy that streams velocities and closes the loop by the measured joints.
+"""The strategy that streams velocities and closes the loop with the measured joints.
 
 velocity = planned + gain * (planned position - measured position), both at the moment at which the joints were measured,
 then clamped. The robot integrates velocities, so the error e obeys de/dt = -gain * e: it dies away at that rate instead
@@ -81,7 +81,7 @@ class JointSpeed(Streaming):
         return follower is None or (follower.target == 0.0 and follower.settled)
 
     def _error(self, now: float) -> Array | None:
-        """Commanded less measured position (J,); None where the joints are too old or too far off to be led by them."""
+        """Commanded less measured position (J,); None if the joints are too old or too far off to be led by them."""
         measured, execution = self.link.measured(), self.link.execution
         if measured is None or now - measured.time > execution.joint_state_timeout:
             return None

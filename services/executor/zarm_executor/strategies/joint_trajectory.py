@@ -1,4 +1,4 @@
-"""The strategy that hands a whole trajectory to the driver, as ros2_control's JointTrajectoryController takes it."""
+"""The strategy that sends a whole trajectory, as for ros2_control's JointTrajectoryController."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ class JointTrajectory(DriverStrategy):
             self._play(self._along(self._trajectory, state, self._speed))
 
     def _next(self, command: RetimedTrajectory, dt: float, encoded: float = 0.0) -> float | None:
-        """The index of the point that comes next when the driver has what is sent in this tick; None where that is not known.
+        """The index of the point that comes next when the driver has what is sent in this tick; None if that is not known.
 
         A driver plays whole points, at times of its own. One that tells them has the time of a point from when it has told of one,
         and in the ticks (of `dt` s) in between it is not known. One that tells nothing began to play as long after it was sent

@@ -1,4 +1,4 @@
-"""Where the robot should be by now, when what is commanded takes a while to become motion."""
+"""Where the robot should be by now, given the delay between command and motion."""
 
 from __future__ import annotations
 

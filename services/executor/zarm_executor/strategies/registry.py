@@ -1,4 +1,4 @@
-"""What a robot can be moved by, and why not by the rest."""
+"""The strategies of a robot, and why the others are not available."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class StrategyRegistry:
         self._ruled_out[name] = reason
 
     def find(self, name: str) -> Strategy:
-        """The strategy of this name. Raises InvalidRequest where there is none, Unavailable where it is not for this robot."""
+        """The strategy of this name. Raises InvalidRequest if there is none, Unavailable if it is not for this robot."""
         if name in self._ruled_out:
             raise Unavailable(f"{name} is not available: {self._ruled_out[name]}")
         if name not in self._strategies:

@@ -1,4 +1,4 @@
-"""Moving a robot by short chunks of points, sent again and again: what `joint_speed` and `joint_pose` have in common.
+"""Streams short chunks of points to the driver: the common part of `joint_speed` and `joint_pose`.
 
 Every chunk holds the motion from now on and replaces what is left of the one before. It reaches further than the next
 one is away, so that a late chunk does no harm, and ends with braking along the path, so that without further chunks the driver
@@ -242,7 +242,7 @@ class Streaming(DriverStrategy, Steerable):
         return self._follower
 
     def _begin(self, now: float) -> float | None:
-        """The moment at which the chunk that is to be sent now begins; None where none is due.
+        """The moment at which the chunk that is to be sent now begins; None if none is due.
 
         Chunks begin `chunk_period` after one another, which need not be a whole number of ticks: each is sent by the last
         tick before it begins.

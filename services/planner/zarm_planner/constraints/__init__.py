@@ -1,1 +1,1 @@
-"""What a motion keeps of the pose of the tip."""
+"""Path constraints on the pose of the tip."""

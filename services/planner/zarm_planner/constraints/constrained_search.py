@@ -97,7 +97,7 @@ def _inside(constraint: ConstraintManifold, rows: Array) -> ConstraintArrays:
 
 
 def _on_manifold(world: World, constraint: ConstraintManifold, q: Array) -> Array | None:
-    """The configuration nearest to `q` (dof,) that keeps the constraint; None where `q` cannot get there freely."""
+    """The configuration nearest to `q` (dof,) that keeps the constraint; None if `q` cannot get there freely."""
     rows = constraint.projected(q)
     if rows is None or not np.any(rows[0] != q):
         return None if rows is None else q

@@ -44,10 +44,10 @@ def time_constrained(
     """The fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or a little less.
 
     Its rows `vias` are among them, so that the motion passes these exactly. Where configurations (n, dof) along the curve are
-    not `free`, or break the constraint, the points are put closer together. None where
+    not `free`, or break the constraint, the points are put closer together. None if
     that does not help, or `deadline` came first.
 
-    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     length = np.insert(np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)), 0, 0.0)
     if length[-1] < 1e-6:

@@ -1,4 +1,4 @@
-"""The path constraint: what a motion keeps of the tip's pose at its start, how far off a pose is, and the way back."""
+"""The path constraint: which parts of the tip pose are kept, the error of a pose, and its projection."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ConstraintManifold:
     def violation(self, q: ArrayLike) -> tuple[int, str] | None:
         """Where along configurations (n, dof) the constraint is broken most, and a phrase that says by how much.
 
-        None where it is kept.
+        None if it is kept.
         """
         poses = self.model.fk_tip(np.reshape(q, (-1, self.model.dof)))
         used = self._used(poses)
@@ -79,13 +79,13 @@ class ConstraintManifold:
         return row, self._phrase(poses[row])
 
     def broken_at(self, pose: Array) -> str | None:
-        """A phrase that says by how much a pose (4, 4) breaks the constraint; None where it keeps it."""
+        """A phrase that says by how much a pose (4, 4) breaks the constraint; None if it keeps it."""
         return self._phrase(pose) if self._used(pose).max(initial=0.0) > 1.0 else None
 
     def projected(self, q: ArrayLike) -> Array | None:
         """Configurations (n, dof) within the joints' ranges, near `q` (n, dof), that keep the constraint.
 
-        To `kernels.manifold.CLOSE`; None where they cannot be found for all.
+        To `kernels.manifold.CLOSE`; None if they cannot be found for all.
         """
         rows = np.array(q, np.float64, order="C").reshape(-1, self.model.dof)
         return rows if project_all(self.arrays, rows) == len(rows) else None

@@ -1,1 +1,1 @@
-"""Where a motion starts and where it may go."""
+"""Start and goal configurations of a motion."""

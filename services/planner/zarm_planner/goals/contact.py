@@ -1,4 +1,4 @@
-"""From a configuration with little or no room to one that has room."""
+"""Ways out of configurations with little or no room."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def clear_pose(context: PlanningContext, pose: Array, q: Array) -> Array:
 def way_out(context: PlanningContext, q: Array, direction: Array) -> Array | None:
     """A way (n, dof) from `q` (dof,), free in exact geometry, to where the robot is free in spheres.
 
-    It goes in a `direction` (dof,), of length 1, and slides along what is in the way. None where that leads nowhere.
+    It goes in a `direction` (dof,), of length 1, and slides along what is in the way. None if that leads nowhere.
     """
     model, way = context.model, np.empty((_ROWS, context.model.dof))
     way[0] = q
@@ -65,7 +65,7 @@ def points(scene: ExactScene, a: Array, b: Array) -> Array:
 
 
 def _straightened(context: PlanningContext, way: Array) -> Array | None:
-    """The way with as few corners as halving it finds; None where it is not free."""
+    """The way with as few corners as halving it finds; None if it is not free."""
     if edge_is_free(context, way[0], way[-1]):
         return way[[0, -1]]
     if len(way) == 2:

@@ -1,4 +1,4 @@
-"""The two ends of a path: where the robot is and where it may go, and the nearest places from which the search can work.
+"""Start and goals of a path, and the nearest configurations from which the search can work.
 
 Spheres are larger than the links that they cover. So a robot that holds its tool close to a table, and touches nothing,
 seems to touch it; from there it first moves a little away, on a way that exact geometry finds free.
@@ -88,7 +88,7 @@ def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold
 
 
 def rest_end(context: PlanningContext, q: Array) -> End | None:
-    """The end at `q`, which is free of collision; None where no way leads from there to what is free in spheres."""
+    """The end at `q`, which is free of collision; None if no way leads from there to what is free in spheres."""
     return _end(context, q, None)
 
 
@@ -246,7 +246,7 @@ def _broken(constraint: ConstraintManifold, pose: Array) -> _Fault | None:
 
 
 def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None, times: int = 1) -> End | None:
-    """The end at `q`, which is free of collision; None where no way that keeps the constraint leads to what is free in spheres.
+    """The end at `q`, which is free of collision; None if no way that keeps the constraint leads to what is free in spheres.
 
     `times` as many ways as `max_attempts` are tried.
     """

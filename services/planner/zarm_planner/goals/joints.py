@@ -1,4 +1,4 @@
-"""Joint vectors that come from outside: from requests, and measured on the robot."""
+"""Checks joint vectors from requests and from the robot."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class MeasuredJoints:
 
 
 def checked(model: RobotModel, q: Sequence[float] | Array, field: str) -> Array:
-    """A joint vector (dof,) of a request. Raises InvalidRequest where it has another length."""
+    """A joint vector (dof,) of a request. Raises InvalidRequest if it has another length."""
     joints = model.robot.descriptor.joints
     if len(q) != model.dof:
         raise InvalidRequest(

@@ -1,4 +1,4 @@
-"""A start in motion: whether the robot may be in that state, and a way to brake from it that hits nothing.
+"""A start in motion: whether it is valid, and collision-free braking from it.
 
 The path of a plan begins where that way comes to rest; smoothing in time then cuts through the rest where there is room.
 """
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
-    """The state (3, dof) of a request. Raises InvalidRequest where it is outside the joints' ranges or `limits`."""
+    """The state (3, dof) of a request. Raises InvalidRequest if it is outside the joints' ranges or `limits`."""
     rows = ("position", "velocity", "acceleration")
     state = np.stack([checked(model, getattr(start, row), f"start_state.{row}") for row in rows])
     middle, reach = (model.lower + model.upper) / 2, (model.upper - model.lower) / 2 + RANGE

@@ -1,4 +1,4 @@
-"""The problem that a planner is to solve: from where, through which targets, keeping what."""
+"""The planning problem: start, targets and path constraint."""
 
 from __future__ import annotations
 

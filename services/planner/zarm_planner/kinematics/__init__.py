@@ -1,1 +1,1 @@
-"""Joints for poses of the tip, and poses for joints."""
+"""Forward and inverse kinematics."""

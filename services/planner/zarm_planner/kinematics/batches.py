@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of many configurations or poses at once, on the device that a request asks for.
+"""Batches of forward and inverse kinematics, on the device that a request asks for.
 
 Kernels take one after the other; pytorch-kinematics takes all of them in step, which pays on a GPU. torch is loaded by the
 first request that needs it: it takes 2 s and 250 MB.
@@ -168,7 +168,7 @@ def _nearest_free(model: RobotModel, rows: Array, near: Array, world: World | No
 
 
 def _require(device: Device) -> None:
-    """Raises InvalidRequest where a device that needs torch cannot be had."""
+    """Raises InvalidRequest if a device that needs torch cannot be had."""
     if not _has_torch():
         raise InvalidRequest(
             f"the device {device} needs torch and pytorch-kinematics where the planner runs; install them with "

@@ -1,4 +1,4 @@
-"""Joint solutions for a pose of the tip."""
+"""Inverse kinematics: joint solutions for a pose of the tip."""
 
 from __future__ import annotations
 

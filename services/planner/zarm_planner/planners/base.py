@@ -1,4 +1,4 @@
-"""What a planner is: the interface between the pipeline and the ways to find trajectories."""
+"""The planner interface between the pipeline and the methods that find trajectories."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAMES: Mapping[GoalKind, str] = {"pose": "classic", "joints": "joint_space", "wa
 """The names of planners that take every goal."""
 
 Faster = Callable[[float], TimedTrajectory | None]
-"""Finds a trajectory that is faster than so many seconds, or returns None where there is no more time."""
+"""Finds a trajectory that is faster than so many seconds, or returns None if there is no more time."""
 
 
 class Planner(ABC):
@@ -27,20 +27,20 @@ class Planner(ABC):
     """
 
     names: ClassVar[Mapping[GoalKind, str]]
-    """The kinds of goals that it takes, and by which name a request asks for it with such a goal."""
+    """The kinds of goals that it takes, and its name in requests with such a goal."""
     constrained: ClassVar[bool] = False
     """Whether its trajectories keep a path constraint."""
     moving: ClassVar[bool] = False
-    """Whether its trajectories may begin in motion, as the problem's `lead_in` does."""
+    """Whether its trajectories may start in motion, as the problem's `lead_in` does."""
 
     @abstractmethod
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
-        """Trajectories from the start, at rest or in motion, to rest at the goal, to which the seed of `context` leads; the fastest first.
+        """Trajectories from the start, at rest or in motion, to rest at the goal, for the seed of `context`; the fastest first.
 
-        There may be none. Further ones are asked for where those before them were refused, so they keep closer to what
-        is known to be free. Raises what the deadline raises.
+        There may be none. The pipeline asks for the next one if the one before was refused, so later ones stay closer to
+        what is known to be free. Raises what the deadline raises.
         """
 
     def faster(self, context: PlanningContext, problem: PlanningProblem) -> Faster:
-        """What looks for faster trajectories until the deadline of `context`; a planner that knows none leaves this out."""
+        """A function that looks for faster trajectories until the deadline of `context`; optional."""
         return lambda _: None

@@ -1,4 +1,4 @@
-"""Motions that only have to be free: RRT-Connect and shortcuts, smoothed in time."""
+"""Motions without a path constraint: RRT-Connect and shortcuts, smoothed in time."""
 
 from __future__ import annotations
 

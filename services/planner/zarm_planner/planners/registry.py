@@ -1,4 +1,4 @@
-"""The planners that there are, and which of them takes a request."""
+"""The list of planners, and the choice of one for a request."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def choose(
 ) -> Planner:
     """The planner that takes a request; `constrained` says that there is a path constraint, `moving` a start in motion.
 
-    Raises InvalidRequest where the one that `name` asks for does not take it.
+    Raises InvalidRequest if the one that `name` asks for does not take it.
     """
     fitting: dict[str, Planner] = {}
     for planner in planners:

@@ -1,4 +1,4 @@
-"""Through which configuration of each target a motion goes, and the quick free path through them.
+"""Chooses a configuration for each target, and finds a quick free path through them.
 
 A pose can be reached in many ways, and a path to one costs a search. So paths are searched only between configurations
 that the quickest route may still lead through: a straight line is the quickest that a path between two can be (Dellin and
@@ -42,10 +42,10 @@ class Paths(Protocol):
     """Paths (n, dof) whose straight edges are free in spheres. The same seed gives the same paths; a deadline may raise."""
 
     def between(self, start: Array, goal: Array) -> Array | None:
-        """A short path between two configurations (dof,); None where none was found soon."""
+        """A short path between two configurations (dof,); None if none was found soon."""
 
     def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
-        """A path to one of `goals` (m, dof); None where none was found within `most` samples."""
+        """A path to one of `goals` (m, dof); None if none was found within `most` samples."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Route:
 def find_route(paths: Paths, problem: PlanningProblem, context: PlanningContext) -> Route | None:
     """A quick route through one end of each target, in their order.
 
-    None where none was found. Raises PlanningFailed (`no_path`) where it is proven that there is none.
+    None if none was found. Raises PlanningFailed (`no_path`) where it is proven that there is none.
     """
     start, layers = problem.start, [[problem.start], *problem.targets]
     chain = _quickest_chain(paths, layers, context.limits) or _any_chain(paths, layers, context)
@@ -85,7 +85,7 @@ Chain = list[tuple[End, Array]]
 
 
 def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limits) -> Chain | None:
-    """The quickest chain through the layers, of which the first is the start; None where _LEGS tries each found none."""
+    """The quickest chain through the layers, of which the first is the start; None if _LEGS tries each found none."""
     free = [np.array([end.free for end in ends]) for ends in layers]
     # From each end of a layer to each of the next: the time of the leg, or until that is known the least it can be.
     last = len(free) - 2
@@ -115,7 +115,7 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limit
 
 
 def _cheapest(costs: Sequence[Array]) -> list[tuple[int, int]] | None:
-    """From which end to which of the next layer the cheapest way leads, step by step; None where every way is blocked."""
+    """From which end to which of the next layer the cheapest way leads, step by step; None if every way is blocked."""
     total = np.zeros(1)
     previous = []
     for cost in costs:
@@ -151,7 +151,7 @@ def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningC
 
 
 def _check_connected(context: PlanningContext, starts: Array, goals: Array, called: str) -> None:
-    """Raises PlanningFailed where it can be proven that no path leads from any of `starts` (n, dof) to any of `goals` (m, dof)."""
+    """Raises PlanningFailed if it can be proven that no path leads from any of `starts` (n, dof) to any of `goals` (m, dof)."""
     with context.timer.stage("search"):
         deadline = context.deadline.sooner(_PROOF_S)
         found = find_disconnection(context.model, context.world, starts, goals, deadline)

@@ -1,4 +1,4 @@
-"""What edits do to the part of the scene that is the robot's: attached objects, and links that are not looked at."""
+"""Edits of the robot's part of the scene: attached objects, and links whose collisions are ignored."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
 
 
 def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:
-    """Raises InvalidRequest where one of `names` is that of an attached object; its index goes into `field`."""
+    """Raises InvalidRequest if one of `names` is that of an attached object; its index goes into `field`."""
     attached = {one.object.name for one in scene.attached}
     for index, name in enumerate(names):
         if name in attached:

@@ -1,4 +1,4 @@
-"""Where moving objects were told to be last: the planner plans as if they stayed there."""
+"""The latest poses of moving objects: the planner treats them as static there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One revision of the scene, made ready for planning."""
+"""One scene revision, prepared for planning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scene: named objects, changed by whole edits, kept in a file that survives a crash at any moment."""
+"""The scene: named objects, changed by atomic edits, in a file that survives a crash at any moment."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class SceneStore:
     """
 
     def __init__(self, folder: Path, meshes: Meshes | None = None) -> None:
-        """Raises Unavailable where the folder cannot be used, or holds the scene of a newer zarm."""
+        """Raises Unavailable if the folder cannot be used, or holds the scene of a newer zarm."""
         self._file = StateFile(folder / "scene.json", Scene, migrations=(_named, _identified), flushed=True)
         self._lock = threading.Lock()
         self.meshes = meshes or Meshes()
@@ -100,7 +100,7 @@ class SceneStore:
         """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
 
         `prepare` is given the new scene before it holds.
-        Raises InvalidRequest for a fault of the edit and Unavailable where it cannot be saved, or concerns links while the
+        Raises InvalidRequest for a fault of the edit and Unavailable if it cannot be saved, or concerns links while the
         scene is lost; then nothing has changed.
         """
         with self._lock:

@@ -1,4 +1,4 @@
-"""A disconnection proof: the first joints alone cannot get from the start to the goal, wherever the other joints are.
+"""Proves that the first joints cannot get from start to goal, wherever the other joints are.
 
 The positions of the first joints fix those of balls inside the links that they carry. A cell of a grid over these joints is in
 collision where one of the balls overlaps an obstacle in all of it. If the other cells do not connect the start to the goal, no path
@@ -67,7 +67,7 @@ def find_disconnection(
 ) -> Disconnection | None:
     """Why no path leads from any of `starts` (n, dof) to any of `goals` (m, dof).
 
-    None where that is not proven until the deadline, after which it comes back.
+    None if that is not proven until the deadline, after which it comes back.
     """
     if not len(world.rows):
         return None
@@ -102,7 +102,7 @@ class _Grid:
         return self._number(np.clip(at, 0, self._shape - 1))
 
     def part(self, starts: Cells, goals: Cells, deadline: Deadline) -> NDArray[np.intp] | None:
-        """The shapes that part the starts from the goals; None where they are joined, or the deadline comes first.
+        """The shapes that part the starts from the goals; None if they are joined, or the deadline comes first.
 
         Both sides grow by turns, those cells first that are nearest to the other side: a small side is soon complete.
         """

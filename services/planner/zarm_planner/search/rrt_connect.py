@@ -1,4 +1,4 @@
-"""From a start to a goal: the first free path."""
+"""RRT-Connect: the first free path from a start to a goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shortcuts: a shorter path along a given one, and the quickest of several."""
+"""Shortcuts: makes a path shorter, and chooses the quickest of several."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def quickest_of(
 ) -> Quickest:
     """The quickest of the paths, shortcuts taken, from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
 
-    The path is None where a search came to `most` samples, or `deadline` came first, before there was one.
+    The path is None if a search came to `most` samples, or `deadline` came first, before there was one.
     """
     spent = np.zeros(2)
     rows = leg.quickest_of(

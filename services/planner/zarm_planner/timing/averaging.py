@@ -1,4 +1,4 @@
-"""Over how long a motion at bounded acceleration is averaged, so that its jerk is bounded, and what that asks of its acceleration."""
+"""Bounds jerk by a moving average over time, and the acceleration limit that this needs."""
 
 from __future__ import annotations
 

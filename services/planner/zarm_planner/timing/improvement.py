@@ -1,4 +1,4 @@
-"""Ever faster motions for as long as there is time: other routes, and more shortcuts on the best motions so far."""
+"""Improves motions while there is time: other routes, and more shortcuts on the best motions so far."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _KEPT = 4
 """Motions that are kept, so that there is another where the best one is refused."""
 
 Routes = Callable[[int], tuple[Array, Sequence[int]] | None]
-"""The k-th route: a free path (n, dof) from the start to a goal, and which rows of it the motion has to pass; None where
+"""The k-th route: a free path (n, dof) from the start to a goal, and which rows of it the motion has to pass; None if
 there is none. The same k gives the same route."""
 
 
@@ -47,10 +47,10 @@ class Improvement:
     _given: tuple[Smoothing, float] | None = field(default=None, init=False)
 
     def faster_than(self, duration: float, deadline: Deadline) -> TimedTrajectory | None:
-        """A motion that lasts at most `(1 - GAIN) * duration` s; None where `deadline` came before one was found.
+        """A motion that lasts at most `(1 - GAIN) * duration` s; None if `deadline` came before one was found.
 
         To ask again for one that is faster than before is to say that the last answer was of no use: it is not developed
-        further. Raises what `routes` raises, and InvalidRequest where a motion is longer than `trajectory.MAX_SAMPLES`.
+        further. Raises what `routes` raises, and InvalidRequest if a motion is longer than `trajectory.MAX_SAMPLES`.
         """
         wanted = (1.0 - GAIN) * duration
         if self._given is not None and self._given[1] < duration:

@@ -1,4 +1,4 @@
-"""How a motion begins that does not begin at rest: a past that the average over time needs, and a braking to rest.
+"""The beginning of a motion that starts moving: a past for the moving average, and braking to rest.
 
 Smoothing averages ramps over a window of time. So that the average has a given position, velocity and acceleration at time 0,
 the ramps need a past as long as the window: in it each joint first changes its velocity by the window times that acceleration,

@@ -1,4 +1,4 @@
-"""When a trajectory is sampled, and how slow it must be to hold its limits."""
+"""Samples a trajectory, and slows it down until it keeps its limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def sample_times(knots: Array, factor: float, dt: float) -> Array:
     """Times (n,) from the first to the last of the ascending `knots` (k,) in s, these among them; at `factor` times as long
     they are `dt` s apart or less.
 
-    Raises InvalidRequest where these are more than MAX_SAMPLES.
+    Raises InvalidRequest if these are more than MAX_SAMPLES.
     """
     times = subdivided(knots, factor, dt, MAX_SAMPLES)
     if len(times) == 0:

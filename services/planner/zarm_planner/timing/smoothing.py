@@ -1,4 +1,4 @@
-"""Path -> trajectory that arrives soon: shortcuts in time at bounded acceleration, then bounded jerk.
+"""From a path to a fast trajectory: shortcuts in time at bounded acceleration, then bounded jerk.
 
 A motion that stops at every corner of the path is made faster by replacing pieces of it with the fastest ramps between
 their ends, straight or bent (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of
@@ -94,7 +94,7 @@ class Smoothing:
         )
 
     def trajectory(self) -> TimedTrajectory:
-        """The motion as it is now. Raises InvalidRequest where it is longer than `trajectory.MAX_SAMPLES`."""
+        """The motion as it is now. Raises InvalidRequest if it is longer than `trajectory.MAX_SAMPLES`."""
         if self._count == 0:
             return TimedTrajectory.standing(self._path[0], self._dt)
         if self._lead_in is None:
@@ -140,7 +140,7 @@ def smooth_path(
     from which `kernels.smoothing.BOW` keeps it. The limits hold as `sampling.load` measures them. The same seed gives the same
     motion; `deadline` only makes the search for a faster one end sooner.
 
-    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     smoothing = Smoothing(model, world, path, limits, dt, vias=vias, deviation=deviation, lead_in=lead_in)
     smoothing.shortcut(ATTEMPTS, seed, deadline)

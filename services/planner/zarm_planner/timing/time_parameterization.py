@@ -1,4 +1,4 @@
-"""Path -> trajectory: when the joints are where, inside the limits on velocity, acceleration and jerk.
+"""From a path to a trajectory within the limits of velocity, acceleration and jerk.
 
 Corners of the path are rounded by quintic curves that leave it by at most a stated distance; TOPPRA (Pham and Pham, "A New
 Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018) finds the fastest way along; a moving
@@ -43,7 +43,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
     Corners of the polyline `path` are rounded and left by at most `deviation` (rad, Euclidean). With `deviation` 0, and
     where that is faster, the motion stops at every corner. Limits are held within 0.1 %.
 
-    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     path = _distinct(path)
     if len(path) == 1:
@@ -101,9 +101,9 @@ def through(points: Array) -> TimedTrajectory:
 def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajectory | None:
     """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or a little less.
 
-    Limits are held within 0.1 %. None where TOPPRA's numbers fail.
+    Limits are held within 0.1 %. None if TOPPRA's numbers fail.
 
-    Raises InvalidRequest where the limits make the motion longer than `trajectory.MAX_SAMPLES`.
+    Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
     fastest = _fastest(curve, limits, dt, _CURVE_STEP, 1)
     return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
@@ -187,7 +187,7 @@ class _ToppraPath:
 
 def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, least: int) -> _Profile | None:
     """TOPPRA under the limits on velocity and acceleration, at points not further apart than `step` (rad), `least` on each
-    piece of the curve; None where its numbers fail.
+    piece of the curve; None if its numbers fail.
     """
     from zarm_planner.timing.toppra_without_plots import TOPPRA, JointAccelerationConstraint, JointVelocityConstraint
 

@@ -1,4 +1,4 @@
-"""TOPPRA is loaded when a plan first needs it: that takes a second, beside the planning, and who waits for it has a deadline."""
+"""Loads TOPPRA when a plan first needs it: beside the planning, since it takes a second and plans have deadlines."""
 
 from __future__ import annotations
 

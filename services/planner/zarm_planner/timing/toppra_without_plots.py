@@ -1,4 +1,4 @@
-"""TOPPRA without matplotlib, which it loads for plots that no planner draws."""
+"""TOPPRA without matplotlib, which it imports only for plots."""
 
 from __future__ import annotations
 

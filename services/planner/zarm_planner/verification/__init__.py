@@ -1,1 +1,1 @@
-"""The last gate before a trajectory leaves the planner."""
+"""Verification, the last step before a trajectory leaves the planner."""

@@ -1,4 +1,4 @@
-"""Which margins a verified trajectory could not keep."""
+"""The margins that a verified trajectory could not keep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The last gate: a trajectory leaves the planner only if all that was asked of it holds, between its samples too."""
+"""Verification: a trajectory leaves the planner only if it meets the whole request, between its samples too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a trajectory passes its waypoints, and whether it comes near enough."""
+"""When a trajectory passes its waypoints, and whether it comes close enough."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def passing_times(
 ) -> tuple[float, ...]:
     """The times (s) at which the tip is nearest to its pose at any row of each of `waypoints` (n, dof), which are passed in this order.
 
-    Raises VerificationFailed where one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad). `check` is called
+    Raises VerificationFailed if one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad). `check` is called
     now and then and may raise.
     """
     t = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)

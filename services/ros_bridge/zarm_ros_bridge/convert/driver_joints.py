@@ -1,4 +1,4 @@
-"""A driver's joint states, as they come from DDS."""
+"""A driver's joint states, as they arrive over DDS."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class _Layout:
         )
 
     def read(self, message: bytes) -> JointState | None:
-        """The joint state; None where the message is another, or has no stamp, or a number that is none."""
+        """The joint state; None if the message is another, or has no stamp, or a number that is none."""
         begin, count = self.begin, self.count
         if message[:2] != _LITTLE_ENDIAN or len(message) < begin + self.numbers.size:
             return None

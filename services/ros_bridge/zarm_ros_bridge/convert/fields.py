@@ -1,4 +1,4 @@
-"""Fields of requests: numbers that are none, and the names under which a client on ROS knows them."""
+"""Fields of requests: numbers that are not finite, and the field names that a ROS client knows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
 
 
 def finite(value: float, field: str) -> float:
-    """The number itself. Raises InvalidRequest where it is NaN or infinite."""
+    """The number itself. Raises InvalidRequest if it is NaN or infinite."""
     if not math.isfinite(value):
         raise InvalidRequest(f"{value} is not a finite number; give one", field=field)
     return value

@@ -1,4 +1,4 @@
-"""Joints by name, of a request and of a driver.
+"""Joints by name, in requests and from drivers.
 
 `joint1` is as good as `joint_1`: Doosan's drivers have had both, and their links too.
 """
@@ -83,7 +83,7 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
 
 
 def places_of(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:
-    """Where each of `joints` stands in `names`, and each other name. Raises InvalidRequest where one is missing, or there twice."""
+    """Where each of `joints` stands in `names`, and each other name. Raises InvalidRequest if one is missing, or there twice."""
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         joint = known_as(name, joints)

@@ -1,4 +1,4 @@
-"""What a client asks to be planned."""
+"""Converts planning requests of clients."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _is_filled(value: Any) -> bool:
 def motion_to(given: Sequence[str], reads: Mapping[str, str], planner: str, default: str = "target_pose") -> str:
     """Which of the fields that are filled in is the goal: the one that the active planner reads, or the only one there is.
 
-    Raises InvalidRequest where none is filled in, or where it could be either of two.
+    Raises InvalidRequest if none is filled in, or if it could be either of two.
     """
     wanted = reads.get(planner, default)
     if wanted in given:

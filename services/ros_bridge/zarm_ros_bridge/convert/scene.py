@@ -1,4 +1,4 @@
-"""Objects of the scene and occupied voxels, from and to ROS."""
+"""Converts objects of the scene and occupied voxels."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ Corners = tuple[tuple[float, ...], tuple[float, ...]]
 def fill_grid(grid: VoxelGrid, occupancy: Occupancy, frame: str, box: Corners | None) -> None:
     """The voxels of a box (corners in m; None: the smallest that has all that are occupied) as 0 and 1, the index of x the slowest.
 
-    The box is widened to whole voxels; `origin` is its corner with the lowest coordinates. Raises InvalidRequest where it has more
+    The box is widened to whole voxels; `origin` is its corner with the lowest coordinates. Raises InvalidRequest if it has more
     than MOST_VOXELS.
     """
     edge = occupancy.resolution

@@ -1,4 +1,4 @@
-"""Commands of the clients of MoveIt Servo, and the codes of its status."""
+"""Commands from clients of MoveIt Servo, and its status codes."""
 
 from __future__ import annotations
 

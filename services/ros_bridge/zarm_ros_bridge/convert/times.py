@@ -1,4 +1,4 @@
-"""Moments and durations."""
+"""Times and durations."""
 
 from __future__ import annotations
 

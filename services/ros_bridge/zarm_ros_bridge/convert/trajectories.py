@@ -1,4 +1,4 @@
-"""Motions."""
+"""Trajectories."""
 
 from __future__ import annotations
 

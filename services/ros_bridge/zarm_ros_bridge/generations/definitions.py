@@ -1,4 +1,4 @@
-"""The fields of every message of curobo_msgs, of each generation, as its definitions say."""
+"""The fields of every message of curobo_msgs in each generation, read from its definitions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a generation of curobo_msgs asks and is told; here as most of them do, in `a`, `b` and `c` what one does differently."""
+"""The interface of a generation of curobo_msgs, with the behaviour that most share; `a`, `b` and `c` override it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which generation of curobo_msgs is installed beside the bridge, found by looking at the classes of its messages."""
+"""Finds the installed generation of curobo_msgs by inspecting its message classes."""
 
 from __future__ import annotations
 
