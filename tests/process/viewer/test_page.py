@@ -6,6 +6,7 @@ import io
 import os
 import re
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,51 @@ import zarm
 from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
-from support.viewer import SIZE, Cell, drawn_ghost, drawn_tip, free_port, opened
+from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, free_port, opened
 from zarm_contract.messages import Plan
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
 
+pytestmark = (
+    pytest.mark.timed
+)  # who jogs keeps the robot as long as their page asks 7 times a second, which it draws in software
 PHONE = (390, 844)
+
+
+@pytest.fixture(scope="module")
+def cell(chromium: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with cell_of(tmp_path_factory.mktemp("cell"), "planner", "executor", "servo") as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def address(cell: Cell) -> str:
+    return cell.serve()
+
+
+@pytest.fixture(scope="module")
+def shared(chromium: Browser, address: str) -> Iterator[Page]:
+    page = opened(chromium, address)
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def page(shared: Page, cell: Cell) -> Page:
+    """The page, with the robot at rest at home in an empty scene."""
+    shared.mouse.up()
+    cell.home()
+    shared.get_by_role("tab", name="Move").click()
+    return shared
+
+
+@pytest.fixture(scope="module")
+def second(chromium: Browser, address: str) -> Iterator[Page]:
+    """Somebody else's page."""
+    page = opened(chromium, address)
+    yield page
+    page.close()
 
 
 def looks(page: Page, at: tuple[float, float], half: int = 12) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -60,6 +99,17 @@ def aim_home(page: Page) -> None:
     if not home.is_visible():
         page.get_by_text("Poses").click()
     home.click()
+
+
+def hold(page: Page, label: str) -> None:
+    """Press a button of the page and keep it pressed."""
+    button = page.get_by_role("button", name=label)
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    assert box is not None
+    page.mouse.up()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
 
 
 def test_the_robot_is_drawn_where_the_bus_says_that_it_is(page: Page, cell: Cell) -> None:
@@ -211,6 +261,46 @@ def test_on_a_phone_the_stop_is_in_reach_wherever_the_page_is_scrolled_to(page: 
         second.mouse.wheel(0, screens * PHONE[1])
         expect(stop).to_be_in_viewport(ratio=1.0)
     second.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+
+
+def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
+    page: Page, cell: Cell, chromium: Browser, address: str, second: Page
+) -> None:
+    for each in (page, second):
+        each.get_by_role("tab", name="Jog").click()
+    start = cell.robot.tip().position
+    hold(second, "+ x")
+    eventually(lambda: abs(cell.robot.tip().position[0] - start[0]) > 0.01, "it moves as long as the button is held")
+    told = [each.get_by_text("Somebody else jogs").first for each in (page, second)]
+
+    def one_is_told() -> bool:
+        if cell.rests():  # a page that was held up has let go
+            hold(second, "+ x")
+        hold(page, "− x")
+        return any(each.is_visible() for each in told)
+
+    eventually(one_is_told, "who does not have the robot is told")
+    page.mouse.up()
+    second.goto("about:blank")
+    eventually(cell.rests, "the robot rests")
+
+
+def test_jogging_ends_and_a_goal_goes_on_while_the_viewer_stands_still_and_when_it_is_killed(
+    page: Page, cell: Cell, chromium: Browser
+) -> None:
+    address, viewer = cell.serve(), cell.viewer
+    jogging = opened(chromium, address)
+    jogging.get_by_role("tab", name="Jog").click()
+    start = cell.robot.tip().position
+    hold(jogging, "+ x")
+    eventually(lambda: abs(cell.robot.tip().position[0] - start[0]) > 0.01, "it moves as long as the button is held")
+    os.kill(viewer.process.pid, signal.SIGSTOP)
+    eventually(cell.rests, "the robot rests")
+    goal = cell.robot.start(cell.robot.plan(HOME, velocity_scale=0.1))
+    eventually(lambda: cell.robot.state().mode == "running", "a goal moves it")
+    viewer.kill()
+    assert cell.robot.follow(goal, timeout=PATIENCE).status == "succeeded"
+    jogging.close()
 
 
 def test_a_viewer_sees_two_robots_and_can_only_stop(page: Page, cell: Cell, chromium: Browser) -> None:
