@@ -29,7 +29,7 @@ def voxels_of(cloud: PointCloud, field: str) -> Voxels:
     """The voxels that a cloud's points lie in. Raises InvalidRequest for points that are too far away."""
     points = _rows(cloud.points, np.float64)
     check_reach(points, f"{field}.points")
-    cells = tuple(map(tuple, occupied(points, cloud.resolution).tolist()))
+    cells = tuple(zip(*occupied(points, cloud.resolution).T.tolist(), strict=True))
     return Voxels.model_construct(  # whose fields are those of a valid cloud
         kind="voxels",
         name=cloud.name,

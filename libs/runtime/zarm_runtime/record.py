@@ -8,7 +8,6 @@ class (`jsonschema`, named `zarm.<Message>.v3`). `log_time` is when it was sent 
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import json
 import struct
 from collections.abc import Iterator
@@ -26,6 +25,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 from zarm_runtime.recorded import Recorded
+from zarm_runtime.version import version
 
 Entry = tuple[int, str, bytes]
 """When (ns since 1970), on which key, and the payload. A plain tuple: the garbage collector does not look into those."""
@@ -54,7 +54,7 @@ class RecordFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self.draft.open("wb")
         self._writer = Writer(self._stream)
-        self._writer.start(library=f"zarm {importlib.metadata.version('zarm')}")
+        self._writer.start(library=f"zarm {version()}")
 
     def write(self, entry: Entry, *, published: int | None = None) -> None:
         """Add one message. Raises ValueError for a key that is not recorded."""

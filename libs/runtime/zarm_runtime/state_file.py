@@ -8,7 +8,6 @@ an older version, or could not be read, leaves it beside its own (`scene.json.v0
 from __future__ import annotations
 
 import fcntl
-import importlib.metadata
 import json
 import logging
 import os
@@ -21,6 +20,7 @@ from typing import Any, Generic, TypeVar
 from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import Message
+from zarm_runtime.version import version
 
 log = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ class StateFile(Generic[M]):
 
     def write(self, content: bytes) -> None:
         """`save` of a message that is encoded already."""
-        head = json.dumps({"version": len(self._migrations), "written_by": importlib.metadata.version("zarm")})
+        head = json.dumps({"version": len(self._migrations), "written_by": version()})
         try:
             self._replace(self.path, head[:-1].encode() + b', "content": ' + content + b"}")
         except OSError as error:

@@ -48,6 +48,10 @@ ROOM = 2 * ((os.cpu_count() or 1) + 16)
 """Requests that may be in hand on each key, half of them of one client: one for each core, and 16 that wait for their turn.
 Each is in a thread of its own, where it can be cancelled while it waits."""
 
+_NEW_OBJECTS = 50_000
+"""So many objects are made before the garbage collector looks at them. It would look at the points of a cloud again and again, which
+took as long as the rest of the edit."""
+
 
 @contextmanager
 def start(service: Service) -> Iterator[None]:
@@ -126,6 +130,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         bus.watch_clients(handlers.leave)
         handlers.warm_up(service.starting)
         gc.freeze()  # what is loaded stays; looking for garbage in it again and again would delay a plan by 0.1 s at times
+        gc.set_threshold(_NEW_OBJECTS)
         warm = True
         service.ready()
         yield

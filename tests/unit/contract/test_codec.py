@@ -264,3 +264,9 @@ def test_a_refusal_quotes_little_of_what_it_refuses(cls: type[Message], payload:
     with pytest.raises(InvalidRequest) as refusal:
         decode(cls, payload)
     assert len(encode(refusal.value.problem)) < 2000
+
+
+def test_a_number_that_not_every_language_holds_is_refused() -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        decode(m.Authority, json.dumps({"servo": "s", "sequence": 2**53}).encode())
+    assert refused.value.field == "sequence"

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
-from zarm_contract.messages.motion import JointNames, Joints, NonNegative, same_length, same_width
+from zarm_contract.messages.motion import JointNames, Joints, NonNegative, SequenceNumber, same_length, same_width
 
 
 class DriverCommand(Message):
@@ -22,7 +22,7 @@ class DriverCommand(Message):
     stamp `based_on`, or that has neither field. A stop has neither and never expires.
     """
 
-    sequence: Annotated[int, Field(ge=1)]
+    sequence: SequenceNumber
     joint_names: JointNames
     based_on: float | None = None
     expires_after: Annotated[float, Field(gt=0)] | None = None
@@ -54,7 +54,7 @@ class DriverCommand(Message):
 class DriverProgress(ShortMessage):
     """The share of the points of command `sequence` that the driver has played; 1 at the end."""
 
-    sequence: Annotated[int, Field(ge=1)]
+    sequence: SequenceNumber
     fraction: Annotated[float, Field(ge=0, le=1)]
 
 

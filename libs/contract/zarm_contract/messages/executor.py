@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Positive, Trajectory
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Pose, Positive, SequenceNumber, Trajectory
 from zarm_contract.messages.scene import SceneRevision
 
 RobotMode = Literal["idle", "running", "stopping", "paused", "fault"]
@@ -68,7 +68,7 @@ class GoalTrajectory(Message):
     """
 
     goal_id: Name
-    number: Annotated[int, Field(ge=1)]
+    number: SequenceNumber
     start: NonNegative
     trajectory: Trajectory
     scene_revision: SceneRevision | None = None
@@ -87,7 +87,7 @@ class ReplaceTrajectory(Message):
     """
 
     goal_id: Name
-    number: Annotated[int, Field(ge=1)]
+    number: SequenceNumber
     at: NonNegative | None = None
     trajectory: Trajectory
     scene_revision: SceneRevision
@@ -174,7 +174,7 @@ class StreamChunk(Message):
     """
 
     goal_id: Name
-    sequence: Annotated[int, Field(ge=1)]
+    sequence: SequenceNumber
     start: NonNegative
     trajectory: Trajectory
     deadline: Annotated[Positive, Field(le=1)] = 0.1

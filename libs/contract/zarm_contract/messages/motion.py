@@ -17,6 +17,8 @@ Joints = Annotated[tuple[float, ...], Field(min_length=1, max_length=32)]
 """One value per joint of the descriptor, in its order."""
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+SequenceNumber = Annotated[int, Field(ge=1, lt=2**53)]
+"""A number that JSON readers of every language hold exactly."""
 Scale = Annotated[float, Field(gt=0, le=1)]
 Vector3 = tuple[float, float, float]
 

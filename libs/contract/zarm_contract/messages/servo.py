@@ -9,7 +9,7 @@ from pydantic import Field
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.errors import Problem
 from zarm_contract.messages.executor import Obstruction
-from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Scale, Vector3
+from zarm_contract.messages.motion import Joints, Name, NonNegative, Quaternion, Scale, SequenceNumber, Vector3
 from zarm_contract.messages.scene import SceneRevision
 
 Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
@@ -26,9 +26,9 @@ class Authority(ShortMessage):
     """
 
     servo: Name
-    sequence: Annotated[int, Field(ge=1)]
+    sequence: SequenceNumber
     goal_id: Name | None = None
-    trajectory: Annotated[int, Field(ge=1)] = 1
+    trajectory: SequenceNumber = 1
     scene_revision: SceneRevision | None = None
     until: NonNegative | None = None
     obstruction: Obstruction | None = None
@@ -101,7 +101,7 @@ class ServoTarget(ShortMessage):
     """
 
     goal_id: Name
-    sequence: Annotated[int, Field(ge=1)]
+    sequence: SequenceNumber
     stamp: float
     target: Annotated[PoseTarget | TwistTarget | JointSpeedTarget | JointTarget, Field(discriminator="kind")]
 
