@@ -269,4 +269,4 @@ def test_a_refusal_quotes_little_of_what_it_refuses(cls: type[Message], payload:
 def test_a_number_that_not_every_language_holds_is_refused() -> None:
     with pytest.raises(InvalidRequest) as refused:
         decode(m.Authority, json.dumps({"servo": "s", "sequence": 2**53}).encode())
-    assert refused.value.field == "sequence"
+    assert refused.value.problem.field == "sequence"

@@ -27,11 +27,11 @@ def loaded(library: str, *without: str) -> set[str]:
     return {name for name in json.loads(done.stdout) if not name.startswith("_")} - of_pydantic - of_yaml
 
 
-_CONTRACT = {"zarm_contract", "orjson", "pydantic", "yaml", "zenoh"}
+_CONTRACT = {"zarm_contract", "pydantic", "yaml", "zenoh"}
 _RUNTIME = _CONTRACT | {"zarm_runtime"}
 
 
-def test_the_contract_imports_pydantic_orjson_yaml_and_zenoh_and_nothing_else() -> None:
+def test_the_contract_imports_pydantic_yaml_and_zenoh_and_nothing_else() -> None:
     assert loaded("zarm_contract") == _CONTRACT
 
 
