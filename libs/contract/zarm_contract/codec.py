@@ -54,10 +54,10 @@ def other_contract(encoding: str) -> str | None:
 
 
 def encode(message: Message) -> bytes:
-    """A message as compact UTF-8 JSON, without fields that are None."""
+    """A message as compact UTF-8 JSON, without fields that are None; numbers may be NumPy's."""
     import orjson  # not by a short command, which only reads
 
-    return orjson.dumps(message, default=_fields)
+    return orjson.dumps(message, default=_fields, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def _fields(message: object) -> dict[str, object]:

@@ -7,6 +7,7 @@ import math
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -270,3 +271,14 @@ def test_a_number_that_not_every_language_holds_is_refused() -> None:
     with pytest.raises(InvalidRequest) as refused:
         decode(m.Authority, json.dumps({"servo": "s", "sequence": 2**53}).encode())
     assert refused.value.problem.field == "sequence"
+
+
+def test_numbers_of_numpy_are_written_as_those_of_python() -> None:
+    plain = m.JointState(stamp=1.5, joint_names=("a", "b"), position=(0.25, -1e-7), velocity=(0.0, 3.0))
+    numbers = m.JointState.model_construct(
+        stamp=np.float64(1.5),
+        joint_names=("a", "b"),
+        position=tuple(np.array([0.25, -1e-7])),
+        velocity=(np.float64(0.0), np.int64(3)),
+    )
+    assert decode(m.JointState, encode(numbers)) == plain
