@@ -161,9 +161,7 @@ class Parameters:
                 self._apply(changes)
         except ZarmError as error:
             return SetParametersResult(successful=False, reason=shortened(str(error)))
-        except (
-            Exception
-        ):  # as on the bus, one request fails and the service continues; in rclpy it would end the thread
+        except Exception:  # as on the bus, one request fails and the service continues; rclpy would end the thread
             log.exception("parameters failed names=%s", ",".join(change.name for change in changes))
             reason = "the ROS bridge failed on this change; its log has the trace"
             return SetParametersResult(successful=False, reason=reason)

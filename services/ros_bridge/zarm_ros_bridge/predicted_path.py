@@ -27,7 +27,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 _PERIOD = 0.2
-"""s between two looks at what is to be shown."""
+"""Interval (s) of the updates."""
 _ANSWER_SECONDS = 1.0
 _ARROW = 0.1
 """Length (m) of the arrow along the z axis of the target."""
