@@ -73,9 +73,8 @@ class Stack:
 
     def wait(self) -> None:
         """Wait for ever, logging restarts; raises InternalError when a service keeps failing."""
-        while not (
-            fallen := [name for name in self.supervisor.given_up() if name != "viewer"]
-        ):  # a robot does not need the page
+        # A robot does not need the page.
+        while not (fallen := [name for name in self.supervisor.given_up() if name != "viewer"]):
             for service, how in self.supervisor.ended():
                 err.print(f"zarm: the {service} has ended ({how}) and is started again", soft_wrap=True)
             pause(1.0)
@@ -125,7 +124,7 @@ def launch(
     simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", [*arguments])} if driver is SimulatedDriver.sim else {}
     bridge = {"ros_bridge": ("zarm_ros_bridge.service", [*arguments])} if ros else {}
     programs = {
-        **simulated,  # this and the bridge before the executor, which may wait for a driver and brakes through it at the end
+        **simulated,  # this and the bridge before the executor, which may wait for a driver and at the end brakes by it
         **bridge,
         "planner": ("zarm_planner.service", [*arguments, *folders]),
         "servo": ("zarm_servo.service", [*arguments, *folders]),
