@@ -94,7 +94,7 @@ class ExactScene:
     ) -> list[tuple[Nearest, float]]:
         """What is closer over configurations `q` (n, dof) than its required distance (m), which is also returned.
 
-        Nothing is closer than `clearance` (m), so pairs that may come that close are not checked.
+        Nothing is closer than `clearance` (m), so pairs that may come that close need no check.
 
         For each link its nearest object, if closer than `margin` (m), and each pair of links closer than `self_margin`
         (m), or than `RobotModel.pair_room` if that is less.

@@ -137,11 +137,7 @@ class Meshes:
                 return path.read_bytes()
             except FileNotFoundError:
                 continue
-            except (
-                OSError,
-                ValueError,
-                RuntimeError,
-            ) as error:  # also for a null character or a loop of links in the name
+            except (OSError, ValueError, RuntimeError) as error:  # a null character or a loop of links, too
                 raise refused(f"cannot read {item.file}: {getattr(error, 'strerror', None) or error}") from error
         raise refused(f"there is no file {item.file} in {', '.join(map(str, self._folders))}; check the name")
 
