@@ -1,7 +1,7 @@
 """Access control: one table of keys and roles, and the router rules that follow from it.
 
-Whoever has a certificate may read: subscribe to everything, ask for the values that are latched, see who is alive. What it
-may publish, answer, or ask for besides stands in `TABLE`; what does not stand there, nobody may.
+Any process with a certificate may read: subscribe to everything, read latched values, see which processes are alive. `TABLE`
+lists what else it may publish, answer, or request; everything that is not listed there is denied.
 """
 
 from __future__ import annotations

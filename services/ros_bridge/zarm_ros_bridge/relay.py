@@ -1,4 +1,4 @@
-"""Relays a key of the bus to ROS topics while somebody subscribes to them."""
+"""Relays a key of the bus to ROS topics while they have subscribers."""
 
 from __future__ import annotations
 

@@ -135,5 +135,5 @@ def _moving(before: Target | None, target: PoseTarget, passed: float | None) -> 
 
 
 def ahead(target: Target, seconds: float) -> Target:
-    """What a target is so much later."""
+    """The target `seconds` later."""
     return replace(target, pose=target.after(seconds)) if isinstance(target, PoseTarget) else target
