@@ -53,7 +53,7 @@ class _Insistence:
             raise KeyboardInterrupt
 
     def seconds(self) -> float:
-        """Seconds for which a third signal is still ignored; infinite where it counts anyway."""
+        """Seconds for which a third signal is still ignored; infinite once it counts."""
         left = self._until - time.monotonic()
         return left if left > 0 else math.inf
 
