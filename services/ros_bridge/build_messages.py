@@ -19,7 +19,7 @@ PYTHON_HEADER = Path(sysconfig.get_path("include"), "Python.h")
 
 
 def missing_tools() -> list[str]:
-    """What the build needs and does not find."""
+    """What the build needs but cannot find."""
     found = {
         "a C compiler (cc)": shutil.which("cc"),
         "a C++ compiler (c++)": shutil.which("c++"),
@@ -52,7 +52,7 @@ def _say(text: str) -> None:
 
 
 def main() -> None:
-    """Build, or end with one sentence that says why not."""
+    """Build, or exit with a one-sentence reason."""
     arguments = _arguments()
     if missing := missing_tools():
         sys.exit(

@@ -1,8 +1,9 @@
 """Turns definitions of ROS interfaces into Python packages, with the generators of rosidl that pip installed.
 
-rclpy on Fast DDS needs of each interface its Python class, its C structure, the type support of Fast DDS, and its description by
-introspection, which a topic is registered with. That is all that is made; a build with CMake makes eight libraries and takes far longer. The code of one interface depends on its own
-definition and on those that it refers to alone, so that each is kept in a cache by their content.
+For each interface, rclpy on Fast DDS needs its Python class, its C structure, the type support of Fast DDS, and its
+introspection description, with which a topic is registered. Only these are made; a CMake build makes eight libraries
+and takes far longer. The code of an interface depends only on its own definition and on those that it refers to, so
+each is cached by their content.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ class Definition:
 
 @dataclass(frozen=True)
 class _Job:
-    """An interface to be generated and compiled in `folder`, and the definitions that it refers to, those first."""
+    """An interface to be generated and compiled in `folder`, and the definitions that it refers to, these first."""
 
     definition: Definition
     needs: tuple[Definition, ...]
@@ -111,8 +112,8 @@ class _Job:
 def build(definitions: Iterable[Definition], cache: Path, progress: Progress) -> tuple[Path, dict[str, str]]:
     """Build the definitions, of one package or of several of which none refers to one before it.
 
-    Returns a folder in `cache` laid out like an installation prefix, and the definitions that are left out: each one's
-    name, and the package that it refers to and nobody has. Raises CalledProcessError if a compiler fails.
+    Returns a folder in `cache` laid out like an installation prefix, and the definitions left out: the name of each,
+    and the missing package that it refers to. Raises CalledProcessError if a compiler fails.
     """
     known = {one.name: one for one in definitions}
     left_out: dict[str, str] = {}
@@ -135,7 +136,7 @@ def build(definitions: Iterable[Definition], cache: Path, progress: Progress) ->
 
 
 def install(package: str, tree: Path, prefix: Path) -> None:
-    """Copy what `build` made of a package to where Python and the ament index find it, in place of what was there."""
+    """Copy what `build` made of a package to where Python and the ament index find it, replacing what was there."""
     for folder in (SITE_PACKAGES / package, Path("share", package)):
         shutil.rmtree(prefix / folder, ignore_errors=True)
         shutil.copytree(tree / folder, prefix / folder)
@@ -147,7 +148,7 @@ def install(package: str, tree: Path, prefix: Path) -> None:
 
 
 def _closure(one: Definition, known: Mapping[str, Definition]) -> tuple[Definition, ...]:
-    """Those that it refers to, near and far, and itself, each after what it refers to."""
+    """A definition and all those it refers to, directly or indirectly, each after what it refers to."""
     found: dict[str, Definition] = {}
     for name in sorted(one.refers_to):
         if name in known:
@@ -156,7 +157,7 @@ def _closure(one: Definition, known: Mapping[str, Definition]) -> tuple[Definiti
 
 
 def _lacking(closure: Sequence[Definition], known: Mapping[str, Definition]) -> str | None:
-    """A package that is referred to and nobody has."""
+    """A package that is referred to but missing."""
     names = {name for one in closure for name in one.refers_to} - set(known)
     return next((package for package in sorted(name.split("/")[0] for name in names) if not _installed(package)), None)
 
@@ -166,7 +167,7 @@ def _installed(package: str) -> bool:
 
 
 def _tools() -> str:
-    """What generates and compiles: another one makes other code."""
+    """The tools that generate and compile, since others produce other code."""
     compiler = subprocess.run(["c++", "--version"], check=True, capture_output=True, text=True).stdout  # noqa: S607
     generators = [version(f"ros-rosidl-{name}") for name in _GENERATORS]
     return _digest(compiler, *generators, sys.version, numpy.__version__, Path(__file__).read_text(), str(PREFIX))
@@ -183,13 +184,13 @@ def _digest(*parts: str) -> str:
 
 @contextlib.contextmanager
 def _made(folder: Path):  # type: ignore[no-untyped-def]
-    """A folder to be filled, which takes its place only when it is whole; two processes may make the same."""
+    """A folder to be filled, which is moved into place only when complete; two processes may make the same."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix="making-") as making:
         part = Path(making, "part")
         part.mkdir()
         yield part
-        with contextlib.suppress(OSError):  # the other process was quicker
+        with contextlib.suppress(OSError):  # the other process was faster
             part.rename(folder)
 
 
@@ -205,7 +206,7 @@ def _compile(jobs: Sequence[_Job], progress: Progress) -> None:
 
 
 def _interface(job: _Job) -> None:
-    """Generate and compile one interface: in `job.folder` are then its objects, its Python module and its description."""
+    """Generate and compile one interface: its objects, its Python module and its description are then in `job.folder`."""
     with _made(job.folder) as folder, contextlib.redirect_stdout(io.StringIO()):
         idl = {need.name: _idl(need, folder) for need in job.needs}
         for package in dict.fromkeys(need.package for need in job.needs):
@@ -236,14 +237,14 @@ def _interface(job: _Job) -> None:
 
 
 def _idl(one: Definition, folder: Path) -> str:
-    """Its definition in IDL, as the generators take it: root and path, with a colon between."""
+    """The definition in IDL, in the generators' form: root and path, separated by a colon."""
     root = folder / "share" / one.package
     KINDS[one.path.suffix](one.path.parents[1], one.package, one.place, root / one.place.parent)
     return f"{root}:{one.place.with_suffix('.idl')}"
 
 
 def _generate_headers(folder: Path, package: str, definitions: Sequence[Definition], idl: Sequence[str]) -> None:
-    """Structures in C, what becomes of them on the wire, and the description by which they are told apart."""
+    """C structures, their wire format, and the description that tells types apart."""
     share, include = folder / "share", folder / "include" / package
     roots = {path.name: path for path in (*PREFIX.glob("share/*_*"), PREFIX / "share" / "builtin_interfaces")}
     roots.update({path.name: path for path in share.iterdir()})
@@ -304,7 +305,7 @@ def _arguments(
 
 
 def _compiled(folder: Path, unit: str, *sources: Path) -> None:
-    """Compile the sources as one: most of a compiler's time goes into headers that all of them include."""
+    """Compile the sources as one unit: most of the compile time goes into headers that all of them include."""
     file = folder / unit
     file.write_text("".join(f'#include "{source}"\n' for source in sources))
     wheels = [PREFIX / "include", *(path for path in (PREFIX / "include").iterdir() if path.is_dir())]
@@ -324,7 +325,7 @@ def _run(*command: str | Path) -> None:
 
 
 def _assemble(package: str, jobs: Sequence[_Job], tree: Path) -> None:
-    """The Python package of these interfaces, with one shared library, and its place in the ament index."""
+    """The Python package of these interfaces, with one shared library, and its entry in the ament index."""
     site, share = tree / SITE_PACKAGES / package, tree / "share" / package
     jobs = sorted(jobs, key=lambda job: (job.definition.path.parent.name, job.definition.stem))
     content = IdlContent()
@@ -365,7 +366,7 @@ def _assemble(package: str, jobs: Sequence[_Job], tree: Path) -> None:
 
 
 def _packages_of(jobs: Iterable[_Job]) -> set[str]:
-    """The packages whose messages are in these interfaces."""
+    """The packages whose messages these interfaces contain."""
     return {name.split("/")[0] for job in jobs for name in job.definition.refers_to} | set(_IMPLIED)
 
 
@@ -374,7 +375,9 @@ def _library(package: str) -> str:
 
 
 def _link(package: str, objects: Sequence[Path], needs: set[str], tree: Path) -> None:
-    """One shared library, which Python imports, with all of it; `rosidl_typesupport_c` finds it by the names of type supports."""
+    """One shared library with everything, which Python imports; `rosidl_typesupport_c` finds it by the names of type
+    supports.
+    """
     site = tree / SITE_PACKAGES
     built = [site / one / _library(one) for one in sorted(needs) if (site / one).is_dir()]
     wheels = [one for one in sorted(needs) if not (site / one).is_dir()]

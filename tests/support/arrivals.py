@@ -1,4 +1,4 @@
-"""Numbers in the order in which a test asks for things, as the bus gives them to commands."""
+"""Arrival numbers in the order of a test's requests, as the bus gives them to commands."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ _numbers = itertools.count(1)
 
 
 def arrival() -> int:
-    """One above all before."""
+    """The next number."""
     return next(_numbers)

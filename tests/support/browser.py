@@ -1,4 +1,4 @@
-"""A real browser without a screen: Debian's Chromium, which draws in software."""
+"""A headless browser: Debian's Chromium, with software rendering."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from playwright.sync_api import Browser, sync_playwright
 
 CHROMIUM = shutil.which("chromium")
 EYE, LOOK_AT, FIELD = (1.65, -1.0, 1.2), (0.35, 0.15, 0.45), math.radians(75)
-"""How the page looks at the scene at first (m, vertical rad); `zarm_viewer.room` sets the first two, viser the last."""
+"""The page's initial camera (m, vertical field of view in rad); `zarm_viewer.room` sets the first two, viser the last.
+"""
 _ARGUMENTS = (
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -31,7 +32,7 @@ def browser() -> Iterator[Browser]:
 
 
 def pixel(point: tuple[float, ...], width: int, height: int) -> tuple[float, float]:
-    """Where a point of the scene (m) is on a page of this size that looks as at first."""
+    """The pixel of a scene point (m) on a page of this size with the initial camera."""
     eye, at, seen = (np.array(vector, dtype=float) for vector in (EYE, LOOK_AT, point))
     ahead = (at - eye) / np.linalg.norm(at - eye)
     right = np.cross(ahead, (0.0, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""A robot with its planner, executor and servo as processes, and a client of theirs."""
+"""A robot with its planner, executor and servo as processes, and a client for them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GIVEN_UP_AFTER = 8.0
 
 
 class Cell:
-    """The processes around one robot, and a client of theirs."""
+    """The processes around one robot, and a client for them."""
 
     def __init__(self, stack: ExitStack, folder: Path, execution: str, *services: str) -> None:
         self.stack, self.folder = stack, folder
@@ -36,7 +36,7 @@ class Cell:
         return process
 
     def home(self) -> None:
-        """Back to where it began, in an empty scene."""
+        """Move home, in an empty scene."""
         self.client.cancel()
         self.client.mode("idle")
         load(self.bus)
@@ -46,7 +46,7 @@ class Cell:
         self.client.goals.clear()
 
     def way(self, *objects: SceneObject, speed: float = SLOWLY, replan: bool = False) -> str:
-        """A goal that is on its way through the post's place, among these objects."""
+        """A running goal through the place of the post, among these objects."""
         load(self.bus, *objects)
         made = plan(self.bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST), velocity_scale=speed))
         goal = self.client.execute(plan_id=made.plan_id, replan=replan)
@@ -54,7 +54,7 @@ class Cell:
         return goal
 
     def held(self, goal: str) -> GoalState:
-        """Wait until the goal is held; how."""
+        """Wait until the goal is held; returns its state."""
 
         def state() -> GoalState | None:
             found = self.client.goal(goal)
@@ -69,6 +69,6 @@ class Cell:
         assert self.client.stands()
 
     def assert_free_of(self, *objects: SceneObject) -> None:
-        """Nothing that was measured since the last look touched any of them."""
+        """No configuration measured since the last check collided with any of them."""
         collisions = Collisions(ROBOT, objects)
         assert not any(collisions.at(np.array(state.position)) for state in self.client.measured)

@@ -1,4 +1,4 @@
-"""Certificates as `zarm certs` would not make them: ended, of another authority, for whom a test wants."""
+"""Certificates that `zarm certs` would not make: expired, of another authority, for any name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from zarm_contract.access import Role
 
 
 def issue(certificates: Path, to: Path, role: Role, **changes: object) -> None:
-    """Into `to`, a certificate for a role by the authority of `certificates`."""
+    """Put into `to` a certificate for a role by the authority of `certificates`."""
     authority = Authority.load(certificates.with_name(f"{certificates.name}-authority"))
     to.mkdir(exist_ok=True)
     (to / "ca.pem").write_bytes(authority.pem())

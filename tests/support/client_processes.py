@@ -1,4 +1,4 @@
-"""Many client processes that ask at once: all of them are ready before the first one asks."""
+"""Many client processes with simultaneous requests: all of them are ready before the first one asks."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from support.harness import PATIENCE
 class ClientProcesses:
     """`count` processes of a program, ready in `with`.
 
-    The program says `ready`. It reads requests, one a line up to an empty line, and asks all of them at once; it writes
-    answers, one a line, and an empty line after the last. It does so again until its input ends.
+    The program says `ready`. It reads requests, one a line up to an empty line, and sends all of them at once; it
+    writes answers, one a line, and an empty line after the last. It repeats this until its input ends.
     """
 
     def __init__(self, program: Path, *arguments: str, count: int) -> None:
@@ -33,14 +33,14 @@ class ClientProcesses:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End them: half of them as programs end, half as they crash."""
+        """End them: half of them regularly, half by a crash."""
         for place, process in enumerate(self._processes):
             if place % 2:
                 process.kill()
             process.communicate(timeout=PATIENCE)
 
     def ask_at_once(self, requests: Sequence[str] = ()) -> list[str]:
-        """Deal the requests out to the processes, and let all of them ask; every line that they answer."""
+        """Distribute the requests over the processes, and let all of them ask; returns every answer line."""
         for place, process in enumerate(self._processes):
             assert process.stdin is not None
             process.stdin.writelines(f"{line}\n" for line in [*requests[place :: self._count], ""])

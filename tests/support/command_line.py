@@ -1,4 +1,4 @@
-"""The `zarm` executable as a person runs it, and every process that it leaves or does not leave behind."""
+"""The `zarm` executable as a user runs it, and the processes that it starts or leaves behind."""
 
 from __future__ import annotations
 
@@ -35,8 +35,9 @@ def environment(**variables: str) -> dict[str, str]:
 
 
 def zarm(*arguments: str, timeout: float = PATIENCE, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run `zarm` to its end; `variables` are added to its environment. It is forked from a process that has imported it, but for
-    variables that are not of zarm: they may be read when it is imported."""
+    """Run `zarm` to its end; `variables` are added to its environment. It is forked from a process that has imported
+    it, unless a variable is not of zarm: that may be read during the import.
+    """
     command, its_environment = [ZARM, *arguments], environment(**variables)
     if all(name.startswith("ZARM_") for name in variables):
         return run_command(command, its_environment, timeout)
@@ -58,7 +59,7 @@ def done(up: Up, *arguments: str) -> str:
 
 
 def data(up: Up, *arguments: str) -> Any:
-    """What a command prints with --json."""
+    """The output of a command with --json, parsed."""
     return json.loads(the_one_line(done(up, *arguments, "--json")))
 
 
@@ -70,7 +71,7 @@ def refused(up: Up, *arguments: str, code: int = 1) -> str:
 
 
 def vector(values: tuple[float, ...]) -> str:
-    """Numbers as a command takes them."""
+    """Numbers in the form of a command argument."""
     return ",".join(f"{value:.6f}" for value in values)
 
 
@@ -98,7 +99,7 @@ class Command:
         self.process.wait()
 
     def family(self) -> list[psutil.Process]:
-        """Every living process that descends from it, whoever its parent is by now."""
+        """Every living descendant process, whatever its present parent."""
         return [
             process for process in psutil.process_iter() if process.pid != self.process.pid and self._is_mine(process)
         ]
@@ -110,7 +111,7 @@ class Command:
             return False
 
     def command_lines(self) -> list[list[str]]:
-        """What the family runs."""
+        """The command lines of the family."""
         lines = []
         for process in self.family():
             with suppress(psutil.Error):
@@ -118,15 +119,15 @@ class Command:
         return lines
 
     def output(self) -> str:
-        """What it has printed so far."""
+        """The output so far."""
         return self._output.read_text(errors="replace")
 
     def errors(self) -> str:
-        """What it has said on standard error so far, the logs of its services included."""
+        """Standard error so far, including the logs of its services."""
         return self._errors.read_text(errors="replace")
 
     def wait_for(self, text: str) -> None:
-        """Wait until it has printed `text`; fails when it ends before."""
+        """Wait until it has printed `text`; fails if it ends before."""
 
         def printed() -> bool:
             ended = self.process.poll() is not None
@@ -142,7 +143,7 @@ class Command:
         self.process.send_signal(number)
 
     def end(self) -> int:
-        """Wait for its end; the exit code."""
+        """Wait for its end; returns the exit code."""
         return self.process.wait(PATIENCE)
 
 
@@ -174,7 +175,7 @@ class Up(Command):
 
 
 class Router(Command):
-    """`zarm router`, listening on entry; leaving ends it with SIGTERM and holds that it ends well."""
+    """`zarm router`, listening on entry; leaving ends it with SIGTERM and checks that it ends properly."""
 
     def __init__(self, folder: Path, *arguments: str, **variables: str) -> None:
         super().__init__("router", *arguments, folder=folder, **variables)
@@ -194,7 +195,7 @@ class Router(Command):
 
 
 def health(bus: Bus, service: str, keys: Keys = KEYS) -> Health | None:
-    """How a service is, or None while it does not answer."""
+    """The health of a service, or None while it does not answer."""
     try:
         return bus.call(keys.health(service), Nothing(), Health, timeout=5)
     except Unavailable:
@@ -202,13 +203,13 @@ def health(bus: Bus, service: str, keys: Keys = KEYS) -> Health | None:
 
 
 def pid(bus: Bus, service: str) -> int:
-    """The process of a service that is ready."""
+    """The process id of a service that is ready."""
     found = eventually(lambda: health(bus, service), f"the {service} answers")
     return found.pid
 
 
 def wait_replaced(bus: Bus, service: str, old: int) -> Health:
-    """Wait until another process serves in place of the process `old`."""
+    """Wait until another process has replaced the process `old`."""
 
     def replaced() -> Health | None:
         found = health(bus, service)

@@ -1,4 +1,4 @@
-"""What the tests of the bus share."""
+"""Shared code of the tests of the bus."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from zarm_runtime.bus import Bus
 
 
 def declared(bus: Bus) -> None:
-    """Wait until the router has what `bus` has declared and published so far: it answers a session in order.
+    """Wait until the router has everything that `bus` has declared and published so far: it answers a session in order.
 
-    It takes a question of the same priority as data: what is asked about liveliness overtakes publications.
+    The query must have the same priority as data: liveliness queries overtake publications.
     """
     with suppress(Unavailable):
         bus.read("zarm/nobody/nothing", Nothing, timeout=PATIENCE)

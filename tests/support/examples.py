@@ -1,4 +1,4 @@
-"""How many examples a property is tried with: a share of the profile's, so that one option of pytest changes all of them."""
+"""The number of examples of a property: a share of the profile's, so that one option of pytest changes all of them."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from hypothesis import settings
 
 
 def examples(share: float, **others: Any) -> settings:
-    """As many as the profile says, times `share`: less for a property whose single example takes long; other settings too."""
+    """The profile's number times `share`: less for a property whose examples are slow; other settings too."""
     return settings(max_examples=max(1, round(share * settings.default.max_examples)), **others)

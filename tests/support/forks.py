@@ -1,5 +1,6 @@
-"""Services and commands that begin as forks of a process which has imported them and loaded their kernels: real processes for a fraction
-of the CPU."""
+"""Services and commands forked from a process that has imported them and loaded their kernels: real processes for a
+fraction of the CPU time.
+"""
 
 from __future__ import annotations
 
@@ -22,21 +23,21 @@ from support.programs import fork_server
 from zarm_cli.commands import MODULES
 
 IMPORTED_ALONE = ("planner", "servo", "executor", "leeloo_sim")
-"""The services that start no thread when they are imported."""
+"""The services that start no thread when imported."""
 
 _PR_SET_CHILD_SUBREAPER = 36
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 
 
 class Forked:
-    """A child process, as `subprocess.Popen` shows one."""
+    """A child process with the interface of `subprocess.Popen`."""
 
     def __init__(self, pid: int) -> None:
         self.pid = pid
         self.returncode: int | None = None
 
     def poll(self) -> int | None:
-        """The exit code, negative where a signal ended it; None while it runs."""
+        """The exit code, negative if a signal ended it; None while it runs."""
         if self.returncode is None:
             ended, status = os.waitpid(self.pid, os.WNOHANG)
             if ended:
@@ -70,12 +71,12 @@ class Forked:
 
 
 def fork_service(service: str, command: list[str], environment: dict[str, str], log: Path) -> Forked:
-    """What `command`, which is `python -m` and the service, would start."""
+    """The process that `command`, `python -m` and the service, would start."""
     return _fork((f"zarm_{service}.service",), command, environment, str(log), str(log))
 
 
 def run_command(command: list[str], environment: dict[str, str], timeout: float) -> subprocess.CompletedProcess[str]:
-    """What becomes of `command`, which is the path of `zarm` and its arguments. Raises TimeoutExpired after s, once it is killed."""
+    """The result of `command`, the path of `zarm` and its arguments. Raises TimeoutExpired after killing it."""
     with NamedTemporaryFile("r") as output, NamedTemporaryFile("r") as errors:
         process = _fork(_COMMAND_LINE, [sys.executable, *command], environment, output.name, errors.name)
         try:
@@ -117,7 +118,7 @@ _PRCTL = ctypes.CDLL(None).prctl
 
 @cache
 def _server(modules: tuple[str, ...]) -> TextIO:
-    """The connection to the server of a program, which ends with this process."""
+    """The connection to the fork server of a program, which ends with this process."""
     here, there = socket.socketpair()
     with here, there:
         command = [sys.executable, str(fork_server.__file__), str(there.fileno()), *modules]

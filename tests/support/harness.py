@@ -24,9 +24,9 @@ from zarm_runtime.session import open_router
 T = TypeVar("T")
 
 PATIENCE = 60.0
-"""Seconds until a test gives up waiting for an event; no promise about speed."""
+"""Seconds until a test gives up waiting for an event; not a claim about speed."""
 SOON, LATE = 0.005, 0.05
-"""Seconds between two looks at whether an event has come, at first and after a second."""
+"""Intervals (s) at which an event is checked, at first and after a second."""
 
 
 def free_endpoint() -> str:
@@ -48,9 +48,9 @@ def router() -> Iterator[str]:
 
 
 def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIENCE) -> T:
-    """The first truthy value of `probe()`; fails the test when there is none in time.
+    """The first truthy value of `probe()`; fails the test if there is none in time.
 
-    The longer it has waited, the less often it looks: a probe may ask the very service that is to do something meanwhile.
+    The longer it waits, the less often it checks, because a probe may burden the very service that it waits for.
     """
     began = time.monotonic()
     while not (value := probe()):
@@ -63,11 +63,11 @@ def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIE
 
 @dataclass
 class ServiceProcess:
-    """One service of zarm as a process of its own; use it in `with`. Leaving stops it with SIGTERM and waits.
+    """One service of zarm as a separate process; use it in `with`. Leaving stops it with SIGTERM and waits.
 
-    `script` is run in its place; `prefix` is put before the command; `environment` is added to that of the tests, and is the place for
-    what is read when a service is imported. Without these it is forked from a process that has imported it. `started` are those of the
-    present test, ended ones too.
+    `script` is run instead; `prefix` is put before the command; `environment` is added to that of the tests, and is the
+    place for variables read when a service is imported. Without these it is forked from a process that has imported it.
+    `started` are those of the present test, including ended ones.
     """
 
     started: ClassVar[list[ServiceProcess]] = []
@@ -111,16 +111,16 @@ class ServiceProcess:
             raise AssertionError(f"{self.service} did not end on SIGTERM; its log:\n{self.output()}") from None
 
     def output(self) -> str:
-        """What the process has logged so far."""
+        """The log of the process so far."""
         return self.log.read_text(errors="replace")
 
     def kill(self) -> None:
-        """End it as a crash does."""
+        """End it as in a crash."""
         os.kill(self.process.pid, signal.SIGKILL)
         self.process.wait()
 
     def wait_ready(self, bus: Bus, keys: Keys) -> Health:
-        """Wait until this very process says that it is ready."""
+        """Wait until exactly this process reports that it is ready."""
 
         def ready() -> Health | None:
             if self.process.poll() is not None:

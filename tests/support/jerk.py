@@ -9,13 +9,13 @@ from scipy.interpolate import BPoly
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LOOKS = 33
-"""Moments looked at from sample to sample, both among them."""
+"""Sample times between two samples of the trajectory, including both."""
 
 
 def greatest_jerk(trajectory: TimedTrajectory) -> NDArray[np.float64]:
     """The greatest jerk (J,) in rad/s^3 of the quintics that the contract prescribes, as SciPy interpolates.
 
-    Each piece is looked at by itself: over so short a time SciPy's own sum of all times would cost digits.
+    Each piece is evaluated separately: over such a short time SciPy's absolute times would cost precision.
     """
     steps = np.diff(trajectory.time)
     states = np.stack((trajectory.position, trajectory.velocity, trajectory.acceleration), axis=1)

@@ -1,4 +1,4 @@
-"""What the documentation has people type: the commands in the shell blocks of its pages."""
+"""The commands that the documentation tells users to type, in the shell blocks of its pages."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ PAGES = sorted(
     )
     if path.name != "CHANGELOG.md"
 )
-"""Every page that a user reads."""
+"""Every page for users."""
 
 
 def section(text: str, heading: str) -> str:
-    """What is under a heading of the second level."""
+    """The text under a heading of the second level."""
     return text.split(f"\n## {heading}\n", 1)[1].split("\n## ", 1)[0]
 
 
@@ -29,6 +29,8 @@ def shell_blocks(text: str) -> list[str]:
 
 
 def commands(text: str, *programs: str) -> list[list[str]]:
-    """Every command of these programs in the shell blocks of a text, as words; a line that ends in a backslash goes on."""
+    """Every command of these programs in the shell blocks of a text, as words; a line that ends in a backslash
+    continues.
+    """
     lines = [line.strip() for block in shell_blocks(text) for line in block.replace("\\\n", " ").splitlines()]
     return [shlex.split(line, comments=True) for line in lines if line.split(" ", 1)[0] in programs]

@@ -1,7 +1,8 @@
 """At least one example of every message class; together they set every field.
 
-`python tests/support/message_examples.py` writes them to `tests/unit/contract/golden/<Message>.json`, which hold the wire format. A change there is
-a change of the contract: other versions of zarm and other programs on the bus read these bytes.
+`python tests/support/message_examples.py` writes them to `tests/unit/contract/golden/<Message>.json`, which record the
+wire format. A change there is a change of the contract: other versions of zarm and other programs on the bus read these
+bytes.
 """
 
 from __future__ import annotations
@@ -352,7 +353,7 @@ EXAMPLES: tuple[Message, ...] = (
 
 
 def golden_text(examples: tuple[Message, ...]) -> str:
-    """What a golden file holds: the payloads of one class's examples, laid out to be read in a diff."""
+    """The content of a golden file: the payloads of one class's examples, formatted for diffs."""
     return json.dumps([json.loads(encode(example)) for example in examples], indent=2) + "\n"
 
 

@@ -1,4 +1,6 @@
-"""The meshes that a robot's maker publishes, read by trimesh and placed in fcl: a second opinion on what an import made of them."""
+"""The meshes published by a robot's maker, read by trimesh and placed in FCL: a second opinion on the result of an
+import.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from zarm_robot_import.source import Source, read_source
 
 
 def original_meshes(file: Path) -> dict[str, np.ndarray]:
-    """The triangles (n, 3, 3) of each link of a URDF or xacro: its collision geometry, or what one sees where it has none."""
+    """The triangles (n, 3, 3) of each link of a URDF or xacro: its collision geometry, or otherwise its visual one."""
     robot = describe(read_source(file))
     found = {}
     for link in robot.links.values():
@@ -49,14 +51,14 @@ class OriginalRobot:
         self._bodies = {link: _bvh(meshes[link]) for link in model.links}
 
     def placed(self, q: np.ndarray) -> dict[str, fcl.CollisionObject]:
-        """The links where they are at a configuration (dof,)."""
+        """The links at their poses for a configuration (dof,)."""
         return {
             link: fcl.CollisionObject(self._bodies[link], fcl.Transform(pose[:3, :3], pose[:3, 3]))
             for link, pose in zip(self.model.links, self.model.link_transforms(q), strict=True)
         }
 
     def contacts(self, q: np.ndarray) -> set[tuple[str, str]]:
-        """Pairs of links that touch at a configuration (dof,), less those that one joint, or none, holds together."""
+        """Pairs of links in contact at a configuration (dof,), without adjacent ones and those rigidly connected."""
         objects = self.placed(q)
         bodies = dict(zip(self.model.links, self.model.link_joint.tolist(), strict=True))
         return {

@@ -1,4 +1,4 @@
-"""What service processes take of the machine, and that they get it."""
+"""The machine's resources used by service processes, and their priority."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class Burden:
 
 
 def burden(service: ServiceProcess) -> Burden:
-    """Of a running service, now."""
+    """The resources of a running service, now."""
     process = psutil.Process(service.process.pid)
     return Burden(process.num_threads(), process.num_fds(), process.memory_info().rss)
 
 
 @contextmanager
 def ahead_of_others() -> Iterator[None]:
-    """Threads and processes begun in the block go before every ordinary one, where the system lets them.
+    """Threads and processes started in the block take precedence over ordinary ones, if the system permits.
 
-    So that what else this machine does is not among the faults.
+    So the machine's other load is not among the faults.
     """
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     with suppress(PermissionError):
@@ -50,9 +50,10 @@ def ahead_of_others() -> Iterator[None]:
 
 
 def favour(*services: ServiceProcess) -> None:
-    """Let these, and this process's router, go before what else runs on the machine, where that is allowed.
+    """Give these, and this process's router, precedence over everything else on the machine, if permitted.
 
-    A robot has a computer of its own. The thread that asks is left out, because what it starts would be favoured as well.
+    A robot has a computer of its own. The calling thread is excluded, because whatever it starts would inherit the
+    priority.
     """
     tasks = [int(task.name) for task in Path("/proc/self/task").glob("*") if int(task.name) != os.getpid()]
     for service in services:

@@ -11,7 +11,7 @@ from zarm_contract.access import access_control
 FOLDER = Path(__file__).parents[2] / "deploy"
 FILE = FOLDER / "router-secure.json5"
 CERTIFICATES = "/certs"
-"""Where a container finds them."""
+"""Their folder in a container."""
 
 _HEAD = """\
 // Generated from router.json5 and the table in libs/contract/zarm_contract/access.py by tests/support/router_file.py.
@@ -39,7 +39,7 @@ _TLS = f"""\
 
 
 def text() -> str:
-    """What the file is to hold."""
+    """The required content of the file."""
     plain = (FOLDER / "router.json5").read_text()
     _, _, body = plain.partition("\n{\n")
     body = re.sub(r"  // Loopback.*\n", "  // Loopback, until -l says otherwise.\n", body).replace('"tcp/', '"tls/')

@@ -1,4 +1,6 @@
-"""A `zarm up` for all tests of a package that only use one. The folder needs an `__init__.py`: else `up` runs on to the end."""
+"""A `zarm up` for all tests of a package that only use one. The folder needs an `__init__.py`; otherwise `up` runs
+until the end.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from zarm_runtime.bus import Bus
 
 @pytest.fixture(scope="package")
 def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """`zarm up` with the meshes of the examples, which all of these tests share: none of them stops it or changes its files."""
+    """`zarm up` with the meshes of the examples, shared by all of these tests: none of them stops it or changes its
+    files.
+    """
     meshes = ROOT / "examples" / "meshes"
     with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--meshes", str(meshes)) as stack:
         yield stack

@@ -1,4 +1,4 @@
-"""What of a repetition `make test` runs."""
+"""Which repetitions `make test` runs."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ROBOT = load_robot("doosan_m1013")
-"""The robot that tests move."""
+"""The robot used in tests."""
 RATE_LIMITS = RateLimits.of(ROBOT.descriptor)
 KEYS = Keys(ROBOT.descriptor.name)
 HOME = np.array(ROBOT.descriptor.home)
@@ -54,7 +54,7 @@ def rest_to_rest(
 
 
 def curved_path(seed: int, samples: int = 200) -> TimedTrajectory:
-    """Joints that swing to and fro on their way from rest to rest, one of them at its limit at least once."""
+    """Joints that swing back and forth from rest to rest, one of them at its limit at least once."""
     random = np.random.default_rng(seed)
     u = np.polynomial.Polynomial([0.0, 1.0])
     bell = 64 * u**3 * (1 - u) ** 3
@@ -82,8 +82,10 @@ def trapezoid(
     dt: float = 0.02,
     ramp: float | None = None,
 ) -> Trajectory:
-    """From rest to rest on a straight line in joint space as a planner times it: at `share` of the acceleration limit after
-    `ramp` s, else as soon as the jerk limit allows, then at the velocity limit, or half way and back where the line is too short for that."""
+    """From rest to rest on a straight line in joint space as a planner times it: at `share` of the acceleration limit
+    after `ramp` s, by default as soon as the jerk limit allows, then at the velocity limit, or half way and back if the
+    line is too short for that.
+    """
     distance, limits = goal - start, robot.descriptor.cspace
     way = np.maximum(np.abs(distance), 1e-9)
     acceleration, jerk = share * float(np.min(limits.acceleration / way)), float(np.min(limits.jerk / way))
@@ -123,23 +125,24 @@ def trapezoid(
 
 
 def descriptor_at(control_rate: float, folder: Path) -> Path:
-    """The descriptor of the tests' robot with another rate (Hz) of the control loop, in a folder of its own."""
+    """The descriptor of the tests' robot with another control rate (Hz), in a separate folder."""
     return with_execution(folder, f"control_rate: {control_rate}")
 
 
 def patient(folder: Path, robot: RobotDescription = ROBOT) -> Path:
-    """The descriptor of a robot that is given 1 s to tell its joints, in a folder of its own: for tests that move it through a
-    driver on a machine that is busy, and say nothing of how soon its silence is noticed."""
+    """The descriptor of a robot that has 1 s to report its joints, in a separate folder: for tests that move it through
+    a driver on a busy machine, and do not test how soon its silence is noticed.
+    """
     return with_execution(folder, "joint_state_timeout: 1.0", robot)
 
 
 def forgiving(folder: Path) -> RobotDescription:
-    """The same robot, and the next goal leaves its faults."""
+    """The same robot, whose faults are left by the next goal."""
     return load_robot(str(with_execution(folder, "faults: clear_at_rest")))
 
 
 def with_execution(folder: Path, execution: str, robot: RobotDescription = ROBOT) -> Path:
-    """The descriptor of a robot with these settings under `execution`, in a folder of its own."""
+    """The descriptor of a robot with these settings under `execution`, in a separate folder."""
     folder.mkdir(parents=True)
     name = robot.descriptor.name
     descriptor = folder / f"{name}.yaml"
@@ -149,7 +152,7 @@ def with_execution(folder: Path, execution: str, robot: RobotDescription = ROBOT
 
 
 def rows(array: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    """A (N, J) array as a message holds it."""
+    """A (N, J) array in message form."""
     return tuple(tuple(row) for row in array.tolist())
 
 

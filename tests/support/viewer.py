@@ -19,9 +19,9 @@ from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
 
 SIZE = (1000, 640)
-"""Width and height (px) of a page: the less is drawn without a GPU, the sooner."""
+"""Width and height (px) of a page: small, because it is drawn without a GPU."""
 PANEL = 388
-"""Width (px) of the panels beside the picture."""
+"""Width (px) of the panels beside the 3D view."""
 expect.set_options(timeout=PATIENCE * 1e3)
 
 
@@ -44,11 +44,11 @@ class Cell:
         self.router = open_router(self.endpoint)
 
     def begin(self, service: str, robot: str = ROBOT.descriptor.name, name: str | None = None) -> ServiceProcess:
-        """A service that is starting."""
+        """Start a service."""
         return self.stack.enter_context(ServiceProcess(service, self.endpoint, self.folder, robot, name))
 
     def serve(self, *arguments: str, script: Path | None = None, **environment: str) -> str:
-        """The address of a viewer that is started with these arguments; `viewer` is its process."""
+        """The address of a viewer started with these arguments; `viewer` is its process."""
         self.viewer = viewer = ServiceProcess(
             "viewer",
             self.endpoint,
@@ -78,11 +78,11 @@ class Cell:
             self.robot.execute(self.robot.plan(HOME))
 
     def tip_pixel(self) -> tuple[float, float]:
-        """Where on the page the tip is, as the bus has it."""
+        """The pixel of the tip on the page, by its pose on the bus."""
         return self.pixel(self.robot.tip().position)
 
     def pixel(self, point: tuple[float, ...]) -> tuple[float, float]:
-        """Where a point of the scene (m) is on a page of `SIZE` that looks as at first."""
+        """The pixel of a scene point (m) on a page of `SIZE` with the initial camera."""
         return pixel(point, SIZE[0] - PANEL, SIZE[1])
 
 
@@ -101,7 +101,7 @@ def cell_of(folder: Path, *services: str) -> Iterator[Cell]:
 
 
 def opened(chromium: Browser, address: str, size: tuple[int, int] = SIZE) -> Page:
-    """A page that is open in the browser."""
+    """An open page in the browser."""
     page = chromium.new_page(viewport={"width": size[0], "height": size[1]}, ignore_https_errors=True)
     page.goto(address)
     expect(page.get_by_text("STOP").first).to_be_visible()
@@ -109,12 +109,12 @@ def opened(chromium: Browser, address: str, size: tuple[int, int] = SIZE) -> Pag
 
 
 def drawn_tip(page: Page, robot: str = ROBOT.descriptor.name) -> tuple[float, ...] | None:
-    """Where (m) the tip of a robot is in the page's scene graph, in the robot's base frame; None where it is not there yet."""
+    """The tip's position (m) in the page's scene graph, in the robot's base frame; None if it is not there yet."""
     return _drawn(page, robot, "robot", "tip_axes")
 
 
 def drawn_ghost(page: Page) -> tuple[float, ...] | None:
-    """Where (m) the tip of the goal's ghost is in the scene graph, in the robot's base frame."""
+    """The position (m) of the tip of the goal's ghost in the scene graph, in the robot's base frame."""
     return _drawn(page, ROBOT.descriptor.name, "goal_ghost", ROBOT.descriptor.tip_link)
 
 

@@ -137,18 +137,18 @@ def connect(
 ) -> Iterator[Robot]:
     """A robot on the bus, as long as the block lasts.
 
-    `endpoint` is the router's; left out, it is $ZARM_CONNECT, else the one of `zarm up` on this machine. `name` is the robot's;
-    left out, it is $ZARM_NAME, else the only robot there is. The router is waited for `timeout` s. With ZARM_SECURITY=on the
-    client has the rights of `role`, left out those of $ZARM_ROLE or else an operator's, with the certificate in $ZARM_CERTS.
+    `endpoint` is the router's (default: $ZARM_CONNECT, else that of `zarm up` on this machine). `name` is the robot's (default:
+    $ZARM_NAME, else the only robot). The client waits `timeout` s for the router. With ZARM_SECURITY=on it has the rights of
+    `role` (default: $ZARM_ROLE, else operator), with the certificate in $ZARM_CERTS.
 
-    Raises Unavailable without a router or a robot, InvalidRequest where there are several or the name cannot be one.
+    Raises Unavailable without a router or a robot, InvalidRequest if there are several or the name is invalid.
     """
     with connected(endpoint, name, role=role, timeout=timeout) as connection:
         yield Robot(connection)
 
 
 def __getattr__(name: str) -> ModuleType:
-    """`zarm.aio`, loaded when it is needed: asyncio takes longer to load than all the rest of the client."""
+    """`zarm.aio`, loaded on demand: asyncio takes longer to load than the rest of the client."""
     if name == "aio":
         from importlib import import_module
 

@@ -39,7 +39,9 @@ S = TypeVar("S")
 
 
 async def _in_thread(work: Callable[[], T], interruption: Interruption) -> T:
-    """What `work` returns or raises. Its waits are interrupted when the task is cancelled, which then waits for its end."""
+    """The result or exception of `work`. Its waits are interrupted when the task is cancelled, which then waits for its
+    end.
+    """
     loop, done = asyncio.get_running_loop(), asyncio.Event()
 
     def tell() -> None:
@@ -87,7 +89,7 @@ def _iterated(
             while (value := await _in_thread(lambda: next(values, None), interruption)) is not None:
                 yield value
         finally:
-            with suppress(ValueError):  # whoever did not wait for its thread leaves it as it is
+            with suppress(ValueError):  # a task that did not wait for its thread leaves it as it is
                 values.close()
 
     return iterate

@@ -1,4 +1,4 @@
-"""What the client's calls of one robot's services have in common."""
+"""The common base of the client's calls of one robot's services."""
 
 from __future__ import annotations
 

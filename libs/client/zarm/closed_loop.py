@@ -24,7 +24,7 @@ class ClosedLoop(Motion):
 
     @contextmanager
     def stream(self, *, deadline: float = 0.2) -> Iterator[Stream]:
-        """A stream of short trajectories, each in place of what is left of the one before: closed-loop control.
+        """A stream of short trajectories for closed-loop control, each replacing the rest of the one before.
 
         ```python
         with robot.stream() as stream:
@@ -32,8 +32,8 @@ class ClosedLoop(Motion):
                 stream.send(trajectory_from(stream.time))
         ```
 
-        The next one must be sent within `deadline` s (at most 1), else the robot brakes and DeadlineExceeded is raised. Leaving
-        the block waits until the robot rests: at the end of a trajectory that was sent as the `last`, else it brakes at once.
+        The next one must be sent within `deadline` s (at most 1); otherwise the robot brakes and DeadlineExceeded is raised.
+        Leaving the block waits until the robot rests: at the end of a trajectory sent as the `last`, or by braking at once.
         """
         from zarm.streaming import Stream
 
@@ -57,7 +57,7 @@ class ClosedLoop(Motion):
         acceleration_scale: float = 1.0,
         take_over: bool = False,
     ) -> Iterator[Tracking]:
-        """The robot follows a pose or joint positions that change all the time, and stays away from everything.
+        """The robot follows a changing pose or changing joint positions, and avoids collisions.
 
         ```python
         with robot.track() as tracking:
@@ -66,8 +66,8 @@ class ClosedLoop(Motion):
         ```
 
         `margin` (m) is kept to the scene and between the robot's own links; the scales are shares of the limits of velocity and
-        acceleration. Where another session is open this is Busy, unless it is to `take_over`. Leaving the block brings the robot
-        to rest. Raises Unavailable without a servo, or where it does not know the scene.
+        acceleration. Raises Busy if another session is open, unless `take_over` is set. Leaving the block brings the robot to
+        rest. Raises Unavailable without a servo, or if the servo does not know the scene.
         """
         from zarm.servoing import Tracking
 
@@ -83,7 +83,7 @@ class ClosedLoop(Motion):
         acceleration_scale: float = 1.0,
         take_over: bool = False,
     ) -> Iterator[Jogging]:
-        """The robot moves by a twist of its tip or by joint speeds, as long as it is told to: see `track`.
+        """The robot moves by a twist of its tip or by joint speeds, as long as they keep coming: see `track`.
 
         ```python
         with robot.jog() as jogging:

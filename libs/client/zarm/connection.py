@@ -1,4 +1,4 @@
-"""A session with the services of one robot, or with a bus on which there are several."""
+"""A session with the services of one robot, or with a bus that has several."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from zarm_runtime.session import DEFAULT_ENDPOINT
 
 CONNECT_SECONDS = 2.0
 ANSWER_SECONDS = 5.0
-"""Longest wait for what is answered at once."""
+"""Longest wait (s) for requests that are answered at once."""
 
 M = TypeVar("M", bound=Message)
 Reply = TypeVar("Reply", bound=Message)
@@ -38,13 +38,13 @@ class Connection:
 
     @classmethod
     def of(cls, bus: Bus, keys: Keys, interrupts: Interrupts | None = None) -> Connection:
-        """With a robot on a bus that is open."""
+        """A connection to a robot on an open bus."""
         return cls(bus, keys, Goals(bus, keys), interrupts or CtrlC())
 
     def ask(
         self, key: str, reply: type[Reply], request: Message | None = None, *, timeout: float = ANSWER_SECONDS
     ) -> Reply:
-        """The answer to a request within `timeout` s. Raises the problem that the service answers, or Unavailable."""
+        """The answer to a request within `timeout` s. Raises the service's problem, or Unavailable."""
         return self.interrupts.attend(lambda: self.bus.call(key, request or Nothing(), reply, timeout=timeout))
 
     def read(self, key: str, model: type[Reply], *, timeout: float = ANSWER_SECONDS) -> Reply:
@@ -60,11 +60,11 @@ class Connection:
         return live(subscribe, self.interrupts)
 
     def published(self, key: str, model: type[M]) -> Generator[M]:
-        """Each value that is published on a key from now on."""
+        """Each value published on a key from now on."""
         return live(lambda tell: self.bus.subscribe(key, model, lambda _, value: tell(value)), self.interrupts)
 
     def next(self, key: str, model: type[M], seconds: float) -> M | None:
-        """The next value that is published on a key, or None if none comes within this many s."""
+        """The next value published on a key, or None if none comes within `seconds`."""
         newest: Newest[M] = Newest()
         end = self.bus.subscribe(key, model, lambda _, value: newest.put(value))
         try:
@@ -73,7 +73,7 @@ class Connection:
             end()
 
     def publisher(self, key: str, model: type[M]) -> Publisher[M]:
-        """What publishes on a key, at once and before all else; the same for everyone who asks."""
+        """The publisher of a key, express and with the highest priority; the same one for all callers."""
         if key not in self._publishers:
             self._publishers[key] = self.bus.publisher(key, model, realtime=True)
         return self._publishers[key]
@@ -104,12 +104,14 @@ def robots(endpoint: str | None = None, *, role: Role | None = None, timeout: fl
 
 
 def opened(endpoint: str | None, role: Role | None = None, timeout: float = CONNECT_SECONDS) -> Bus:
-    """A session with the router at `endpoint`, left out: $ZARM_CONNECT, else this machine's. Raises Unavailable, and InvalidRequest for what is no endpoint."""
+    """A session with the router at `endpoint` (default: $ZARM_CONNECT, else this machine's). Raises Unavailable, and
+    InvalidRequest for an invalid endpoint.
+    """
     return Bus(endpoint or os.environ.get("ZARM_CONNECT") or DEFAULT_ENDPOINT, timeout=timeout, role=role)
 
 
 def keys_of(name: str) -> Keys:
-    """The keys of a robot. Raises InvalidRequest for a name that cannot be one."""
+    """The keys of a robot. Raises InvalidRequest for an invalid name."""
     try:
         return Keys(name)
     except ValueError as error:

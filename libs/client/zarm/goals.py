@@ -14,8 +14,9 @@ from zarm_contract.messages import GoalState
 from zarm_runtime.bus import Bus
 
 SILENCE = 10.0
-"""s without a word about a goal after which its executor is taken for gone; one that starts anew tells within that what became
-of its goal."""
+"""s without news of a goal after which its executor counts as gone; one that restarts reports the goal's end within
+that time.
+"""
 _ASK_AFTER = 0.5  # s without a publication after which the executor is asked; in motion it publishes at 10 Hz
 _ASK_SECONDS = 1.0
 _REMEMBERED = 64
@@ -33,7 +34,7 @@ class Goals:
         self._heard = False
 
     def listen(self) -> None:
-        """From now on nothing that is told is missed; states of goals that have not ended are read first."""
+        """From now on miss no state; states of goals that have not ended are read first."""
         with self._listening:
             if not self._heard:
                 self._bus.watch(self._keys.goal("*"), GoalState, lambda _, state: self._note(state))
@@ -47,9 +48,9 @@ class Goals:
     def states(
         self, goal_id: str, interrupts: Interrupts, *, silence: float = SILENCE, timeout: float | None = None
     ) -> Iterator[GoalState]:
-        """The goal's states up to its last one; where there is no new one, the same again ten times a second.
+        """The goal's states up to its last one; if there is no new one, the same again ten times a second.
 
-        Raises Unavailable where the executor has not been heard of for `silence` s, or the goal not ended after `timeout` s.
+        Raises Unavailable if the executor has been silent for `silence` s, or the goal has not ended after `timeout` s.
         """
         interrupts.attend(self.listen)
         seen: GoalState | None = None
@@ -85,13 +86,13 @@ class Goals:
         try:
             state = self._bus.read(self._keys.goal(goal_id), GoalState, timeout=_ASK_SECONDS)
         except ZarmError:
-            return  # it may be starting again; after the silence it is given up
+            return  # it may be restarting; after the silence it is given up
         self._note(state)
 
     def _note(self, state: GoalState) -> None:
         with self._changed:
             known = self._states.get(state.goal_id)
-            if known is not None and known.done:  # this is an answer that the last publication overtook
+            if known is not None and known.done:  # this answer was overtaken by the last publication
                 return
             self._states[state.goal_id] = state
             self._states.move_to_end(state.goal_id)

@@ -1,4 +1,4 @@
-"""How the calls of a client wait, and what may end a wait: Ctrl-C, or the end of the task that called."""
+"""How the calls of a client wait, and what may end a wait: Ctrl-C, or the cancellation of the calling task."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from typing import Protocol, TypeVar
 T = TypeVar("T")
 
 SLICE = 0.1
-"""s; who waits for something that is told looks so often whether it is interrupted."""
+"""Interval (s) at which a wait checks for interruptions."""
 
 
 class Interrupts(Protocol):
-    """What interrupts a client. An interruption raises KeyboardInterrupt where a call waits."""
+    """The source of a client's interruptions, which raise KeyboardInterrupt where a call waits."""
 
     def attend(self, work: Callable[[], T]) -> T:
-        """What `work`, which blocks, returns or raises. Once interrupted, nobody hears what becomes of it."""
+        """The result or exception of `work`, which blocks. After an interruption its result is lost."""
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt if there was an interruption that has raised none yet."""
+        """Raise KeyboardInterrupt for a pending interruption."""
 
     def insist(self, awaited: str) -> AbstractContextManager[None]:
-        """A block that is not left at the first interruption; in it `awaited` is waited for."""
+        """A block that the first interruption does not leave, while it waits for `awaited`."""
 
 
 class CtrlC:
-    """The ordinary one: Python raises KeyboardInterrupt in the main thread, and no other thread is interrupted.
+    """The usual source: Python raises KeyboardInterrupt in the main thread, and no other thread is interrupted.
 
-    In the main thread, work is done by a thread of its own, so that KeyboardInterrupt comes up in the wait and not inside a
+    In the main thread, work is done by a separate thread, so that KeyboardInterrupt occurs in the wait and not inside a
     library that might swallow it.
     """
 
@@ -59,7 +59,7 @@ class Interruption:
         self._pending = False
 
     def interrupt(self) -> None:
-        """Have the thread that waits, or will wait, raise KeyboardInterrupt."""
+        """Make the thread that waits, or will wait, raise KeyboardInterrupt."""
         self._pending = True
         self._changed.set()
 
@@ -79,21 +79,21 @@ class Interruption:
             raise KeyboardInterrupt
 
     def insist(self, awaited: str) -> AbstractContextManager[None]:
-        """See `Interrupts`: who interrupts does so once."""
+        """See `Interrupts`: there is only one interruption."""
         return nullcontext()
 
 
 def started(work: Callable[[], T], done: Callable[[], object] = lambda: None) -> tuple[Future[T], threading.Thread]:
-    """Work that is done by a thread of its own; `done()` is called after it.
+    """Work done by a separate thread; `done()` is called after it.
 
-    It is no daemon: a thread that is inside Zenoh when the interpreter ends would abort the process.
+    The thread is not a daemon: one inside Zenoh when the interpreter ends would abort the process.
     """
     future: Future[T] = Future()
 
     def run() -> None:
         try:
             future.set_result(work())
-        except BaseException as error:  # raised again where the result is asked for
+        except BaseException as error:  # raised again where the result is requested
             future.set_exception(error)
         done()
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from zarm.values import Numbers, Rows
 
 BATCH_SECONDS = 65.0
-"""Longest wait for a batch: the planner gives itself 60 s."""
+"""Longest wait (s) for a batch, which the planner limits to 60 s."""
 
 
 class Kinematics(Calls):

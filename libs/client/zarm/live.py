@@ -1,4 +1,4 @@
-"""What is published, one value after the other, for a loop that takes the newest."""
+"""Published values one after the other, for a loop that takes the newest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Newest(Generic[M]):
-    """The newest value that one thread puts and another takes; what nobody took in time is passed over."""
+    """The newest value that one thread puts and another takes; values not taken in time are skipped."""
 
     def __init__(self) -> None:
         self._value: M | None = None
@@ -26,7 +26,7 @@ class Newest(Generic[M]):
             self._changed.notify_all()
 
     def take(self, seconds: float) -> M | None:
-        """The value, if there is one that was not taken yet within so many s."""
+        """The value, if there is an untaken one within `seconds`."""
         with self._changed:
             self._changed.wait_for(lambda: self._value is not None, seconds)
             value, self._value = self._value, None
@@ -34,7 +34,7 @@ class Newest(Generic[M]):
 
 
 def live(subscribe: Callable[[Callable[[M], None]], Callable[[], None]], interrupts: Interrupts) -> Generator[M]:
-    """Each value that is told to what is subscribed here; the newest, where the loop is slower. Its end ends the subscription."""
+    """Each value passed to the callback subscribed here; a slower loop gets the newest. Its end ends the subscription."""
     newest: Newest[M] = Newest()
     end = subscribe(newest.put)
     try:

@@ -25,10 +25,10 @@ from zarm_contract.messages import (
 )
 
 REST_SECONDS = 30.0
-"""Longest wait for a robot that is brought to rest, and for what brings it to rest first."""
+"""Longest wait (s) for the robot to come to rest, including what must end first."""
 
 OnProgress = Callable[[GoalState], object]
-"""Is told each state of a goal that differs from the one before."""
+"""Called with each state of a goal that differs from the previous one."""
 
 
 class Motion(Calls):
@@ -139,12 +139,12 @@ class Motion(Calls):
 
     @contextmanager
     def _new_goal(self, goal_id: str | None = None) -> Iterator[str]:
-        """The id of a new goal; an interruption in the block brings the robot to rest, and says how it stands."""
+        """The id of a new goal; an interruption in the block brings the robot to rest, and reports its state."""
         goal_id = goal_id or f"goal-{secrets.token_hex(8)}"
         try:
             yield goal_id
         except KeyboardInterrupt as interruption:
-            if interruption.args:  # it comes from a rest that somebody would not wait for
+            if interruption.args:  # from a rest that the user would not wait for
                 raise
             raise KeyboardInterrupt(self._rest(goal_id)) from None
 
@@ -156,7 +156,7 @@ class Motion(Calls):
         replan: bool,
         timeout: float = REST_SECONDS,
     ) -> None:
-        """Ask for a goal; one that was asked for without an answer is withdrawn."""
+        """Request a goal; one that gets no answer is withdrawn."""
         request = _execution(what)
         flags = {"preempt": preempt or request.preempt, "replan": replan or request.replan}
         request = request.model_copy(update={"goal_id": goal_id, **flags})
@@ -164,7 +164,7 @@ class Motion(Calls):
         try:
             with self.connection.interrupts.insist(f"the executor of {self.name} to take the goal or refuse it"):
                 self._ask(self._keys.execute, Accepted, request, timeout=timeout)
-        except Unavailable:  # the executor may have got the request, and start yet
+        except Unavailable:  # the executor may have received the request, and start it yet
             with self._until_left(), suppress(Unavailable):
                 self.cancel(goal_id)
             raise
@@ -180,7 +180,7 @@ class Motion(Calls):
         return state
 
     def _rest(self, goal_id: str) -> str:
-        """Cancel a goal of this client and wait until the robot rests; how it stands there, in words."""
+        """Cancel a goal of this client and wait until the robot rests; returns its state in words."""
         with self._until_left():
             told: ExecutorState | None = None
             with suppress(Unavailable):
@@ -195,7 +195,7 @@ class Motion(Calls):
 
     @contextmanager
     def _until_left(self) -> Iterator[None]:
-        """A block that insists on rest; who leaves it before is told what that means."""
+        """A block that insists on rest; leaving it earlier gives an explanation of the consequences."""
         try:
             with self.connection.interrupts.insist(f"the executor of {self.name} to bring the robot to rest"):
                 yield

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from zarm.values import Numbers
 
 LONGEST_PLANNING = 60.0
-"""s, what the planner allows at most."""
+"""s, the planner's maximum."""
 
 
 class Settings(TypedDict, total=False):
@@ -42,7 +42,7 @@ class Settings(TypedDict, total=False):
 
 
 class Planning(Calls):
-    """Plans, and what they are made with."""
+    """Plans, and their default options."""
 
     def plan(
         self,

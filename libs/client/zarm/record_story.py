@@ -1,4 +1,4 @@
-"""What a record tells: the events in it, and how far the robot was from where it was commanded."""
+"""The story of a record: its events, and how far the robot was from its command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from zarm_runtime.recorded import Recorded
 
 @dataclass(frozen=True)
 class Event:
-    """Something that changed, `time` s after the record begins."""
+    """A change, `time` s after the record begins."""
 
     time: float
     subject: str
@@ -37,7 +37,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far (rad) a joint was from where it was commanded, `time` s after the record begins."""
+    """How far (rad) a joint was from its command, `time` s after the record begins."""
 
     time: float
     joint: str
@@ -52,7 +52,7 @@ class Deviation:
 
 @dataclass
 class Story:
-    """`began` and `lasted` in ns and s, `counts` of messages by key, `unreadable` ones not among them."""
+    """`began` in ns, `lasted` in s, `counts` of messages by key, without the `unreadable` ones."""
 
     robot: str
     began: int
@@ -64,7 +64,7 @@ class Story:
 
 
 def robot_of(key: str) -> str:
-    """The robot of a recorded key. Raises InvalidRequest where it is none of zarm's."""
+    """The robot of a recorded key. Raises InvalidRequest if it is not a key of zarm."""
     chunks = key.split("/")
     if chunks[0] != "zarm" or len(chunks) < 3:
         raise InvalidRequest(
@@ -74,7 +74,7 @@ def robot_of(key: str) -> str:
 
 
 def tell(entries: Iterable[tuple[int, str, bytes]]) -> Story:
-    """The story of a record, given in the order of its times. Raises InvalidRequest where it holds nothing of zarm."""
+    """The story of a record's messages, in order of time. Raises InvalidRequest if none is of zarm."""
     entries = iter(entries)
     if (first := next(entries, None)) is None:
         raise InvalidRequest(
@@ -90,7 +90,7 @@ def tell(entries: Iterable[tuple[int, str, bytes]]) -> Story:
             continue
         try:
             message = decode(model, payload)
-        except InvalidRequest:  # noise was on the bus; the record holds it as it was
+        except InvalidRequest:  # an invalid message on the bus, recorded as it was
             story.unreadable += 1
             continue
         story.counts[key] += 1
@@ -104,7 +104,7 @@ def tell(entries: Iterable[tuple[int, str, bytes]]) -> Story:
 
 
 class _Teller:
-    """Remembers, of each key, what was said last, and where the robot was commanded and measured to be."""
+    """Remembers the last message on each key, and where the robot was commanded and measured."""
 
     def __init__(self) -> None:
         self._said: dict[str, tuple[str, str]] = {}
@@ -117,7 +117,7 @@ class _Teller:
         self._measured.append(state)
 
     def change(self, key: str, message: Message, time: float) -> tuple[str, str] | None:
-        """What the message says that was not said before on its key: the subject and the change."""
+        """The news in a message compared with the last one on its key: the subject and the change."""
         if isinstance(message, GoalState):
             self._commanded.append((time, message.joint_command))
         line = _line(message)
@@ -127,9 +127,9 @@ class _Teller:
         return line
 
     def deviation(self) -> Deviation | None:
-        """The greatest one, by the command that a goal's state tells and the joints measured at that moment.
+        """The largest one, between the command in a goal's state and the joints measured at that moment.
 
-        Measured joints are interpolated linearly. None where the two do not overlap in the record.
+        Measured joints are interpolated linearly. None if the two do not overlap in the record.
         """
         greatest: Deviation | None = None
         for time, command in self._commanded:

@@ -1,4 +1,4 @@
-"""What passes on the bus, written to a file as it comes."""
+"""Messages on the bus, written to a file as they come."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from zarm_runtime.record import Entry, RecordFile
 
 _BACKLOG = 100_000
-"""Messages that may wait for a disk that is slow; more are lost, and counted. Minutes of a robot, some 50 MB."""
+"""Messages that may wait for a slow disk; more are lost, and counted. Some minutes of a robot, about 50 MB."""
 
 _FLUSH_SECONDS = 1.0
-"""How much is lost at most when the program is killed, and how late a full disk is noticed."""
+"""Seconds of messages lost at most when the program is killed, and the delay until a full disk is noticed."""
 
 
 class Recorder:
@@ -37,7 +37,7 @@ class Recorder:
             raise InvalidRequest(f"{path} already exists; name another file, or remove it", field="file")
         self.path = path
         self.lost = 0
-        """Messages that the disk was too slow for."""
+        """Number of messages lost because the disk was too slow."""
         self._interrupts = connection.interrupts
         self._error: OSError | None = None
         self._entries: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
@@ -69,7 +69,7 @@ class Recorder:
         return self._file.count
 
     def wait(self, seconds: float = math.inf) -> None:
-        """Wait so long; shorter where the disk fails, as `close` says."""
+        """Wait this long, or less if the disk fails, as in `close`."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0 and not self._ended.wait(min(left, SLICE)):
             self._interrupts.check()
@@ -105,7 +105,7 @@ class Recorder:
             self._ended.set()
 
     def _open(self, connection: Connection) -> RecordFile:
-        from zarm_runtime.record import RecordFile  # nothing else needs the libraries behind it
+        from zarm_runtime.record import RecordFile  # nothing else needs these libraries
 
         try:
             return RecordFile(self.path, connection.keys)

@@ -53,7 +53,7 @@ def replay(
 
 
 def _entries(file: Path, interrupts: Interrupts) -> Iterator[Entry]:
-    from zarm_runtime.record import read_record  # nothing else needs the libraries behind it
+    from zarm_runtime.record import read_record  # nothing else needs these libraries
 
     for entry in read_record(file):
         interrupts.check()
@@ -76,7 +76,7 @@ def _publish(bus: Bus, keys: Keys, entries: Iterator[Entry], speed: float, inter
             continue
         try:
             message = decode(model, payload)
-        except InvalidRequest:  # noise that the record holds as it was
+        except InvalidRequest:  # an invalid message, recorded as it was
             continue
         name = "/".join(("zarm", keys.robot, *key.split("/")[2:]))
         if name not in publishers:
@@ -87,19 +87,19 @@ def _publish(bus: Bus, keys: Keys, entries: Iterator[Entry], speed: float, inter
 
 
 class _Place:
-    """Holds the place of a robot's executor on the bus. Raises Unavailable where there is one."""
+    """Takes the place of a robot's executor on the bus. Raises Unavailable if there is one."""
 
     def __init__(self, bus: Bus, keys: Keys, interrupts: Interrupts) -> None:
         self._bus = bus
         self._keys = keys
         self._interrupts = interrupts
-        # Sorts behind every executor's, whatever the clocks say: of two owners the younger ends, and that is to be this one.
+        # Sorts after every executor's, whatever the clocks say: of two owners the younger ends, which must be this one.
         self._me = f"replay{secrets.token_hex(4)}"
         self._next_look = 0.0
         bus.declare_alive(keys.alive("executor", self._me))
 
     def hold_until(self, due: float) -> None:
-        """Wait until `due` (s on the monotonic clock). Raises Unavailable when an executor has come, a second later at most."""
+        """Wait until `due` (s on the monotonic clock). Raises Unavailable within a second after an executor appears."""
         while True:
             now = time.monotonic()
             if now >= self._next_look:

@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from zarm.values import Numbers
 
 PERIOD = 0.02
-"""s between two targets, where this client repeats one."""
+"""Interval (s) at which this client repeats a target."""
 POSITION_TOLERANCE, ANGLE_TOLERANCE, JOINT_TOLERANCE = 0.001, 0.01, 0.002
-"""m, rad, rad: so near to its target a robot has reached it."""
+"""m, rad, rad: a robot this close to its target has reached it."""
 _START_SECONDS, _END_SECONDS = 10.0, 8.0
 
 
 class _Session:
-    """One session, which is one goal of the executor, `goal_id`. Raises what the servo refuses it with."""
+    """One session, which is the executor's goal `goal_id`. Raises the servo's refusal."""
 
     def __init__(self, connection: Connection, request: ServoStart) -> None:
         self._connection = connection

@@ -72,11 +72,13 @@ class Stream:
 
     @property
     def open(self) -> bool:
-        """Whether it runs, and waits for more."""
+        """Whether it is running, and expects more."""
         return self._newest is not None and not self._newest.last and self.running
 
     def end(self) -> GoalState | None:
-        """Wait for its end; its last state, None where nothing was sent. Raises Unavailable where nothing is heard of it."""
+        """Wait for its end; returns its last state, None if nothing was sent. Raises Unavailable if nothing is heard of
+        it.
+        """
         if self._newest is not None:
             for _ in self._connection.goals.states(self.goal_id, self._connection.interrupts):
                 pass

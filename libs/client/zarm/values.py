@@ -1,7 +1,7 @@
-"""Poses, goals, objects of the scene and trajectories, made from what a program has: sequences of numbers or numpy arrays.
+"""Poses, goals, objects of the scene and trajectories, made from sequences of numbers or numpy arrays.
 
-Each class is the message of that name with the arguments that a person would give. Lengths are m, angles rad, times s;
-orientations are unit quaternions (x, y, z, w). A value that cannot be raises `zarm.InvalidRequest`, which names the field.
+Each class is the message of that name with convenient arguments. Lengths are m, angles rad, times s; orientations are
+unit quaternions (x, y, z, w). An invalid value raises `zarm.InvalidRequest`, which names the field.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     """Rows of numbers: sequences in a sequence, or a numpy array (rows, columns)."""
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-"""The orientation (x, y, z, w) of a frame that is not turned."""
+"""The orientation (x, y, z, w) of an unrotated frame."""
 AXES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
 """What a path constraint can hold, in the order of its flags."""
 
@@ -36,7 +36,7 @@ M = TypeVar("M", bound=Message)
 
 
 def numbers(values: Numbers, field: str) -> tuple[float, ...]:
-    """Numbers as a message takes them. Raises InvalidRequest for what is none."""
+    """Numbers in message form. Raises InvalidRequest for anything else."""
     try:
         return tuple(map(float, values))
     except (TypeError, ValueError) as error:
@@ -44,13 +44,13 @@ def numbers(values: Numbers, field: str) -> tuple[float, ...]:
 
 
 def joints_of(values: Numbers | None, field: str) -> tuple[float, ...] | None:
-    """Joint positions as a message takes them; None stays None, for those that are measured."""
+    """Joint positions in message form; None, for the measured ones, stays None."""
     return None if values is None else numbers(values, field)
 
 
 def rows(values: Rows, field: str) -> tuple[tuple[float, ...], ...]:
-    """Rows of numbers as a message takes them. Raises InvalidRequest for what is none."""
-    whole = getattr(values, "tolist", None)  # numpy's own is many times faster than a row at a time
+    """Rows of numbers in message form. Raises InvalidRequest for anything else."""
+    whole = getattr(values, "tolist", None)  # for numpy arrays many times faster than row by row
     try:
         return tuple(numbers(row, field) for row in (values if whole is None else whole()))
     except TypeError as error:
@@ -58,7 +58,7 @@ def rows(values: Rows, field: str) -> tuple[tuple[float, ...], ...]:
 
 
 def invalid(kind: str, error: ValidationError, data: object = None) -> InvalidRequest:
-    """The fault of a message that cannot be made of `data`, which names its field."""
+    """The error for a message that cannot be made of `data`, which names the field at fault."""
     first = error.errors(include_url=False, include_input=False)[0]
     path = field_path(first["loc"], data)
     return InvalidRequest(f"{kind}: {sentence(first['msg'])}", field=".".join(map(str, path)) or None)

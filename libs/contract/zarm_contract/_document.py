@@ -26,7 +26,7 @@ class Document:
     lines: Mapping[KeyPath, int]
 
     def fault(self, key: KeyPath, message: str) -> str:
-        """`file:line: key: message`; a key that is not in the file is shown at the innermost one around it."""
+        """`file:line: key: message`; a missing key is located at the innermost existing one around it."""
         place = key
         while place and place not in self.lines:
             place = place[:-1]
@@ -48,7 +48,7 @@ def read_document(path: Path) -> Document:
         place = f"{path}:{mark.line + 1}" if mark else str(path)
         reason = one_line(getattr(error, "problem", None) or str(error))
         raise InvalidRequest(f"{place}: not valid YAML: {reason}") from error
-    except (AttributeError, KeyError, ValueError) as error:  # a scalar that looks or is tagged like a date, and is none
+    except (AttributeError, KeyError, ValueError) as error:  # a scalar that looks or is tagged like a date, but is none
         raise InvalidRequest(f"{path}: not valid YAML: {one_line(str(error))}; put texts in quotes") from error
     if node is None or not isinstance(data, dict):
         raise InvalidRequest(f"{path}:1: a descriptor is a mapping of keys to values; this file is not")
@@ -65,11 +65,11 @@ def read_document(path: Path) -> Document:
 
 
 def _places(node: yaml.Node, key: KeyPath = (), around: tuple[yaml.Node, ...] = ()) -> Iterator[tuple[KeyPath, int]]:
-    """Every key path of a YAML document, outer before inner, and the line where it stands."""
+    """Every key path of a YAML document, outer before inner, and its line."""
     if not around:
         yield key, node.start_mark.line + 1
     if node in around:
-        return  # an alias of what it stands in
+        return  # an alias of a node that contains it
     if isinstance(node, yaml.MappingNode):
         for name, value in node.value:
             yield (*key, name.value), name.start_mark.line + 1

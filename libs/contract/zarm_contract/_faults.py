@@ -1,18 +1,18 @@
-"""Names the place of a validation error as the author of the data knows it."""
+"""Names the place of a validation error in the terms of the data's author."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 TAGS = ("kind", "op")
-"""The fields that tell the members of a union apart, in every model of zarm."""
+"""The fields that distinguish the members of a union, in every model of zarm."""
 
 
 def field_path(location: Sequence[int | str], data: object) -> tuple[int | str, ...]:
     """The path of a fault in `data`, from the `loc` of pydantic's error.
 
-    Pydantic puts the tag of a union's member into the path (`goal.pose.position`); it is no field and is left out. Data
-    without a union needs not be given.
+    Pydantic puts the tag of a union's member into the path (`goal.pose.position`); it is not a field and is removed.
+    Data without a union may be omitted.
     """
     path: list[int | str] = []
     for part in location:
@@ -27,10 +27,10 @@ def field_path(location: Sequence[int | str], data: object) -> tuple[int | str, 
 
 
 def one_line(text: str) -> str:
-    """A text without the line breaks that it quotes or that whoever wrote it put there: each fault has a line."""
+    """A text without line breaks, whether quoted or original, since each fault has one line."""
     return " ".join(text.split())
 
 
 def sentence(message: str) -> str:
-    """Pydantic's message without the words that it puts before a rule of ours."""
+    """Pydantic's message without its prefix to our own rules."""
     return message.removeprefix("Value error, ")

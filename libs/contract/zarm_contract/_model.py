@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
 
 
 def _fail_fast(schema: Any) -> None:
-    """Have every row of any length in a pydantic schema refused at its first fault (pydantic's `FailFast`)."""
+    """Make every sequence in a pydantic schema fail at its first fault (pydantic's `FailFast`)."""
     if isinstance(schema, dict):
         if schema.get("type") == "tuple" and "variadic_item_index" in schema:
             schema["fail_fast"] = True
@@ -28,7 +28,7 @@ class Message(BaseModel):
     max_bytes: ClassVar[int] = 8 * 1024 * 1024
     """Some 20,000 samples of a trajectory of 7 joints, three minutes at 100 Hz."""
     any_contract: ClassVar[bool] = False
-    """Whether it is read from those who speak another version of the contract too."""
+    """Whether messages from other versions of the contract are accepted too."""
 
     model_config = ConfigDict(
         strict=True,

@@ -1,7 +1,7 @@
 """Access control: one table of keys and roles, and the router rules that follow from it.
 
-Whoever has a certificate may read: subscribe to everything, ask for the values that are latched, see who is alive. What it
-may publish, answer, or ask for besides stands in `TABLE`; what does not stand there, nobody may.
+Any process with a certificate may read: subscribe to everything, read latched values, see which processes are alive. `TABLE`
+lists what else it may publish, answer, or request; everything that is not listed there is denied.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ _DRIVES: Roles = ("operator", "bridge")
 
 @dataclass(frozen=True)
 class Rights:
-    """What each role may do on a key: publish, answer requests, send requests that name it exactly and so may act, or be
-    alive by the liveliness token that it is.
+    """What each role may do on a key: publish, answer requests, send requests to exactly this key, which may act, or
+    declare the key as its liveliness token.
 
-    `latched`: everyone may ask for the present value, by `reading(key)`, which no service takes for a request to act.
+    `latched`: everyone may read the present value, through `reading(key)`, which no service takes for a request to act.
     """
 
     publishes: Roles = ()
@@ -58,7 +58,7 @@ def _request(to: Role, by: Roles = _DRIVES) -> Rights:
 
 
 def _value(of: Role, changed_by: Roles = _EVERYONE) -> Rights:
-    """Latched; where a request changes it, by whom."""
+    """Latched; and who may change it by a request, if anyone."""
     return Rights(publishes=(of,), answers=(of,), asks=changed_by, latched=True)
 
 
@@ -67,23 +67,23 @@ def _published(*by: Role) -> Rights:
 
 
 TABLE: Mapping[str, Rights] = {
-    "plan": _request("planner", by=(*_DRIVES, "servo")),  # which plans anew what something is in the way of
+    "plan": _request("planner", by=(*_DRIVES, "servo")),  # which replans around obstacles
     "plan_cancel": _request("planner"),
     "ik": _request("planner"),
-    "fk": _request("planner", by=_EVERYONE),  # where the tip is
+    "fk": _request("planner", by=_EVERYONE),  # for the tip's pose
     "check": _request("planner"),
     "occupancy": _request("planner"),
     "settings": _value("planner", changed_by=_DRIVES),
     "plans": _value("planner"),
     "scene": _value("planner"),
     "scene_object": _value("planner"),
-    "object_pose": _published("operator", "bridge"),  # as who edits the scene
+    "object_pose": _published("operator", "bridge"),  # like edits of the scene
     "scene_revision": _value("planner"),
     "scene_edit": _request("planner"),
     "execute": _request("executor"),
     "goal": _value("executor"),
     "cancel": _request("executor"),
-    "stop": _request("executor", by=_EVERYONE),  # whoever sees that a robot must stop stops it, a viewer too
+    "stop": _request("executor", by=_EVERYONE),  # anyone who sees that a robot must stop may stop it, even a viewer
     "pause": _request("executor"),
     "resume": _request("executor"),
     "reset": _request("executor"),
@@ -106,14 +106,16 @@ TABLE: Mapping[str, Rights] = {
     "preview_trajectory": _published("executor"),
     "preview_joint_states": _published("executor"),
 }
-"""The rights on each key of `Keys`, by the name of its property; those that every service has follow from SERVICE_ROLES."""
+"""The rights on each key of `Keys`, by the name of its property; those common to all services follow from
+SERVICE_ROLES.
+"""
 
 _FAMILIES: Mapping[str, str] = {"scene_object": "*", "object_pose": "*", "goal": "*"}
-"""The keys that hold a name, and the one that stands for all of them."""
+"""The keys that contain a name, and the wildcard that stands for all of them."""
 
 
 def reading(key: str) -> str:
-    """A key expression for the value that is latched on `key` and for nothing else, which sets off nothing.
+    """A key expression that reads the latched value of `key` and has no other effect.
 
     It matches `key` without being `key`: a service takes only its own name for a request that may act.
     """
@@ -121,7 +123,7 @@ def reading(key: str) -> str:
 
 
 def rights() -> dict[str, Rights]:
-    """The rights by key expression, of any robot."""
+    """The rights by key expression, for any robot."""
     keys = Keys("any")
     table = {
         _of_any(getattr(keys, name)(_FAMILIES[name]) if name in _FAMILIES else getattr(keys, name)): granted
@@ -139,7 +141,7 @@ def _of_any(key: str) -> str:
 
 
 def require(role: Role, verb: Verb, key: str) -> None:
-    """Raise InvalidRequest where a role may not do this on a key: a router with these rules lets nothing of it through."""
+    """Raise InvalidRequest if a role may not do this on a key: a router with these rules would drop it."""
     granted = next((granted for pattern, granted in _patterns() if pattern.includes(key)), Rights())
     allowed: Roles = getattr(granted, verb)
     if role not in allowed:
@@ -161,7 +163,7 @@ _VERBS = {
 
 
 def access_control() -> dict[str, object]:
-    """Zenoh's `access_control`: what is not allowed here is denied, and whoever has no role is denied everything."""
+    """Zenoh's `access_control`: anything not allowed here is denied, and without a role everything."""
     table = rights()
     everyone = [
         _rule("everyone hears what is for it", _ALL_MESSAGES, _EVERYTHING, flow="egress"),

@@ -16,25 +16,26 @@ from zarm_contract.errors import InvalidRequest
 M = TypeVar("M", bound=Message)
 
 CONTRACT = "v3"
-"""Version of the messages and keys; whoever speaks on one bus must agree on it."""
+"""Version of the messages and keys; it must be the same on the whole bus."""
 _SCHEMA = re.compile(r"zarm\.\w+\.(v\d+)$")
 MAX_BYTES = Message.max_bytes
-"""Largest payload that is read, of any message."""
+"""Largest payload accepted, of any message."""
 QUOTED = 500
-"""Longest quotation, in characters, from a payload in the problem that refuses it."""
+"""Longest quotation, in characters, from a payload in its refusal."""
 MAX_FIELDS = 100_000
 """Most fields in a payload; a scene of 10,000 objects has 60,000."""
 MAX_VALUES = 1_000_000
 """Most values in a payload; the longest trajectory has some 500,000, 200,000 voxels have 800,000."""
 LONG = 64 * 1024
-"""A payload of more bytes is looked over before it is parsed: every fault that the parser finds costs a copy of the values
-around it, which can add up to seconds and gigabytes."""
+"""A larger payload (bytes) is inspected before it is parsed: every fault that the parser finds costs a copy of the
+values around it, which can add up to seconds and gigabytes.
+"""
 
 
 def build_all(model: type[Message] = Message) -> None:
-    """Build what reads and writes messages of this class and of all derived from it, at once: 0.1 s.
+    """Build the serializers and validators of this class and all derived from it, at once: 0.1 s.
 
-    Otherwise it is built for each class when the first message of it comes, in some ms that a robot in motion may not have.
+    Otherwise each is built when its first message comes, in some ms that a robot in motion may not have.
     """
     model.model_rebuild()
     for derived in model.__subclasses__():
@@ -48,7 +49,7 @@ def schema(model: type[Message]) -> str:
 
 @functools.lru_cache(256)
 def other_contract(encoding: str) -> str | None:
-    """The contract in an encoding or schema name if it is another one than this; None if it names none."""
+    """The contract in an encoding or schema name if it differs from this one; None if it names none."""
     found = _SCHEMA.search(encoding)
     return found[1] if found is not None and found[1] != CONTRACT else None
 
@@ -90,7 +91,7 @@ def decode(model: type[M], payload: bytes) -> M:
 
 
 def _look_over(model: type[Message], payload: bytes) -> None:
-    """Refuse, at no cost, what is far from any message of this class."""
+    """Refuse cheaply what cannot be a message of this class."""
     for sign, most, what in ((b":", MAX_FIELDS, "fields"), (b",", MAX_VALUES, "values")):
         if payload.count(sign) > most:
             raise InvalidRequest(f"{model.__name__}: more than {most} {what}; send less at once", field="payload")
@@ -100,10 +101,10 @@ def _look_over(model: type[Message], payload: bytes) -> None:
 
 
 def _tagged(payload: bytes) -> bool:
-    """Whether the path of a fault may hold tags of a union; millions of values are not parsed again for nothing."""
+    """Whether the path of a fault may contain tags of a union; this avoids parsing millions of values again."""
     return any(f'"{tag}"'.encode() in payload for tag in TAGS)
 
 
 def _cut(text: str) -> str:
-    """What quotes a payload is neither answered nor logged at any length."""
+    """Limits the length of quotations from a payload in answers and logs."""
     return text if len(text) <= QUOTED else f"{text[:QUOTED]}..."

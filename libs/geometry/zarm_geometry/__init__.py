@@ -1,1 +1,1 @@
-"""The geometry of the robot and the world: what collides, where it is, and distances."""
+"""The geometry of the robot and the world: what can collide, where it is, and distances."""

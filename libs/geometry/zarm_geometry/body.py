@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Body:
-    """What collides as one: a link, or an attached object.
+    """A rigid collision body: a link, or an attached object.
 
-    It is fixed at `pose` (4, 4) to the moving joint `joint`, or to the base where that is -1. In its own frame `balls`
-    (n, 4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies that `touches` names.
+    It is fixed at `pose` (4, 4) to the moving joint `joint`, or to the base if that is -1. In its own frame `balls` (n,
+    4), x, y, z and radius (m), cover its exact `shapes`. It may touch the bodies named in `touches`.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Body:
 
 
 def link_body(robot: RobotDescription, link: str) -> Body:
-    """A link of the descriptor as a body; it may touch the links that it stands beside in `self_collision_ignore`."""
+    """A link of the descriptor as a body; it may touch the links paired with it in `self_collision_ignore`."""
     descriptor = robot.descriptor
     passed, pose = along(robot.urdf.chain(descriptor.base_link, link))
     beside = [set(pair) for pair in descriptor.self_collision_ignore if link in pair]
@@ -65,9 +65,9 @@ def attached_body(item: Attached, dof: int, tip: Array) -> Body:
 
 
 def along(chain: tuple[Joint, ...]) -> tuple[list[Array], Array]:
-    """Along a chain: each moving joint's frame in the one before it (3, 4), and the chain's end (4, 4) in the last.
+    """Along a chain: each moving joint's frame in the previous one (3, 4), and the chain's end (4, 4) in the last.
 
-    The frame of a moving joint is turned so that its axis is z: one kind of rotation in the kernels.
+    The frame of a moving joint is rotated so that its axis is z: the kernels need only one kind of rotation.
     """
     origins: list[Array] = []
     pose = np.eye(4)

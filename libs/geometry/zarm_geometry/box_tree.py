@@ -23,8 +23,8 @@ BRANCHES = 4
 class BoxTree(NamedTuple):
     """Shapes and the boxes around them.
 
-    `rows` (n, 17) are the shapes as in `zarm_geometry.rows`, in the order of the tree, and `order` (n,) their places before. `boxes` (m, 6),
-    `skip` (m,) and `leaf` (m,) are its nodes, as in `WorldArrays`, without margin.
+    `rows` (n, 17) are the shapes as in `zarm_geometry.rows`, in the order of the tree, and `order` (n,) their original
+    indices. `boxes` (m, 6), `skip` (m,) and `leaf` (m,) are its nodes, as in `WorldArrays`, without margin.
     """
 
     rows: Array
@@ -43,13 +43,15 @@ class BoxTree(NamedTuple):
         return cls(there, order, boxes, skip, leaf)
 
     def placed(self, pose: Array) -> Self:
-        """The tree of an object that stands at `pose` (4, 4), from that in its own frame: a tenth of the work of a new one."""
+        """The tree of an object at `pose` (4, 4), from the tree in the object's frame: a tenth of the work of a new
+        one.
+        """
         shapes, boxes = refit(self.rows, self.skip, self.leaf, pose)
         return self._replace(rows=shapes, boxes=boxes)
 
 
 def forest(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
-    """All trees side by side, for kernels: their shapes one after the other, to which `margin` (m) is kept."""
+    """All trees side by side, for kernels: their shapes one after the other, with `margin` (m) around them."""
     shapes = np.cumsum([0, *(len(tree.rows) for tree in trees)])[:-1].tolist()
     nodes = np.cumsum([0, *(len(tree.skip) for tree in trees)])[:-1].tolist()
     return WorldArrays(
@@ -67,7 +69,9 @@ def forest(trees: Sequence[BoxTree], margin: float) -> WorldArrays:
 
 
 def _nodes(count: int) -> tuple[Index, Index]:
-    """`skip` and `leaf` over so many shapes in their order: each level joins BRANCHES neighbours; nodes lie depth first."""
+    """`skip` and `leaf` over this many shapes in order: each level joins BRANCHES neighbours; nodes are stored depth
+    first.
+    """
     widths = [1]
     while widths[-1] * BRANCHES < count:
         widths.append(widths[-1] * BRANCHES)

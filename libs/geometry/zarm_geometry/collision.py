@@ -12,7 +12,7 @@ from zarm_geometry.world import World
 
 
 def is_free(model: RobotModel, world: World, path: ArrayLike) -> bool:
-    """Whether a configuration (dof,) or every edge of a path (n, dof) is free of the world and of the robot itself.
+    """Whether a configuration (dof,) or every edge of a path (n, dof) is free of the world and of self-collision.
 
     In spheres, with the world's margin around them, and to `kernels.collision.RESOLUTION`.
     """

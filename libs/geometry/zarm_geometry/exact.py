@@ -1,9 +1,9 @@
 """Exact distances of the robot to the scene and to itself, on the descriptor's collision primitives.
 
-Two computations look at what leaves the planner, and the smaller distance counts. `kernels.clearance` encloses all
-distances along a motion between two points of the shapes and a slab between them, which nobody has to trust an iteration
-for; so it proves which are out of the question. FCL measures what is left: the nearest two shapes, and those whose bounds
-stay apart.
+Two computations check what leaves the planner, and the smaller distance counts. `kernels.clearance` encloses all
+distances along a motion between two points of the shapes and a slab between them, without relying on the convergence of
+an iteration; so it proves which pairs can be excluded. FCL measures the rest: the nearest two shapes, and those whose
+bounds stay apart.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from zarm_geometry.world import World
 Array = NDArray[np.float64]
 
 RESOLUTION = 0.005
-"""Along a motion whose samples are no further apart than this (m), nothing can reach further into anything unseen."""
+"""Along a motion whose samples are no further apart than this (m), nothing can go deeper into an object unnoticed."""
 FARTHEST = 1.0
-"""Clearance (m) beyond which nobody asks."""
+"""Clearance (m) beyond which distances are not computed."""
 _SINGLE = 1e-6
-"""Part by which the boxes of the world's tree, in single precision, may be off."""
+"""Relative error of the boxes of the world's tree, due to single precision."""
 _LOOKS = 500
-"""Stretches of a motion that are looked at in one go: 0.3 ms as a rule, and not 50 among ten thousands of obstacles."""
+"""Stretches of a motion checked in one batch: 0.3 ms as a rule, and not 50 among tens of thousands of obstacles."""
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """The smallest distance (m): below 0 it is the depth of penetration, and at FARTHEST there is no `pair`.
+    """The smallest distance (m): negative for a penetration depth, and without a `pair` at FARTHEST.
 
     `pair` names a link and what is nearest to it, a scene object or another link; `sample` is the index of the
-    configuration. `shapes` are what `clearance.look` calls the two.
+    configuration. `shapes` are the indices of the two in `clearance.look`.
     """
 
     distance: float
@@ -51,7 +51,7 @@ class Nearest:
 class ExactScene:
     """The robot's and the scene's exact geometry. Immutable, for use by any number of threads.
 
-    `reach` (dof,): how far (m) a point of the robot moves at most per rad (m where prismatic) of each joint.
+    `reach` (dof,): how far (m) a point of the robot moves at most per rad (m if prismatic) of each joint.
     """
 
     def __init__(self, model: RobotModel, world: World) -> None:
@@ -62,23 +62,24 @@ class ExactScene:
         self._asked_of_world = self._asked & (np.arange(len(self._asked)) < len(model.links))
 
     def nearest(self, q: ArrayLike, check: Callable[[], None] = lambda: None, *, itself: bool = True) -> Nearest:
-        """The smallest distance, to 0.01 mm, over configurations `q` (n, dof) or over one (dof,).
+        """The smallest distance, to 0.01 mm, over configurations `q` (n, dof) or for one (dof,).
 
-        To objects and, if `itself`, of the robot's links to each other. The search ends at the first collisions that it
-        finds; so the deepest is sure for a single configuration only. Links fixed to the base are not checked against the
-        world. The closer the configurations follow each other, the fewer of them need a look. `check` is called now and
-        then and may raise.
+        To objects and, if `itself`, between the robot's links. The search ends at the first collisions that it finds,
+        so the deepest is certain only for a single configuration. Links fixed to the base are not checked against the
+        world. The closer the configurations are to each other, the fewer of them need a check. `check` is called now
+        and then and may raise.
 
-        FCL's distance counts, unless two points are known that are closer to each other: of random pairs of a capsule or
-        cylinder and a box or cylinder, FCL measures 1 in 600 more than 0.1 mm too long, by 49 mm at worst, and none too short.
+        FCL's distance counts, unless two points are known that are closer to each other: for 1 in 600 random pairs of a
+        capsule or cylinder and a box or cylinder, FCL's distance is more than 0.1 mm too long, by 49 mm at worst, and
+        for none too short.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
         return self._nearest(q, check, self._asked if itself else self._asked_of_world, FARTHEST)
 
     def is_free(self, q: ArrayLike, check: Callable[[], None] = lambda: None) -> bool:
-        """Whether nothing is in collision at any of the configurations `q` (n, dof), or at one (dof,), as `nearest` has it.
+        """Whether there is no collision at any of the configurations `q` (n, dof), or at one (dof,), as in `nearest`.
 
-        What is further apart than PRECISION is not measured.
+        Distances above PRECISION are not measured.
         """
         q = np.array(q, np.float64, order="C", ndmin=2)
         return self._nearest(q, check, self._asked, PRECISION).distance > 0.0
@@ -91,12 +92,12 @@ class ExactScene:
         self_margin: float,
         check: Callable[[], None] = lambda: None,
     ) -> list[tuple[Nearest, float]]:
-        """What is nearer over configurations `q` (n, dof) than it is to be, with the distance (m) that it was to keep.
+        """What is closer over configurations `q` (n, dof) than its required distance (m), which is also returned.
 
-        Nothing is nearer than `clearance` (m), so what may come that near is not looked for.
+        Nothing is closer than `clearance` (m), so pairs that may come that close need no check.
 
-        For each link what is nearest in the world, if nearer than `margin` (m), and each two links that are nearer to each other than
-        `self_margin` (m), or than what the search keeps of that: where `RobotModel.pair_room` is less, it is that.
+        For each link its nearest object, if closer than `margin` (m), and each pair of links closer than `self_margin`
+        (m), or than `RobotModel.pair_room` if that is less.
         """
         links = len(self.model.links)
         kept, found = (
@@ -111,7 +112,7 @@ class ExactScene:
         return found
 
     def _subject(self, part: int, other: int) -> int:
-        """The subject in which `clearance.look` finds these two."""
+        """The index of the subject that contains these two in `clearance.look`."""
         link = self.model.parts[part][0]
         if other >= 0:
             return link
@@ -119,7 +120,7 @@ class ExactScene:
         return len(self.model.links) + int(np.flatnonzero((self.model.pairs == pair).all(axis=1))[0])
 
     def _nearest(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float) -> Nearest:
-        """The smallest distance below `within` (m) of the subjects that are `asked` for; without a pair if there is none."""
+        """The smallest distance below `within` (m) of the subjects marked in `asked`; without a pair if there is none."""
         near = self.bounds(q, check, asked, within)
         best = Nearest(within, None, 0)
         for lower, upper, *which in near[np.argsort(near[:, 0], kind="stable")].tolist():
@@ -145,7 +146,9 @@ class ExactScene:
         return motion_body(self._body, self._asked, room(self.model)), self._obstacles, solids(self._world.rows)
 
     def bounds(self, q: Array, check: Callable[[], None], asked: NDArray[np.bool_], within: float = FARTHEST) -> Array:
-        """Among the rows (m, 5) of `clearance.look` that this returns is the smallest distance over `q` (n, dof), if below `within` (m)."""
+        """Rows (m, 5) of `clearance.look` that include the smallest distance over `q` (n, dof), if it is below `within`
+        (m).
+        """
         motion = course(self._body, q, asked)
         smallest, over, looks = within, False, []
         while not over:
@@ -155,12 +158,12 @@ class ExactScene:
         return np.concatenate(looks)
 
     def _measure(self, q: Array, part: int, other: int, upper: float) -> tuple[tuple[str, str], float]:
-        """Names and distance (m) of a part and what `clearance.look` calls `other`, which is at most `upper`."""
+        """Names and distance (m) of a part and the `other` of `clearance.look`, which is at most `upper`."""
         shape, pose, other_shape, other_pose = self._placed(q, part, other)
         return (shape.name, other_shape.name), distance(shape, pose, other_shape, other_pose, upper)
 
     def _placed(self, q: Array, part: int, other: int) -> tuple[Shape, Array, Shape, Array]:
-        """A part and what `clearance.look` calls `other`, with their poses (4, 4) in the base frame at `q` (dof,)."""
+        """A part and the `other` of `clearance.look`, with their poses (4, 4) in the base frame at `q` (dof,)."""
         links = self.model.link_transforms(q)
         link, shape = self.model.parts[part]
         if other >= 0:
@@ -171,20 +174,20 @@ class ExactScene:
 
 
 def obstacles(world: World) -> Obstacles:
-    """The world for kernels that compute with the shapes as they are."""
+    """The world for kernels that compute with exact shapes."""
     arrays = world.arrays
     error = _SINGLE * float(np.abs(arrays.boxes).max(initial=0.0))
     return Obstacles(world.rows, arrays.boxes, arrays.skip, arrays.leaf, error)
 
 
 def subjects(model: RobotModel, body: RobotParts) -> NDArray[np.bool_]:
-    """Which (subjects,) of `RobotParts.reach` are to be looked at: links that move, against the world, and pairs of links."""
+    """Which subjects (subjects,) of `RobotParts.reach` to check: moving links against the world, and pairs of links."""
     there = np.diff(body.first) > 0
     return np.concatenate([there & (model.link_joint >= 0), there[model.pairs].all(axis=1)])
 
 
 def room(model: RobotModel) -> Array:
-    """How far (subjects,) in m each of them can be asked to keep from what it is looked at against: see `RobotModel.pair_room`."""
+    """The distance (subjects,) in m that each subject can be required to keep: see `RobotModel.pair_room`."""
     known = dict(zip(map(tuple, model.arrays.pairs.tolist()), model.pair_room, strict=True))
     return np.array([np.inf] * len(model.links) + [known.get(tuple(pair), np.inf) for pair in model.pairs.tolist()])
 
@@ -226,9 +229,9 @@ def robot_parts(model: RobotModel) -> tuple[RobotParts, Array]:
 
 
 def _reach(model: RobotModel, link: NDArray[np.intp], pose: Array, radius: Array) -> Array:
-    """How far (parts, dof) a point of each part moves at most per rad (m where prismatic) of each joint.
+    """How far (parts, dof) a point of each part moves at most per rad (m if prismatic) of each joint.
 
-    From the joint outwards, as if the arm could always stretch to a line.
+    From the joint outwards, as if the arm could always be fully stretched.
     """
     slide = np.where(model.revolute, 0.0, np.maximum(abs(model.lower), abs(model.upper)))
     stretch = (np.linalg.norm(model.origin[:, :, 3], axis=1) + slide).tolist()

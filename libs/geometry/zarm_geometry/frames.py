@@ -48,7 +48,8 @@ def matrix(position: Vector3, orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)) ->
 def pose_of(matrix: Array) -> Pose:
     """The message of a pose (4, 4); its quaternion has w >= 0.
 
-    The largest of the four components is taken from the diagonal (Shepperd, "Quaternion from rotation matrix", 1978).
+    The largest of the four components is computed from the diagonal (Shepperd, "Quaternion from rotation matrix",
+    1978).
     """
     r = matrix[:3, :3]
     diagonal = np.array([r[0, 0], r[1, 1], r[2, 2], float(np.trace(r))])

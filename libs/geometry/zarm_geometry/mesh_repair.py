@@ -1,4 +1,4 @@
-"""Closes meshes with small faults, where that only adds obstacles in places that nothing can pass."""
+"""Closes meshes with small faults, where that adds obstacles only in places that nothing can pass."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SMALL = 0.01
-"""Holes are closed that are no wider than this (m): no part of an arm reaches through."""
+"""Holes up to this wide (m) are closed: no part of an arm reaches through."""
 
 
 def closed(mesh: Trimesh) -> tuple[Trimesh | None, tuple[str, ...]]:
-    """The mesh as a closed surface wound one way, or None if it is none; and what was done or is missing, a sentence each.
+    """The mesh as a closed, consistently wound surface, or None if that is impossible; and the repairs or faults, a
+    sentence each.
 
-    Corners at the same place are one, and triangles with the same corners, triangles that are wound against their neighbours are turned, and holes up to SMALL
-    are closed with a fan of triangles around their middle.
+    Coinciding vertices and duplicate triangles are merged, triangles wound against their neighbours are flipped, and
+    holes up to SMALL are closed with a fan of triangles around their middle.
     """
-    from trimesh import repair  # takes half a second, which a planner without meshes need not wait
+    from trimesh import repair  # takes half a second, which a planner without meshes need not spend
 
     notes: list[str] = []
     mesh.merge_vertices()
@@ -49,7 +50,7 @@ def closed(mesh: Trimesh) -> tuple[Trimesh | None, tuple[str, ...]]:
 
 
 def _filled(mesh: Trimesh) -> tuple[Trimesh, int, float]:
-    """The mesh with its small holes closed, how many these were, and how wide (m) the widest hole is that it had."""
+    """The mesh with its small holes closed, their number, and the width (m) of the widest hole it had."""
     from trimesh import Trimesh, graph, grouping
 
     rim = mesh.edges[grouping.group_rows(mesh.edges_sorted, require_count=1)]  # type: ignore[no-untyped-call]

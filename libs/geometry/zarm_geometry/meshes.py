@@ -33,7 +33,7 @@ _Known = tuple[str, tuple[float, float, float]]
 
 
 class _Read(NamedTuple):
-    """What a file was found to hold: the tree over its shapes, and a sentence about each of its faults."""
+    """The content of a file: the tree over its shapes, and a sentence about each of its faults."""
 
     tree: BoxTree
     notes: tuple[str, ...]
@@ -42,8 +42,8 @@ class _Read(NamedTuple):
 class Meshes:
     """Shapes of meshes, by the content of their files: a file is read when a mesh is added, and once after a start.
 
-    A closed mesh is solid: its inside is filled with boxes. Small faults are mended, see `mesh_repair`; of a mesh that is open
-    all the same only the surface is an obstacle.
+    A closed mesh is solid: its inside is filled with boxes. Small faults are repaired, see `mesh_repair`; if a mesh is
+    still open, only its surface is an obstacle.
     """
 
     def __init__(self, folders: Sequence[Path] = ()) -> None:
@@ -51,14 +51,14 @@ class Meshes:
         self._known: dict[_Known, _Read] = {}
 
     def checked(self, item: Mesh, field: str) -> Mesh:
-        """The mesh with its file's digest; from now on its shapes are known. Raises InvalidRequest."""
+        """The mesh with its file's digest; its shapes are now known. Raises InvalidRequest."""
         digest, _ = self._read(item, field)
         return item.model_copy(update={"sha256": digest})
 
     def tree(self, item: Mesh) -> BoxTree:
-        """The tree over the shapes of a mesh of the scene, in its own frame.
+        """The tree over the shapes of a scene mesh, in its own frame.
 
-        Raises Unavailable if its file has to be read again and is not there any more, or is another one.
+        Raises Unavailable if its file has to be read again and is missing or has changed.
         """
         known = self._known.get((item.sha256 or "", item.scale))
         if known is not None:
@@ -72,7 +72,9 @@ class Meshes:
             ) from error
 
     def around(self, item: Mesh | Voxels, most: int) -> tuple[Array, Array]:
-        """At most `most` boxes, by their corners (m, 3) in its own frame, that contain an object. Raises Unavailable like `rows`."""
+        """At most `most` boxes that enclose an object, by their corners (m, 3) in its own frame. Raises Unavailable
+        like `rows`.
+        """
         if isinstance(item, Voxels):
             return coarse(cells_of(item), item.resolution, most)
         shapes = self.tree(item).rows
@@ -80,12 +82,12 @@ class Meshes:
         return around(rows.corners(shapes[flat]), most, solid=not flat.all())
 
     def count(self, item: Mesh) -> int:
-        """How many shapes a mesh consists of; 0 while its file cannot be read."""
+        """The number of shapes of a mesh; 0 while its file cannot be read."""
         known = self._known.get((item.sha256 or "", item.scale))
         return 0 if known is None else len(known.tree.rows)
 
     def notes(self, item: Mesh) -> tuple[str, ...]:
-        """What is said of a mesh that has been checked: what was mended, and whether only its surface is an obstacle."""
+        """Notes on a checked mesh: what was repaired, and whether only its surface is an obstacle."""
         known = self._known.get((item.sha256 or "", item.scale))
         return () if known is None else tuple(f"{item.name}: {note}" for note in known.notes)
 
@@ -95,7 +97,7 @@ class Meshes:
         self._known = {key: value for key, value in list(self._known.items()) if key in wanted}
 
     def _read(self, item: Mesh, field: str) -> tuple[str, _Read]:
-        """The digest of a mesh's file, and what it holds."""
+        """The digest and the content of a mesh's file."""
         content = self._content(item, field)
         digest = hashlib.sha256(content).hexdigest()
         if item.sha256 not in (None, digest):
@@ -110,7 +112,7 @@ class Meshes:
         return digest, known
 
     def _content(self, item: Mesh, field: str) -> bytes:
-        """What the mesh's file holds. A link that leads out of the folders is followed no further than that."""
+        """The bytes of the mesh's file. A link that leads out of the folders is not followed further."""
 
         def refused(reason: str) -> InvalidRequest:
             return InvalidRequest(f"{item.name}: {reason}", field=f"{field}.file")
@@ -135,23 +137,23 @@ class Meshes:
                 return path.read_bytes()
             except FileNotFoundError:
                 continue
-            except (OSError, ValueError, RuntimeError) as error:  # a null character or a loop of links in the name, too
+            except (OSError, ValueError, RuntimeError) as error:  # a null character or a loop of links, too
                 raise refused(f"cannot read {item.file}: {getattr(error, 'strerror', None) or error}") from error
         raise refused(f"there is no file {item.file} in {', '.join(map(str, self._folders))}; check the name")
 
 
 def _held(item: Mesh, content: bytes, field: str) -> _Read:
-    """What a file's content holds. Raises InvalidRequest."""
-    import trimesh  # takes half a second, which a planner without meshes need not wait
+    """The parsed content of a file. Raises InvalidRequest."""
+    import trimesh  # takes half a second, which a planner without meshes need not spend
 
     def refused(reason: str) -> InvalidRequest:
         return InvalidRequest(f"{item.name}: {reason}", field=f"{field}.file")
 
     kind = Path(item.file).suffix[1:].lower()
     try:
-        # From memory and without materials: so a file cannot make other files be read.
+        # From memory and without materials, so that a file cannot cause other files to be read.
         loaded = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
-    except ImportError as error:  # text in an unknown encoding, which trimesh has a further package guess
+    except ImportError as error:  # text in an unknown encoding, for which trimesh needs a further package
         raise refused(
             f"{item.file} holds no triangles as {kind.upper()}, nor text in UTF-8; export it again"
         ) from error

@@ -24,20 +24,20 @@ from zarm_geometry.world import World, convex_shapes
 Array = NDArray[np.float64]
 
 MOST_PAIRS = 64
-"""Rows of the world and pairs of links that are told apart near one configuration."""
+"""Most world rows and pairs of links distinguished near one configuration."""
 _LEAST_ROOM = 0.002
-"""Two links keep so much (m) of a margin, however near they are to each other everywhere."""
+"""Two links keep at least this much (m) of a margin, however close they always are."""
 _OVERSHOOT = 1.01
-"""Trajectories may accelerate by this factor more than the joints' limits say, as `zarm_trajectory.limits` has it."""
+"""Factor by which trajectories may exceed the joints' acceleration limits, as in `zarm_trajectory.limits`."""
 
 
 @dataclass(frozen=True)
 class MotionVerdict:
     """What is proven of a motion.
 
-    `free`: it keeps the margin from its first sample to its last. If not, it does so up to `contact_time` (s, on the motion's
-    own clock; its first time where already the start is too near), and `link` comes too near to `object`, a scene object or
-    another link.
+    `free`: it keeps the margin from its first to its last sample. If not, it keeps it up to `contact_time` (s, on the
+    motion's own clock; its first time if even the start is too close), and `link` comes too close to `object`, a scene
+    object or another link.
     """
 
     free: bool
@@ -48,9 +48,9 @@ class MotionVerdict:
 
 @dataclass(frozen=True)
 class NearPair:
-    """A link that is `distance` (m, below 0 where they overlap) from `object`, a scene object or another link.
+    """A link that is `distance` (m, negative if they overlap) from `object`, a scene object or another link.
 
-    `gradient` (dof,) in m/rad (m/m where prismatic): by how much each joint changes that. Of a margin they can keep `room` (m).
+    `gradient` (dof,) in m/rad (m/m if prismatic) is its derivative by each joint. Of a margin they can keep `room` (m).
     """
 
     distance: float
@@ -62,11 +62,11 @@ class NearPair:
 
 @dataclass(frozen=True)
 class MovingObject:
-    """An object that was seen at the pose of `object` at `time` (s, on the clock of the motions that are checked).
+    """An object observed at the pose of `object` at `time` (s, on the clock of the checked motions).
 
-    At any other time it is displaced by `velocity` (m/s, base frame) times what has passed, and each of its points anywhere
-    within `speed` (m/s) times that of there. For an object that moves in any way, but no faster than v, leave `velocity` zero and
-    say v as `speed`.
+    At any other time it is displaced by `velocity` (m/s, base frame) times the elapsed time, and each of its points
+    lies within `speed` (m/s) times the elapsed time of there. For an object that moves arbitrarily, but no faster than
+    v, leave `velocity` zero and give v as `speed`.
     """
 
     object: SceneObject
@@ -77,7 +77,7 @@ class MovingObject:
 
 @dataclass(frozen=True)
 class _Body:
-    """A robot with what is attached to it, for the kernel; `outward` is not looked at against itself."""
+    """A robot with its attached objects, for the kernel; `outward` is not checked against itself."""
 
     model: RobotModel
     packed: MotionBody
@@ -91,7 +91,7 @@ class _Body:
         return cls(model, motion_body(parts, asked, kept), motion_body(parts, outward, kept))
 
     def room(self, part: int, other: int) -> float:
-        """What two of its parts, `other` as the kernels call it, can keep of a margin (m)."""
+        """How much of a margin (m) two of its parts can keep; `other` is the kernels' index."""
         if other >= 0:
             return np.inf
         pair = sorted((self.model.parts[part][0], self.model.parts[-1 - other][0]))
@@ -105,7 +105,9 @@ class _Body:
 
 @dataclass(frozen=True)
 class _Scene:
-    """A world, less the rows that are not `alive` (n,), and the shapes of the objects that changed since it was made."""
+    """A world, without the rows that are not `alive` (n,), and the shapes of the objects that changed since it was
+    made.
+    """
 
     world: World
     obstacles: Obstacles
@@ -116,7 +118,7 @@ class _Scene:
 
 @dataclass(frozen=True)
 class _Packed:
-    """The shapes of objects that changed and of objects that move, as a check needs them: the same ones are checked many times."""
+    """The shapes of changed and of moving objects in the form for checks, which often repeat with the same ones."""
 
     changed: dict[str, Array] = field(default_factory=dict)
     moving: list[SceneObject] = field(default_factory=list)
@@ -136,12 +138,12 @@ class _Packed:
         return cls(changed, moving, each, counts, solids(shapes), *rows.bounds(shapes))
 
     def holds(self, changed: dict[str, Array], moving: list[SceneObject]) -> bool:
-        """Whether it is of these very objects."""
+        """Whether it was made of exactly these objects."""
         return self.changed is changed and list(map(id, self.moving)) == list(map(id, moving))
 
 
 class MotionCheck:
-    """Checks motions of one robot in a world that changes; any number of threads may check while one changes it.
+    """Checks motions of one robot in a changing world; any number of threads may check while one changes it.
 
     It computes on the exact shapes of robot and objects, without the GIL, see `kernels.motion`.
     """
@@ -153,13 +155,14 @@ class MotionCheck:
         self.set_world(World((), 0.0))
 
     def set_world(self, world: World) -> None:
-        """Check in this world from now on; its margin is not added to that of the checks."""
+        """From now on check in this world; its margin is not added to that of the checks."""
         self._scene = _Scene(world, obstacles(world), solids(world.rows), np.ones(len(world.rows), np.uint8))
 
     def update(self, changed: Sequence[SceneObject], removed: Sequence[str] = ()) -> None:
-        """Put objects into the world, in place of those of the same names, and take others out; unknown names do not matter.
+        """Put objects into the world, replacing those of the same names, and remove others; unknown names are ignored.
 
-        It costs far less than a new world. But changed objects are not in its tree: after some hundreds a new world is faster.
+        This costs far less than a new world. But changed objects are not in its tree: after some hundreds a new world
+        is faster.
         """
         scene = self._scene
         names = {item.name for item in changed} | set(removed)
@@ -181,14 +184,15 @@ class MotionCheck:
         acceleration: ArrayLike | None = None,
         self_collision: bool = True,
     ) -> MotionVerdict:
-        """Whether a motion keeps `margin` (m, above 0) to all objects and, with `self_collision`, between the robot's own links. Two links
-        that are nearer in nearly all configurations keep what they can, see `RobotModel.pair_room`.
+        """Whether a motion keeps `margin` (m, above 0) to all objects and, with `self_collision`, between the robot's
+        own links. Two links that are closer in nearly all configurations keep what they can, see
+        `RobotModel.pair_room`.
 
-        `times` (N,) in s increase; `positions` (N, dof) in rad (m where prismatic). Between two samples a joint may do whatever
-        its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: what is proven holds there, too. The
-        further apart samples are, the more a motion must keep beyond the margin to be called free: at 6 rad/s^2 in each joint
-        some 0.1 mm for 4 ms and 2 mm for 20 ms. `attached` objects and `ignored_links` are as in the scene. Raises
-        InvalidRequest for arrays that do not fit.
+        `times` (N,) in s increase; `positions` (N, dof) in rad (m if prismatic). Between two samples a joint may do
+        whatever its `acceleration` (dof,) in rad/s^2 allows, by default the limits of the robot: the proof covers that
+        too. The further apart samples are, the more a motion must keep beyond the margin to be proven free: at 6
+        rad/s^2 in each joint some 0.1 mm for 4 ms and 2 mm for 20 ms. `attached` objects and `ignored_links` are as in
+        the scene. Raises InvalidRequest for arrays that do not fit.
         """
         time, q = np.array(times, np.float64, ndmin=1), np.array(positions, np.float64, order="C", ndmin=2)
         if (
@@ -229,9 +233,11 @@ class MotionCheck:
         ignored_links: Sequence[str] = (),
         moving: Sequence[MovingObject] = (),
     ) -> list[NearPair]:
-        """What is nearer than `within` (m) at `position` (dof,), nearest first: for each link and object, and each two links, once.
+        """What is closer than `within` (m) at `position` (dof,), nearest first: each link and object, and each pair of
+        links, once.
 
-        Of more than MOST_PAIRS the nearest count. `moving` objects are taken at `time` (s). Raises InvalidRequest.
+        If there are more than MOST_PAIRS, the nearest count. `moving` objects are placed at `time` (s). Raises
+        InvalidRequest.
         """
         q = np.array(position, np.float64, order="C")
         if q.shape != (self.model.dof,) or not np.isfinite(q).all():
@@ -255,7 +261,7 @@ class MotionCheck:
         return self._bodies[key]
 
     def _movers(self, scene: _Scene, moving: Sequence[MovingObject]) -> tuple[list[str], Movers]:
-        """What the world's tree does not hold, and the name of the object that each row of it is part of."""
+        """The shapes outside the world's tree, and the name of the object to which each row of them belongs."""
         if not moving and not scene.changed:
             return [], _NONE
         packed, objects = self._packed, [item.object for item in moving]
@@ -268,7 +274,7 @@ class MotionCheck:
 
 
 def _names(body: _Body, scene: _Scene, movers: Sequence[str], part: int, other: int) -> tuple[str, str]:
-    """The link that a part is of, and what the kernels call `other`."""
+    """The link to which a part belongs, and the name of the kernels' `other`."""
     link = body.model.links[body.model.parts[part][0]]
     if other < 0:
         return link, body.model.links[body.model.parts[-1 - other][0]]

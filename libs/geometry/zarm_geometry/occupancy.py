@@ -19,12 +19,13 @@ from zarm_geometry.world import World
 Array = NDArray[np.float64]
 
 _FIRST = 8
-"""Blocks along the longest side of a shape that the search for its cells begins with."""
+"""Initial number of blocks along the longest side of a shape in the search for its cells."""
 _HALVES = np.array(list(np.ndindex(2, 2, 2)))
 
 
 def reached_cells(world: World, resolution: float, check: Callable[[], None]) -> Cells:
-    """The cells (n, 3) that the shapes of a world reach into, sorted; cell `(i, j, k)` is a cube centred at itself times `resolution` (m).
+    """The sorted cells (n, 3) that the shapes of a world reach into; cell `(i, j, k)` is a cube centred at itself times
+    `resolution` (m).
 
     `check` is called now and then and may raise. Raises InvalidRequest if there are more than MAX_CELLS.
     """
@@ -44,7 +45,7 @@ def reached_cells(world: World, resolution: float, check: Callable[[], None]) ->
 
 
 def _cells(row: Array, resolution: float, check: Callable[[], None]) -> Cells:
-    """Those of one shape (17,): blocks of cells that come near it are halved along each axis until they are cells."""
+    """The cells of one shape (17,): blocks of cells close to it are halved along each axis until they are single cells."""
     lower, upper = (corner[0] for corner in rows.bounds(row[None]))
     if np.abs((lower, upper)).max() > (MAX_INDEX - 1) * resolution:
         raise InvalidRequest(
@@ -56,7 +57,7 @@ def _cells(row: Array, resolution: float, check: Callable[[], None]) -> Cells:
     while True:
         check()
         edge = resolution * 2**level
-        # Block b has the cells from b * 2^level on; at level 0 it is the cell b.
+        # Block b holds the cells from b * 2^level on; at level 0 it is the cell b.
         centres = (blocks + 0.5) * edge - 0.5 * resolution
         away = rows.distances(centres, row[None])[:, 0]
         near = away <= _CORNER * edge
@@ -66,7 +67,7 @@ def _cells(row: Array, resolution: float, check: Callable[[], None]) -> Cells:
         _check_count(len(blocks), resolution)
         blocks = (2 * blocks[:, None] + _HALVES).reshape(-1, 3)
         level -= 1
-    sure = away <= 0.5 * resolution  # else a corner may reach the shape or not
+    sure = away <= 0.5 * resolution  # otherwise a corner may or may not reach the shape
     _check_count(int(sure.sum()), resolution)
     shape = obstacle_shape("", row)
     placed = fcl.CollisionObject(shape.geometry, fcl.Transform(shape.pose[:3, :3], shape.pose[:3, 3]))
@@ -80,7 +81,7 @@ def _cells(row: Array, resolution: float, check: Callable[[], None]) -> Cells:
 
 
 _CORNER = math.sqrt(3.0) / 2.0 * (1.0 + 1e-9)
-"""How far the corner of a cube is from its centre, in edges."""
+"""Distance of the corner of a cube from its centre, in edge lengths."""
 
 
 def _check_count(count: int, resolution: float) -> None:

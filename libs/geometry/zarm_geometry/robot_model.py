@@ -30,10 +30,10 @@ class RobotModel:
     """One robot in arrays; every joint vector follows the descriptor's `joints`, every pose is in its `base_link`.
 
     `lower`, `upper` (rad, m for a prismatic joint), `velocity`, `acceleration` and `jerk` have the shape (dof,).
-    `bodies` are all that can collide, in kinematic order, and `links` their names; `link_joint` (links,) is the moving
-    joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other: all
-    except what may touch, and what is on one rigid body. `parts` are the exact shapes, each with the index of the link in
-    whose frame it is.
+    `bodies` are all collision bodies, in kinematic order, and `links` their names; `link_joint` (links,) is the moving
+    joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other:
+    all except pairs that may touch, or belong to the same rigid body. `parts` are the exact shapes, each with the index
+    of the link in whose frame it is.
     """
 
     robot: RobotDescription
@@ -63,9 +63,9 @@ class RobotModel:
         return cls._packed(robot, np.array(origins), tip, bodies)
 
     def with_attached(self, attached: Sequence[Attached], ignored_links: Sequence[str]) -> Self:
-        """This robot with one more body for each attached object, and without the links that are ignored.
+        """This robot with one more body for each attached object, and without the ignored links.
 
-        It is fixed to the tip and named as in the scene; it may touch its `touch_links`.
+        The object is fixed to the tip and named as in the scene; it may touch its `touch_links`.
         """
         if not attached and not ignored_links:
             return self
@@ -78,7 +78,7 @@ class RobotModel:
     def _packed(cls, robot: RobotDescription, origin: Array, tip: Array, bodies: Sequence[Body]) -> Self:
         """The model of a robot with these bodies; `origin` (dof, 3, 4) and `tip` (4, 4) as in `body.along`."""
         descriptor = robot.descriptor
-        # In kinematic order, so that kernels finish the links of one joint before they move on to the next.
+        # In kinematic order, so that kernels finish the links of one joint before they go on to the next.
         bodies = sorted(bodies, key=lambda body: body.joint)
         link_joint = np.array([body.joint for body in bodies], np.int32)
         moving = {joint.name: joint for joint in robot.urdf.joint_of_child.values()}
@@ -125,13 +125,17 @@ class RobotModel:
         )
 
     def with_self_margin(self, margin: float) -> Self:
-        """This robot, with links that the search keeps `margin` (m) from each other, or what `pair_room` leaves a pair of it."""
+        """This robot, whose links keep `margin` (m) from each other in the search, or what `pair_room` allows for a
+        pair.
+        """
         apart = np.minimum(margin, self.pair_room).astype(np.float32)
         return replace(self, arrays=self.arrays._replace(apart=apart))
 
     @cached_property
     def pair_room(self) -> Array:
-        """How far (n,) in m each two links of `arrays.pairs` can be asked to keep from each other, see `self_margin.pair_room`."""
+        """The distance (n,) in m that each pair of links in `arrays.pairs` can be required to keep, see
+        `self_margin.pair_room`.
+        """
         q = np.random.default_rng(0).uniform(self.lower, self.upper, (CONFIGURATIONS, self.dof))
         return pair_room(self.bodies, self.link_transforms(q), self.arrays.pairs)
 
@@ -140,7 +144,7 @@ class RobotModel:
         return self._frames(q, slice(len(self.links), None))[..., 0, :, :]
 
     def tip_jacobian(self, q: ArrayLike) -> Array:
-        """How the tip moves (6, dof) with each joint at `q` (dof,): m/rad and rad/rad (m/m and 0 where prismatic), base frame."""
+        """The tip Jacobian (6, dof) at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base frame."""
         out = np.empty((1, self.dof + 1, 4, 4))
         joint = np.append(np.arange(self.dof), self.dof - 1).astype(np.int32)
         offset = np.append(np.repeat(np.eye(4)[None], self.dof, axis=0), self.offset[-1:], axis=0)
@@ -169,7 +173,7 @@ class RobotModel:
 
 
 def _bounding_sphere(balls: Array) -> Array:
-    """A small sphere (4,) around spheres (n, 4): the centre steps towards the farthest one, ever less.
+    """A small sphere (4,) around spheres (n, 4): the centre moves towards the farthest one in decreasing steps.
 
     Badoiu and Clarkson, "Smaller core-sets for balls", 2003.
     """
@@ -185,7 +189,7 @@ def _bounding_sphere(balls: Array) -> Array:
 def _reach(
     origin: Array, revolute: NDArray[np.bool_], extent: Array, link_joint: NDArray[np.int32], spheres: list[Array]
 ) -> NDArray[np.float32]:
-    """`RobotArrays.reach`: a bound for every configuration, as if the arm between could always stretch to a line."""
+    """`RobotArrays.reach`: a bound for every configuration, as if the arm in between could always be fully stretched."""
     of_spheres = [np.zeros((len(origin), len(balls))) for balls in spheres]
     for reach, carrier, balls in zip(of_spheres, link_joint.tolist(), spheres, strict=True):
         for joint in range(carrier + 1):
@@ -205,10 +209,10 @@ def _reach(
 
 
 def _weight(reach: NDArray[np.float32]) -> NDArray[np.float32]:
-    """How much each joint (dof,) counts in the distances of a search, with a mean square of 1.
+    """The weight (dof,) of each joint in the distances of a search, with a mean square of 1.
 
-    The root of what it can move: measured on MotionBenchMaker's problems, searches are 10 % faster than with equal
-    weights, and as fast as with the reach itself. 0.02 m keep a joint that moves nothing from being free of cost.
+    The root of what it can move: on MotionBenchMaker's problems, searches are 10 % faster than with equal weights, and
+    as fast as with the reach itself. 0.02 m ensure that a joint that moves nothing still has a cost.
     """
     weight = np.sqrt(reach.max(axis=1, initial=0.0) + 0.02)
     return np.asarray(weight / np.sqrt(np.mean(weight**2)), np.float32)

@@ -1,9 +1,9 @@
 """Convex shapes as rows of 17 numbers, the form of all obstacles.
 
-The first 12 are the base frame in the shape's (3, 4), row by row; then come half extents x, y, z of its core, the radius
-of a disc about z that widens the core, and the rounding that is added all around. So a cuboid is its extents, a sphere a
-rounding, a capsule a segment with a rounding, a cylinder a segment with a disc. Where the radius is below 0, the core is
-the triangle (0, 0), (b, 0), (c, d) in the plane z = 0, and b, c, d stand in place of the half extents.
+The first 12 are the base frame in the shape's (3, 4), row by row; then come half extents x, y, z of its core, the
+radius of a disc about z that widens the core, and the rounding added all around. So a cuboid is its extents, a sphere a
+rounding, a capsule a segment with a rounding, a cylinder a segment with a disc. If the radius is negative, the core is
+the triangle (0, 0), (b, 0), (c, d) in the plane z = 0, and b, c, d replace the half extents.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 WIDTH = 17
 """Numbers per shape."""
 THINNEST_TRIANGLE = 1e-6
-"""Triangles of less height (m) over their longest edge are no obstacles."""
+"""Triangles with less height (m) over their longest edge are ignored."""
 
 
 def primitives(items: Sequence[Primitive]) -> Array:
-    """Primitives (n, 17) in the frame that their poses are given in."""
+    """Primitives (n, 17) in the frame of their poses."""
     table = np.empty((len(items), 12))
     for row, item in zip(table, items, strict=True):
         row[:3], row[3:7], row[7:] = item.position, (0.0, 0.0, 0.0, 1.0), 0.0
@@ -54,7 +54,7 @@ def boxes(lower: Array, upper: Array) -> Array:
 
 
 def triangles(corners: Array) -> Array:
-    """Triangles (m, 17) from their corners (n, 3, 3), in which those that are hardly more than a line are left out."""
+    """Triangles (m, 17) from their corners (n, 3, 3), without degenerate ones."""
     edges = np.roll(corners, -1, axis=1) - corners
     longest = np.argmax(np.linalg.norm(edges, axis=2), axis=1)
     each = np.arange(len(corners))
@@ -85,7 +85,7 @@ def corners(rows: Array) -> Array:
 
 
 def placed(rows: Array, pose: Array) -> Array:
-    """Shapes (n, 17) of an object that stands at `pose` (4, 4), from those in the object's own frame."""
+    """Shapes (n, 17) of an object at `pose` (4, 4), from those in the object's own frame."""
     turn = rows[:, :12].reshape(-1, 3, 4)[:, :, :3] @ pose[:3, :3].T
     shift = rows[:, [3, 7, 11]] - turn @ pose[:3, 3]
     return np.column_stack([np.concatenate([turn, shift[:, :, None]], axis=2).reshape(-1, 12), rows[:, 12:]])
@@ -107,11 +107,11 @@ def bounds(rows: Array) -> tuple[Array, Array]:
 
 
 def distances(points: Array, rows: Array) -> Array:
-    """Distances (n, m) of points (n, 3) to the surfaces of shapes (m, 17), below 0 inside; a triangle has no inside."""
+    """Distances (n, m) of points (n, 3) to the surfaces of shapes (m, 17), negative inside; a triangle has no inside."""
     frame = rows[:, :12].reshape(-1, 3, 4)
     local = np.einsum("mij,nj->nmi", frame[:, :, :3], points) + frame[:, :, 3]
     out = np.abs(local) - rows[:, 12:15]
-    # A cylinder is a rectangle in the plane of its axis and the radius, of which x and y are the same side.
+    # A cylinder is a rectangle in the plane of its axis and the radius; both x and y map to the radius.
     disc = rows[:, 15]
     out[..., 0] = np.where(disc > 0.0, np.hypot(local[..., 0], local[..., 1]) - disc, out[..., 0])
     out[..., 1] = np.where(disc > 0.0, out[..., 0], out[..., 1])

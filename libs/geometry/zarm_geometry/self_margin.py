@@ -12,19 +12,20 @@ from zarm_geometry.body import Body
 Array = NDArray[np.float64]
 
 CONFIGURATIONS = 512
-"""Random ones in which distances are measured."""
+"""Number of random configurations in which distances are measured."""
 LOST = 0.05
-"""Part of the configurations without contact that a margin may rule out, for each pair."""
+"""Share of the collision-free configurations that a margin may exclude, for each pair."""
 _BELOW = 0.9
-"""Part of the distance then measured that can be kept: two links beside each other keep the same distance everywhere, but for
-rounding."""
+"""Share of the measured distance that can be kept: two adjacent links have the same distance everywhere, except for
+rounding.
+"""
 
 
 def pair_room(bodies: Sequence[Body], frames: Array, pairs: NDArray[np.int32]) -> Array:
-    """How far (pairs,) in m the spheres of each pair (pairs, 2) of `bodies` can be asked to keep from each other.
+    """The distance (pairs,) in m that the spheres of each pair (pairs, 2) of `bodies` can be required to keep.
 
-    All but a share `LOST` of the configurations in which they do not touch keep this and more; `frames` (configurations, bodies, 4, 4)
-    are those of the bodies. 0 where they touch in all of them.
+    All but a share `LOST` of the configurations in which they do not touch keep at least this; `frames`
+    (configurations, bodies, 4, 4) are those of the bodies. 0 if they touch in all of them.
     """
     places = [
         np.einsum("nij,bj->nbi", frames[:, i, :3, :3], body.balls[:, :3]) + frames[:, i, None, :3, 3]

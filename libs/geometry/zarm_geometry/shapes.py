@@ -18,10 +18,13 @@ Array = NDArray[np.float64]
 
 _DISTANCE = fcl.DistanceRequest()
 _IGNORED = fcl.DistanceResult(-math.inf)
-"""Where FCL's bindings find nothing to improve, so that nearest points are not copied. Not for triangles: with those FCL
-itself looks for nothing but improvements."""
+"""FCL's bindings find nothing to improve here, so nearest points are not copied. Not for triangles, for which FCL
+itself searches only for improvements.
+"""
 _TOUCHING = 1e-9
-"""What is no further apart (m) overlaps: FCL finds a distance of 1e-17 m between a ball and a triangle deep in it."""
+"""Shapes no further apart than this (m) overlap: FCL finds a distance of 1e-17 m between a ball and a triangle deep in
+it.
+"""
 
 
 @dataclass(frozen=True)
@@ -29,8 +32,8 @@ class Shape:
     """One convex shape, centred in its frame `pose` (4, 4), which is given in a link's frame or in the base frame.
 
     It is all points within `rounding` of a box of half extents `core` (3,) that is widened by a disc of radius `disc`
-    about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc. With `disc`
-    below 0 it is a triangle with its first corner in the origin, `core` then being as in `zarm_geometry.rows`.
+    about z. So a cuboid is its core, a sphere a rounding, a capsule both, and a cylinder a segment with a disc. With a
+    negative `disc` it is a triangle with its first corner in the origin, and `core` is as in `zarm_geometry.rows`.
     """
 
     name: str
@@ -53,12 +56,14 @@ class Shape:
 
     @property
     def corners(self) -> Array:
-        """Those of a triangle (3, 3), in its frame."""
+        """The corners of a triangle (3, 3), in its frame."""
         b, c, d = self.core
         return np.array([(0.0, 0.0, 0.0), (b, 0.0, 0.0), (c, d, 0.0)])
 
     def support(self, directions: Array) -> Array:
-        """How far (n,) the shape reaches from the origin of its frame along unit `directions` (n, 3) in it."""
+        """Support distances (n,): how far the shape extends from the origin of its frame along unit `directions` (n, 3)
+        in it.
+        """
         if self.disc < 0.0:
             far: Array = (directions @ self.corners.T).max(axis=1)
             return far
@@ -83,7 +88,7 @@ def link_shape(link: str, primitive: CollisionPrimitive) -> Shape:
 
 
 def obstacle_shape(name: str, row: Array) -> Shape:
-    """One row (17,) of `World.rows`, in the base frame; it was made from a primitive of one of these kinds."""
+    """One row (17,) of `World.rows`, made from a primitive of one of these kinds, in the base frame."""
     turn = row[:12].reshape(3, 4)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn[:, :3].T, -turn[:, :3].T @ turn[:, 3]
@@ -98,7 +103,9 @@ def obstacle_shape(name: str, row: Array) -> Shape:
 
 
 def distance(a: Shape, pose_a: Array, b: Shape, pose_b: Array, upper: float = math.inf) -> float:
-    """The distance (m) of two shapes by FCL, at most `upper`; below 0 the depth of penetration. Poses (4, 4) in one frame."""
+    """The distance (m) of two shapes by FCL, at most `upper`; negative for a penetration depth. Poses (4, 4) in one
+    frame.
+    """
     measured: float = fcl.distance(
         fcl.CollisionObject(a.geometry, fcl.Transform(pose_a[:3, :3], pose_a[:3, 3])),
         fcl.CollisionObject(b.geometry, fcl.Transform(pose_b[:3, :3], pose_b[:3, 3])),
@@ -110,7 +117,7 @@ def distance(a: Shape, pose_a: Array, b: Shape, pose_b: Array, upper: float = ma
 
 
 def nearest_points(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> Array | None:
-    """The points (2, 3) of two shapes that are nearest to each other by FCL, in the frame of the poses; None if they overlap."""
+    """The nearest points (2, 3) of two shapes by FCL, in the frame of the poses; None if they overlap."""
     found = fcl.DistanceResult()
     measured = fcl.distance(
         fcl.CollisionObject(a.geometry, fcl.Transform(pose_a[:3, :3], pose_a[:3, 3])),
@@ -122,11 +129,12 @@ def nearest_points(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> Array | 
 
 
 def depth(a: Shape, pose_a: Array, b: Shape, pose_b: Array) -> float:
-    """How far (m) one of two shapes that overlap must at least be moved to part them; poses (4, 4) in one frame.
+    """The least distance (m) by which one of two overlapping shapes must be moved to separate them; poses (4, 4) in one
+    frame.
 
-    Where only their roundings overlap, that is what their cores lack of them. Otherwise it is the smallest extent of their
-    Minkowski difference over all directions: of many, and then of ever closer ones around the best. (FCL's own depth is off
-    by up to 0.3 m for capsules, and where two centres coincide it may not return.)
+    If only their roundings overlap, that is the sum of the roundings minus the distance of the cores. Otherwise it is
+    the smallest extent of their Minkowski difference over all directions: first many, then closer ones around the best.
+    (FCL's own depth is off by up to 0.3 m for capsules, and if two centres coincide it may not return.)
     """
     if a.rounding or b.rounding:
         cores = fcl.distance(*(_placed_core(shape, pose) for shape, pose in ((a, pose_a), (b, pose_b))))
@@ -182,7 +190,7 @@ def _cylinder(name: str, pose: Array, radius: float, length: float) -> Shape:
 
 
 def _triangle(name: str, pose: Array, core: Sequence[float]) -> Shape:
-    # FCL's own triangle cannot be measured against anything: it says that all is free. A mesh of one can.
+    # FCL's own triangle cannot be measured: it reports everything as free. A mesh of one triangle can.
     geometry = fcl.BVHModel()
     shape = Shape(name, geometry, pose, np.array(core), -1.0, 0.0)
     geometry.beginModel(1, 3)

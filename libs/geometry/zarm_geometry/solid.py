@@ -13,27 +13,28 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 CELLS = 32
-"""Along the longest side of the surface's bounding box, the inside is divided into at most so many cells."""
+"""Most cells along the longest side of the surface's bounding box."""
 _PAIRS = 1_000_000
-"""At most so many pairs of a triangle and a column of cells are looked at; the grid is made coarser until they are."""
+"""Most pairs of a triangle and a column of cells; the grid is coarsened until it has no more."""
 _SLACK = 1e-6
-"""By this part of its size a cell is taken for larger, so that no rounding error lets a triangle slip between two."""
+"""Relative enlargement of a cell, so that no triangle slips between two because of rounding."""
 
 
 def inside(triangles: Array) -> tuple[Array, Array]:
-    """Boxes, by their corners (m, 3), within the surface of `triangles` (n, 3, 3), which is closed and wound one way.
+    """Boxes, by their corners (m, 3), inside the closed, consistently wound surface of `triangles` (n, 3, 3).
 
-    They are cells of a grid that no triangle touches and that the surface winds around, merged; so what they leave out is
-    nowhere further from the surface than the diagonal of a cell.
+    They are merged cells of a grid that no triangle touches and that the surface winds around; so what they leave out
+    is nowhere further from the surface than the diagonal of a cell.
     """
     touched, enclosed, place = _cells(triangles, CELLS)
     return place(np.argwhere(enclosed & ~touched))
 
 
 def around(triangles: Array, most: int, *, solid: bool) -> tuple[Array, Array]:
-    """At most `most` boxes, by their corners (m, 3), that contain the surface of `triangles` (n, 3, 3) and, if it is `solid`, its inside.
+    """At most `most` boxes, by their corners (m, 3), that contain the surface of `triangles` (n, 3, 3) and, if `solid`,
+    its inside.
 
-    They are cells of the finest grid for which that many are enough, merged.
+    They are merged cells of the finest grid for which that many suffice.
     """
     cells = CELLS
     while True:
@@ -45,11 +46,13 @@ def around(triangles: Array, most: int, *, solid: bool) -> tuple[Array, Array]:
 
 
 _Place = Callable[[Index], tuple[Array, Array]]
-"""Boxes, by their corners (m, 3), that cells (n, 3) are merged to."""
+"""Maps cells (n, 3) to the boxes into which they are merged, by their corners (m, 3)."""
 
 
 def _cells(triangles: Array, cells: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_], _Place]:
-    """Which cells (x, y, z) of a grid around a surface a triangle touches, and which ones the surface winds around; where they are."""
+    """Which cells (x, y, z) of a grid around a surface a triangle touches, and which the surface winds around; and
+    their places.
+    """
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     while True:
         size = float((high - low).max()) / cells
@@ -70,7 +73,9 @@ def _cells(triangles: Array, cells: int) -> tuple[NDArray[np.bool_], NDArray[np.
 def _touched_and_enclosed(
     corners: Array, first: Index, count: Index, cells: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Of the unit cells (x, y, z) of a grid those that a triangle touches, and those that the surface winds around; `first` and `count` (n, 2) are each triangle's columns."""
+    """The unit cells (x, y, z) of a grid that a triangle touches, and those that the surface winds around; `first` and
+    `count` (n, 2) are each triangle's columns.
+    """
     pairs = count.prod(axis=1)
     owner = np.repeat(np.arange(len(corners)), pairs)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
@@ -78,7 +83,7 @@ def _touched_and_enclosed(
     meets = _overlap(corners[:, :, :2], owner, column + 0.5)
     owner, column = owner[meets], column[meets]
 
-    # Heights of the triangles' planes above x and y, steep ones over the whole height of the triangle.
+    # Heights of the triangles' planes over x and y; steep ones span the whole height of the triangle.
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     steep = np.abs(normal[:, 2]) <= 1e-9 * np.linalg.norm(normal, axis=1)
     slope = -normal[:, :2] / np.where(steep, np.inf, normal[:, 2])[:, None]
@@ -95,26 +100,26 @@ def _touched_and_enclosed(
     grid = (cells + 2, cells + 2, cells + 3)  # with a layer around, where nothing is inside
 
     def summed(column: Index, z: Array, weight: Array) -> Array:
-        """Weights added up along each column, each from its height on."""
+        """Weights summed along each column, each from its height on."""
         layer = np.clip(np.floor(z).astype(np.int64) + 1, 0, cells + 2)
         flat = np.ravel_multi_index((column[:, 0] + 1, column[:, 1] + 1, layer), grid)
         return np.cumsum(np.bincount(flat, weight, minlength=int(np.prod(grid))).reshape(grid), axis=2)
 
     one = np.ones(len(owner))
     touched = summed(column, bottom - _SLACK, one) - summed(column, top + _SLACK + 1, one)
-    # A line up through each column, where it hardly meets an edge, passes in and out of the surface.
+    # A vertical line through each column, placed to rarely meet an edge, passes in and out of the surface.
     line = column + np.array([0.5 + 0.0271828, 0.5 - 0.0314159])
     turns = np.sign(normal[owner, 2]) * _contains(corners[:, :, :2], owner, line)
     winding = summed(column, np.clip(height(line), bottom, top), turns)
-    closed = np.abs(winding[:, :, -1:]) < 0.5  # else the line met an edge after all
+    closed = np.abs(winding[:, :, -1:]) < 0.5  # otherwise the line met an edge after all
     shown = (slice(1, -1), slice(1, -1), slice(1, -2))
     return touched[shown] > 0.5, ((np.abs(winding) > 0.5) & closed)[shown]
 
 
 def _overlap(corners: Array, owner: Index, center: Array) -> NDArray[np.bool_]:
-    """Whether unit squares around `center` (m, 2) meet triangles (n, 3, 2): no edge of the triangle parts them.
+    """Whether unit squares around `center` (m, 2) meet triangles (n, 3, 2): no edge of the triangle separates them.
 
-    The squares lie within the triangle's bounding box already: so this is the separating axis test for convex polygons.
+    The squares already lie within the triangle's bounding box, so this is the separating axis test for convex polygons.
     """
     meets = np.ones(len(owner), bool)
     for edge in range(3):

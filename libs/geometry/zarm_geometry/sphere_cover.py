@@ -13,16 +13,16 @@ Array = NDArray[np.float64]
 Grid = tuple[int, int, int]
 
 MOST = 64
-"""At most so many balls cover one object, unless it consists of more than half as many shapes."""
+"""Most balls for one object, unless it consists of more than half as many shapes."""
 STANDS_OUT = 0.005
-"""No more balls are taken once they stand out of the shape by no more than this (m): as much as the default margin."""
+"""No more balls are added once they protrude from the shape by at most this (m), the default margin."""
 
 
 def sphere_cover(shape: Shape, most: int = MOST) -> Array:
-    """Spheres (n, 4), x, y, z and radius (m), in the frame that the shape's pose is given in; n <= `most`.
+    """Spheres (n, 4), x, y, z and radius (m), in the frame of the shape's pose; n <= `most`.
 
-    Every point of the shape is in one of them. They stand out of it by at most STANDS_OUT, or where that takes too many by
-    as little as a grid of MOST allows: 8 mm for a box of 60 x 60 x 100 mm, 18 mm for one of 300 x 200 x 100 mm, 15 % of
+    Every point of the shape is in one of them. They protrude by at most STANDS_OUT, or if that takes too many by as
+    little as a grid of MOST allows: 8 mm for a box of 60 x 60 x 100 mm, 18 mm for one of 300 x 200 x 100 mm, 15 % of
     the length for a can as wide as long.
     """
     balls = _in_a_row(shape, most) if shape.rounding else _in_a_grid(shape, most)
@@ -31,7 +31,9 @@ def sphere_cover(shape: Shape, most: int = MOST) -> Array:
 
 
 def _in_a_row(shape: Shape, most: int) -> Array:
-    """A sphere or a capsule: from end to end of its segment, ends included, so that each covers its half of a gap."""
+    """Balls for a sphere or a capsule: from end to end of its segment, ends included, so that each covers its half of a
+    gap.
+    """
     length, rounding = 2 * shape.core[2], shape.rounding
     for count in range(1 if length == 0.0 else 2, most + 1):
         radius = float(np.hypot(rounding, length / max(count - 1, 1) / 2))
@@ -43,7 +45,9 @@ def _in_a_row(shape: Shape, most: int) -> Array:
 
 
 def _in_a_grid(shape: Shape, most: int) -> Array:
-    """A box or a cylinder: a ball around each cell of the grid over its bounding box that makes them stand out least."""
+    """Balls for a box or a cylinder: one around each cell of the grid over its bounding box that makes them protrude
+    least.
+    """
     grids = [
         (x, y, z)
         for x in range(1, most + 1)
@@ -55,26 +59,26 @@ def _in_a_grid(shape: Shape, most: int) -> Array:
 
 
 def _box_stands_out(shape: Shape, grid: Grid) -> float:
-    """How far (m) the balls of a grid stand out of the faces of a box."""
+    """How far (m) the balls of a grid protrude from the faces of a box."""
     cell = shape.half / grid
     return math.hypot(*cell) - float(cell.min())
 
 
 def _cylinder_stands_out(shape: Shape, grid: Grid) -> float:
-    """How far (m) the balls of a grid stand out of the faces of a cylinder."""
+    """How far (m) the balls of a grid protrude from the faces of a cylinder."""
     balls = _grid(shape, grid)
     inside = np.minimum(shape.disc - np.hypot(balls[:, 0], balls[:, 1]), shape.half[2] - np.abs(balls[:, 2]))
     return float((balls[:, 3] - inside).max())
 
 
 def _grid(shape: Shape, grid: Grid) -> Array:
-    """The balls around so many cells along each axis, of a cylinder those that are not empty."""
+    """The balls around the cells of a grid with this many along each axis; for a cylinder, only non-empty cells."""
     cell = shape.half / grid
     steps = [size * (2 * np.arange(count) + 1 - count) for size, count in zip(cell, grid, strict=True)]
     centers = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
     if not shape.disc:
         return np.column_stack((centers, np.full(len(centers), np.linalg.norm(cell))))
-    # Of a cell only the box around what the disc has of it counts; that lies between these distances from the axis planes.
+    # Only the bounding box of the disc's part in a cell counts; it lies between these distances from the axis planes.
     near = np.maximum(np.abs(centers[:, :2]) - cell[:2], 0.0)
     centers, near = (rows[np.hypot(*near.T) < shape.disc] for rows in (centers, near))
     far = np.minimum(np.abs(centers[:, :2]) + cell[:2], np.sqrt(shape.disc**2 - near[:, ::-1] ** 2))

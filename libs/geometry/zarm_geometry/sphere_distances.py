@@ -13,14 +13,14 @@ from zarm_geometry.world import World
 Array = NDArray[np.float64]
 
 _BLOCK = 4096
-"""So many shapes of the scene are looked at together, for the sake of memory."""
+"""Shapes of the scene processed together, to limit memory."""
 
 
 def sphere_distances(model: RobotModel, world: World, q: Array) -> Array:
     """Distances (n,) in m of the descriptor's spheres to the nearest object at `q` (dof,), in the descriptor's order.
 
-    Below 0 it is how deep the sphere is in one of the convex shapes that the objects consist of, and FARTHEST at most. All
-    spheres are there, those of links that are fixed to the base or ignored too.
+    Negative values are the depth of the sphere in one of the convex shapes of the objects; at most FARTHEST. All
+    spheres are included, also those of links that are ignored or fixed to the base.
     """
     spheres = model.robot.descriptor.spheres
     poses = dict(zip(model.links, model.link_transforms(q), strict=True))

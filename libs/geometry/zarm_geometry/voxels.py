@@ -20,17 +20,17 @@ S = TypeVar("S", np.float64, np.int64)
 _BITS = 21
 _MIDDLE = 1 << (_BITS - 1)
 FARTHEST_CELL = _MIDDLE - 1
-"""No index of a cell is further from 0."""
+"""Largest absolute index of a cell."""
 FARTHEST = 1e3
-"""No cell is further (m) from the origin of its frame."""
+"""Largest distance (m) of a cell from the origin of its frame."""
 
 
 def voxels_of(cloud: PointCloud, field: str) -> Voxels:
-    """The voxels that a cloud's points lie in. Raises InvalidRequest for points that are too far away."""
+    """The voxels that contain a cloud's points. Raises InvalidRequest for points that are too far away."""
     points = _rows(cloud.points, np.float64)
     check_reach(points, f"{field}.points")
     cells = tuple(zip(*occupied(points, cloud.resolution).T.tolist(), strict=True))
-    return Voxels.model_construct(  # whose fields are those of a valid cloud
+    return Voxels.model_construct(  # from the fields of a valid cloud
         kind="voxels",
         name=cloud.name,
         position=cloud.position,
@@ -46,12 +46,12 @@ def cells_of(voxels: Voxels) -> Cells:
 
 
 def _rows(triples: Sequence[tuple[T, T, T]], kind: type[S]) -> NDArray[S]:
-    """Triples as rows (n, 3), in a third of the time that `np.array` takes."""
+    """Triples as rows (n, 3), in a third of the time of `np.array`."""
     return np.fromiter(chain.from_iterable(triples), kind, 3 * len(triples)).reshape(-1, 3)
 
 
 def check_reach(points: Array, field: str) -> None:
-    """Refuse points (n, 3) that are further away than anything. Raises InvalidRequest."""
+    """Refuse points (n, 3) that are unreasonably far away. Raises InvalidRequest."""
     if np.abs(points).max(initial=0.0) > FARTHEST:
         at = int(np.argmax(np.any(np.abs(points) > FARTHEST, axis=1)))
         raise InvalidRequest(
@@ -61,12 +61,14 @@ def check_reach(points: Array, field: str) -> None:
 
 
 def occupied(points: Array, resolution: float) -> Cells:
-    """The cells (m, 3) that points (n, 3) lie in, each once, in order; cell `(i, j, k)` is centred at itself times `resolution`."""
+    """The sorted, distinct cells (m, 3) that contain points (n, 3); cell `(i, j, k)` is centred at itself times
+    `resolution`.
+    """
     return distinct(np.rint(points / resolution).astype(np.int64))
 
 
 def distinct(cells: Cells) -> Cells:
-    """Cells (n, 3), each once, sorted by x, then y, then z."""
+    """The distinct cells of (n, 3), sorted by x, then y, then z."""
     i, j, k = cells.T + _MIDDLE
     codes = (i << 2 * _BITS) | (j << _BITS) | k
     if np.all(codes[1:] > codes[:-1]):
@@ -78,13 +80,13 @@ def distinct(cells: Cells) -> Cells:
 
 
 def merged(cells: Cells) -> tuple[Cells, Cells]:
-    """Boxes that cover cells (n, 3) and nothing else, without overlap: their first and last cells (m, 3).
+    """Boxes that cover exactly the cells (n, 3) without overlap: their first and last cells (m, 3).
 
-    Greedy: cells are joined to rows along z, equal rows side by side to plates, equal plates to boxes.
+    Greedy: cells are joined to rows along z, equal adjacent rows to plates, equal plates to boxes.
     """
     boxes = np.vstack([distinct(cells).T] * 2)  # first x, y, z, last x, y, z
     for axis, alike in ((2, (0, 1)), (1, (0, 2, 5)), (0, (1, 2, 4, 5))):
-        if axis < 2:  # at first they are in order
+        if axis < 2:  # initially they are sorted
             boxes = boxes[:, np.lexsort(boxes[[axis, *alike]])]
         fresh = np.ones(boxes.shape[1], bool)
         fresh[1:] = boxes[axis, 1:] != boxes[axis + 3, :-1] + 1
@@ -103,7 +105,9 @@ def edges(low: Cells, high: Cells, resolution: float) -> tuple[Array, Array]:
 
 
 def coarse(cells: Cells, resolution: float, most: int) -> tuple[Array, Array]:
-    """At most `most` boxes, by their corners (m, 3), that contain cells (n, 3): of blocks of as few cells as that allows."""
+    """At most `most` boxes, by their corners (m, 3), that contain cells (n, 3): of the smallest blocks of cells that
+    suffice.
+    """
     block = 1
     while True:
         low, high = merged(cells // block)

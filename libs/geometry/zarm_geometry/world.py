@@ -20,12 +20,12 @@ Array = NDArray[np.float64]
 
 
 class World:
-    """Scene objects in the base frame, with `margin` (m) kept to them in `arrays`. Immutable.
+    """Scene objects in the base frame, with `margin` (m) around them in `arrays`. Immutable.
 
-    `rows` (n, 17) are the convex shapes that the objects consist of, in the order of the tree and without the margin, see
-    `zarm_geometry.rows`; `owner` (n,) is the index in `names` of the object that each is part of. What `before`, an earlier world,
-    has made ready of the same meshes and voxels is taken from there; one that was only moved is only placed anew. Raises
-    Unavailable for a mesh that is not in `meshes`.
+    `rows` (n, 17) are the convex shapes of the objects, in the order of the tree and without the margin, see
+    `zarm_geometry.rows`; `owner` (n,) is the index in `names` of the object to which each belongs. Prepared meshes and
+    voxels are reused from `before`, an earlier world; one that only moved is only placed again. Raises Unavailable for
+    a mesh that is not in `meshes`.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class World:
 
 
 class _Made(NamedTuple):
-    """What is made ready of an object: the tree over its shapes in its own frame, and that where it stands."""
+    """The prepared form of an object: the tree over its shapes in its own frame, and the placed one."""
 
     item: Mesh | Voxels
     tree: BoxTree
@@ -75,7 +75,7 @@ class _Made(NamedTuple):
 
 
 def _made(item: Mesh | Voxels, meshes: Meshes, before: _Made | None) -> _Made:
-    """The tree of a mesh or of voxels, where it stands; what is known `before` under its name may be of another one."""
+    """The placed tree of a mesh or of voxels; `before`, known under its name, may be of a different one."""
     if before is not None and before.item is item:
         return before
     if isinstance(item, Mesh):
@@ -92,7 +92,7 @@ def _same_cells(one: Voxels, other: Voxels) -> bool:
 
 
 def convex_shapes(item: SceneObject, meshes: Meshes) -> Array:
-    """The shapes (n, 17) that an object consists of, in the base frame."""
+    """The shapes (n, 17) of an object, in the base frame."""
     if not isinstance(item, Mesh | Voxels):
         return rows.primitives([item])
     own = meshes.tree(item).rows if isinstance(item, Mesh) else _boxes(item)

@@ -1,4 +1,4 @@
-"""The order in which commands arrive on several keys, so that a stop wins over all that came before it."""
+"""The order in which commands arrive on several keys, so that a stop overrides everything that came before it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from typing import Any
 log = logging.getLogger(__name__)
 
 PERIOD, UNHURRIED = 0.002, 0.01
-"""How often (s) it is looked whether something has come, and how often where that need not be known at once. A look takes 60 us of
-CPU, most of it to wake up: 3 % of a core at the first, 0.6 % at the second."""
+"""Polling intervals (s): the second if messages need not be noticed at once. A poll takes 60 us of CPU, most of it to
+wake up: 3 % of a core with the first, 0.6 % with the second.
+"""
 
 MOST = 1024
-"""So many messages of one key are taken in one look."""
+"""Most messages of one key taken in one poll."""
 
 
 class Arrivals:
-    """Takes what has come on several keys off their channels, numbers it, and hands it on; it has a thread of its own.
+    """Takes the messages on several keys off their channels, numbers them, and hands them on; it has its own thread.
 
-    Zenoh fills the channels without Python, so that nothing that keeps the interpreter busy holds up the network. In each look
-    the keys that overtake others come first and get the larger numbers: what came on another key before a stop is found in the same
-    look at the latest, and numbered before it. `urgent` says how often to look.
+    Zenoh fills the channels without Python, so a busy interpreter does not hold up the network. In each poll the keys
+    that overtake others are read first and get the larger numbers: a message on another key that came before a stop is
+    found in the same poll at the latest, and numbered before it. `urgent` selects the polling interval.
     """
 
     def __init__(self, urgent: Callable[[], bool]) -> None:
@@ -37,12 +38,14 @@ class Arrivals:
         self._thread.start()
 
     def add(self, entity: Any, take: Callable[[Any, int], None], *, overtaken: bool) -> None:
-        """From now on `take(message, number)` is called for each message of a subscriber or queryable; it must return at once."""
+        """From now on call `take(message, number)` for each message of a subscriber or queryable; it must return at
+        once.
+        """
         keys = self._overtaken if overtaken else self._overtaking
         keys.append((entity, take))
 
     def close(self) -> None:
-        """Take nothing any more."""
+        """Stop taking messages."""
         self._closed = True
         self._thread.join()
 
@@ -53,7 +56,7 @@ class Arrivals:
             for message, take in (*self._drained(self._overtaken), *last):
                 try:
                     take(message, next(self._numbers))
-                except Exception:  # whatever goes wrong with one, the next is to be taken
+                except Exception:  # whatever goes wrong with one message, the next must be taken
                     log.exception("a message could not be handled")
 
     @staticmethod

@@ -44,24 +44,28 @@ log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
 
 _WAITING = 1024
-"""So many messages may wait on each key that is taken in order, until the next look at it."""
+"""Messages that may wait on each key taken in order, until it is next polled."""
 OWNERS_BACK, READ_AGAIN = 2.0, 0.1
-"""s: when a link is back, a latched key that nobody answers for is read again and again for so long: where to ask is known a
-moment later, and after a restart of the router the owner of the value may be back half a second later."""
+"""s: after a link is restored, a latched key without an answer is read repeatedly for the first, at intervals of the
+second: routes are known a moment later, and after a restart of the router the owner of the value may return half a
+second later.
+"""
 
 
 class Bus:
     """One session. Use it in `with`; leaving closes every entity and waits for handlers that still run.
 
-    Where ZARM_SECURITY is on, it has the rights of its `role` (by default what ZARM_ROLE says): what the role may not do
-    raises InvalidRequest at once instead of getting no answer from the router.
+    With ZARM_SECURITY on it has the rights of its `role` (default: ZARM_ROLE): what the role may not do raises
+    InvalidRequest at once instead of getting no answer from the router.
     """
 
     def __init__(self, endpoint: str = DEFAULT_ENDPOINT, *, timeout: float = 5.0, role: Role | None = None) -> None:
         self.role = (role or client_role()) if security_on() else None
         self.endpoint = spoken(endpoint)
         self.urgent: Callable[[], bool] = lambda: True
-        """Whether what is served or subscribed to in order must be known within 2 ms now, and not within 10 ms: set it to save CPU."""
+        """Whether messages served or subscribed to in order must be noticed within 2 ms now, or within 10 ms, which
+        saves CPU.
+        """
         self._session = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
         self._client = str(self._session.info.zid())
@@ -98,11 +102,11 @@ class Bus:
         return bool(self._session.info.routers_zid())
 
     def observe(self, observer: Observer) -> None:
-        """Tell `observer` of every publication that is sent or received by what is declared on this bus from now on."""
+        """From now on pass every publication sent or received on this bus to `observer`."""
         self._observe = observer
 
     def watch_answers(self, answered: Callable[[str, str], object]) -> None:
-        """Tell `answered` of every query that is answered here from now on: its key, and `ok` or the code of the problem."""
+        """From now on call `answered` for every query answered here: its key, and `ok` or the code of the problem."""
         self._answered = answered
 
     # -- queries --
@@ -121,12 +125,12 @@ class Bus:
         """Answer queries on `key` with `handler(request)`, run by up to `workers` threads of this key's own.
 
         A ZarmError raised by the handler is the answer; any other exception is logged with its trace and answered as
-        `internal`. With `workers` + `backlog` queries in hand a further one is answered `busy`. Where they are `shared`, no
-        client has more of them in hand than there is room left for others. `requester` tells the handler for whom it works.
-        An answer that cannot be sent is logged with its trace, and its outcome is `unsent`.
+        `internal`. With `workers` + `backlog` queries pending, a further one is answered `busy`. If they are `shared`,
+        no client has more of them pending than there is room left for others. `requester` tells the handler for whom it
+        works. An answer that cannot be sent is logged with its trace, with the outcome `unsent`.
 
-        A query whose key expression only matches `key` (`zarm/**`) is passed over, so that looking around never moves a
-        robot; `readable` keys, where an empty request reads, answer it as long as it carries no payload.
+        A query whose key expression only matches `key` (`zarm/**`) is ignored, so that exploring the bus never moves a
+        robot; `readable` keys, where an empty request reads, answer it if it carries no payload.
         """
         room = Quota(key, workers + backlog, shared=shared)
         self._serve(key, request, lambda asked, _: handler(asked), workers, room, readable=readable, in_order=False)
@@ -142,11 +146,11 @@ class Bus:
         readable: bool = False,
         overtaken: bool = True,
     ) -> None:
-        """`serve`, and `handler` is told when each query arrived: `handler(request, arrival)`.
+        """Like `serve`, but `handler(request, arrival)` is also given the arrival number of each query.
 
-        Arrivals are numbered across all keys that are served or subscribed to in order on this bus, before a query waits
-        for a worker or is decoded. What may be `overtaken` never has a larger number than what may not and came after it; where
-        it came within some milliseconds after, it may have a smaller one.
+        Arrivals are numbered across all keys served or subscribed to in order on this bus, before a query waits for a
+        worker or is decoded. A query that may be `overtaken` never has a larger number than one that may not and came
+        after it; if it came within some milliseconds after it, it may have a smaller one.
         """
         room = Quota(key, workers + backlog, shared=False)
         self._serve(key, request, handler, workers, room, readable=readable, in_order=True, overtaken=overtaken)
@@ -170,7 +174,7 @@ class Bus:
             handler,
             workers,
             room,
-            lambda name, outcome: self._answered(name, outcome),  # whoever watches may come later
+            lambda name, outcome: self._answered(name, outcome),  # watchers may be added later
             readable=readable,
         )
         self._pools += served.pools
@@ -184,8 +188,8 @@ class Bus:
     def call(self, key: str, request: Message, reply: type[Reply], *, timeout: float) -> Reply:
         """Send a request and return its answer.
 
-        Raises InvalidRequest for a request that no router passes on, the ZarmError that the service answers, Unavailable
-        when nobody answers within `timeout` s, or InternalError when the answer cannot be read.
+        Raises InvalidRequest for a request that no router passes on, the service's ZarmError, Unavailable if nobody
+        answers within `timeout` s, or InternalError if the answer cannot be read.
         """
         self._require("asks", key)
         payload = encode(request)
@@ -222,7 +226,7 @@ class Bus:
     ) -> Publisher[M]:
         """Publish messages of one class on `key`. `realtime`: express, highest priority.
 
-        Where a link is congested, a `droppable` one is dropped rather than queued; unless said, those that are `realtime`.
+        On a congested link, `droppable` messages are dropped rather than queued; by default those that are `realtime`.
         """
         drop = realtime if droppable is None else droppable
         self._require("publishes", key)
@@ -237,11 +241,11 @@ class Bus:
         return Publisher(entity, self._observe)
 
     def latched(self, key: str, model: type[M]) -> Latched[M]:
-        """A value that is published on every change and answered to whoever asks for it.
+        """A value that is published on every change, and answered on request.
 
-        `key` may end in `/*`: then it is a family of values, each under a key of its own; `model` may be a class that they
-        have in common. A key that takes requests as well (settings, strategy) is not latched but served and published:
-        `serve` answers whoever asks, and one key has one queryable.
+        `key` may end in `/*`: then it is a family of values, each under its own key; `model` may be a common base
+        class. A key that also takes requests (settings, strategy) is not latched but served and published: `serve`
+        answers reads, and a key has only one queryable.
         """
         self._require("answers", key)
         latched: Latched[M] = Latched(self._session, key, self._observe)
@@ -249,14 +253,15 @@ class Bus:
         return latched
 
     def subscribe(self, key: str, model: type[M], callback: Callable[[str, M], None]) -> Callable[[], None]:
-        """Call `callback(key, message)` for each message on `key`, one at a time. It must return quickly. Returns what ends it.
+        """Call `callback(key, message)` for each message on `key`, one at a time. It must return quickly. Returns a
+        function that ends it.
 
-        What cannot be read is logged and dropped; so is an exception of the callback.
+        Unreadable messages are logged and dropped; so are exceptions of the callback.
         """
         return self.listen(key, lambda name, payload: deliver(name, payload, model, callback))
 
     def subscribe_timed(self, key: str, model: type[M], callback: Callable[[M, float], None]) -> None:
-        """`subscribe`, and the callback is told when the message arrived (s, monotonic), before it was decoded."""
+        """Like `subscribe`, but the callback is also given the time of arrival (s, monotonic), before decoding."""
 
         def receive(name: str, payload: bytes) -> None:
             arrived = time.monotonic()
@@ -265,7 +270,8 @@ class Bus:
         self.listen(key, receive)
 
     def listen(self, key: str, callback: Callable[[str, bytes], None]) -> Callable[[], None]:
-        """Call `callback(key, payload)` for each message on `key` as it came, whatever it holds; what ends it.
+        """Call `callback(key, payload)` for each message on `key`, unread and unchecked; returns a function that ends
+        it.
 
         Nothing is decoded, so high rates are no burden as long as the callback does next to nothing.
         """
@@ -274,9 +280,9 @@ class Bus:
     def subscribe_in_order(
         self, key: str, model: type[M], callback: Callable[[str, M, int], None], *, backlog: int = 64
     ) -> None:
-        """`subscribe`, and the callback is told when each message arrived, in the count of `serve_in_order`.
+        """Like `subscribe`, but the callback is also given each message's arrival number, as in `serve_in_order`.
 
-        What comes while `backlog` messages wait for the callback is logged and dropped.
+        Messages that arrive while `backlog` others wait for the callback are logged and dropped.
         """
         room = threading.BoundedSemaphore(backlog)
         pool = ThreadPoolExecutor(1, thread_name_prefix=key)
@@ -316,7 +322,7 @@ class Bus:
         self._entities.append(subscriber)
 
         def end() -> None:
-            with suppress(ValueError):  # the bus is closed, and it with it
+            with suppress(ValueError):  # the bus is closed, and with it the entity
                 self._entities.remove(subscriber)
                 subscriber.undeclare()
 
@@ -325,15 +331,16 @@ class Bus:
     def watch(
         self, key: str, model: type[M], callback: Callable[[str, M], None], *, timeout: float = 1.0
     ) -> Callable[[], None]:
-        """Like `subscribe` on a latched key, and the present values first (waiting for them at most `timeout` s); what ends it.
+        """Like `subscribe` on a latched key, but with the present values first (waiting for them at most `timeout` s);
+        returns a function that ends it.
 
-        They come again whenever a link to a router that was lost is back, as what was published meanwhile was missed. The last
-        call for a key is always with its newest value.
+        They are delivered again whenever a lost link to a router is restored, since publications were missed meanwhile.
+        The last call for a key always has its newest value.
         """
         return self.follow(key, lambda name, payload: deliver(name, payload, model, callback), timeout=timeout)
 
     def follow(self, key: str, callback: Callable[[str, bytes], None], *, timeout: float = 1.0) -> Callable[[], None]:
-        """`watch` without decoding: `listen` on a latched key, and the present values first."""
+        """`watch` without decoding: like `listen` on a latched key, but with the present values first."""
         if not self._sees_links:
             self._sees_links = True
             self._entities.append(self._session.info.declare_transport_events_listener(self._linked))
@@ -349,7 +356,7 @@ class Bus:
         return end
 
     def _linked(self, event: zenoh.TransportEvent) -> None:
-        """Called in a thread of its own when a link to a router is there, or gone."""
+        """Called in its own thread when a link to a router is established or lost."""
         if event.kind != zenoh.SampleKind.PUT:
             return
         unanswered, deadline = list(self._followed), time.monotonic() + OWNERS_BACK
@@ -358,7 +365,7 @@ class Bus:
                 return
 
     def latest(self, key: str, model: type[M]) -> Latest[M]:
-        """The newest message on a key with a high rate; nothing is decoded until it is asked for."""
+        """The newest message on a high-rate key; it is decoded only when requested."""
         latest = Latest(self._session, key, model, self._observe)
         self._entities.append(latest)
         return latest
@@ -376,7 +383,9 @@ class Bus:
         return sorted({parse_alive(str(reply.ok.key_expr)) for reply in tokens if reply.ok is not None})
 
     def watch_clients(self, gone: Callable[[str], object]) -> None:
-        """Call `gone(client)` with the `Requester.client` that can no longer be answered: it has left, or the link to it is lost."""
+        """Call `gone(client)` with each `Requester.client` that can no longer be answered: it has left, or the link to
+        it is lost.
+        """
 
         def changed(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.DELETE:
@@ -385,8 +394,8 @@ class Bus:
         self._entities.append(self._session.liveliness().declare_subscriber(ALL_CLIENTS, changed))
 
     def is_there(self, client: str, *, timeout: float = 1.0) -> bool:
-        """Whether an answer can reach the `Requester.client`, as far as the router knows; waits up to `timeout` s until it can: over a new
-        link its requests may come before the token that shows it.
+        """Whether an answer can reach the `Requester.client`, as far as the router knows; waits up to `timeout` s for
+        that, because over a new link its requests may come before its token.
         """
         until = time.monotonic() + timeout
         while True:

@@ -1,6 +1,6 @@
 """The certificates of this process, checked before a session opens, and Zenoh's settings for them.
 
-Loaded where ZARM_SECURITY is on alone: the standard library's ssl takes its time.
+Loaded only with ZARM_SECURITY on, because the standard library's ssl is slow to load.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _PROBE_SECONDS = 2.0
 class Certificates:
     """The authority's certificate, and certificate and key of one role, in the folder `ZARM_CERTS`.
 
-    Raises InvalidRequest with the remedy for one that is missing, cannot be read, does not fit, has ended, was made by
-    another authority or for another role, and for a key that everybody may read.
+    Raises InvalidRequest with the remedy for a file that is missing, unreadable, inconsistent, expired, or made by
+    another authority or for another role, and for a key that everyone may read.
     """
 
     def __init__(self, role: Role) -> None:
@@ -50,7 +50,7 @@ class Certificates:
         self.days_left = (self._end() - time.time()) / _DAY
 
     def of_page(self) -> ssl.SSLContext:
-        """TLS for a page that browsers open, with a certificate of its own, which no authority of the bus vouches for."""
+        """TLS for a page opened in browsers, with its own certificate, which no authority of the bus has signed."""
         certificate, key = self.folder / f"{PAGE}.pem", self.folder / f"{PAGE}.key"
         for file in (certificate, key):
             _require_readable(file, self.folder)
@@ -65,12 +65,12 @@ class Certificates:
         return context
 
     def settings(self) -> dict[str, object]:
-        """Zenoh's settings for a client, and for a router, which is one on its links."""
+        """Zenoh's settings for a client, and for a router, which is a client on its links."""
         tls: dict[str, object] = {
             "root_ca_certificate": str(self.authority),
             "enable_mtls": True,
             "verify_name_on_connect": True,
-            # Whoever connects anew must have a certificate that is valid; no robot in motion is stopped by the calendar.
+            # New connections need a valid certificate; no robot in motion is stopped by an expiry date.
             "close_link_on_expiration": False,
         }
         for side in ("connect", "listen") if self.role == "router" else ("connect",):
@@ -78,7 +78,7 @@ class Certificates:
         return {f"transport/link/tls/{name}": value for name, value in tls.items()}
 
     def why_not(self, host: str, port: int) -> str | None:
-        """Why a router at this address is not to be talked to; None if the fault is not one of certificates."""
+        """Why a router at this address is not acceptable; None if the fault is not one of certificates."""
         context = self._context(ssl.PROTOCOL_TLS_CLIENT)
         try:
             with (
@@ -114,7 +114,7 @@ class Certificates:
         return context
 
     def _end(self) -> float:
-        """When the certificate ends, Unix seconds, as somebody sees it who is shown it: by a handshake with oneself."""
+        """When the certificate ends (Unix seconds), as a peer sees it: by a handshake with oneself."""
         server = self._context(ssl.PROTOCOL_TLS_SERVER)
         server.verify_mode = ssl.CERT_REQUIRED
         client = self._context(ssl.PROTOCOL_TLS_CLIENT)

@@ -9,20 +9,22 @@ from pathlib import Path
 log = logging.getLogger(__name__)
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"  # as it was said before Jazzy
+_LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"  # the variable before Jazzy
 _PEERS = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 REACH = (RANGE, _LOCALHOST_ONLY, *_PEERS, *_PROFILES)
-"""With any of these a user has said whom DDS is to reach."""
+"""If any of these is set, the user has decided whom DDS is to reach."""
 NETWORK, LOCALHOST = (str(Path(__file__).with_name(f"dds_{reach}.xml")) for reach in ("network", "localhost"))
 
 
 def join() -> None:
-    """Set what Fast DDS reads when the first participant of this process is made; what the environment says already holds.
+    """Set what Fast DDS reads when the first participant of this process is created; existing variables take
+    precedence.
 
-    There is no shared memory with other processes: what one that was killed has left there holds up whoever opens it next for a
-    third of a second, a driver that sends to a bridge, or a bridge that answers a client. ROS itself shares memory where it is to
-    keep to this machine, so that is done by a profile, `LOCALHOST`. Where DDS listens on other interfaces, the log warns.
+    Shared memory with other processes is disabled: what a killed process has left there holds up anyone who opens it
+    next for a third of a second, such as a driver sending to a bridge, or a bridge answering a client. ROS itself uses
+    shared memory when it is limited to this machine, so that limit is set by a profile, `LOCALHOST`. If DDS listens on
+    other interfaces, the log warns.
     """
     said = {name for name in REACH if os.environ.get(name)}
     if not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith("rmw_fastrtps") or said & {*_PROFILES}:

@@ -8,15 +8,16 @@ from collections import deque
 from zarm_contract.messages import DriverCommand
 
 _REMEMBERED = 1024
-"""Joint states whose moment is known: 10 s of them at 100 Hz, 1 s at 1 kHz."""
+"""Joint states whose time is known: 10 s of them at 100 Hz, 1 s at 1 kHz."""
 
 
 class Expiry:
-    """Tells commands that come in time from late ones. Whoever passes commands on to a robot has one, and drops what is late.
+    """Tells commands that are in time from late ones. Each process that passes commands to a robot has one, and drops
+    late ones.
 
-    A link that stalls holds commands up and delivers them seconds later. The two sides need no common clock: a command names
-    a joint state of the driver's own by its stamp, and how long after that it may be begun. All moments (s) are on one clock
-    of the driver's side, which must not be stepped.
+    A stalled link holds commands up and delivers them seconds later. The two sides need no common clock: a command
+    names a joint state of the driver's own by its stamp, and how long after that it may begin. All times (s) are on one
+    clock of the driver's side, which must not be stepped.
     """
 
     def __init__(self) -> None:
@@ -24,14 +25,15 @@ class Expiry:
         self._lock = threading.Lock()
 
     def told(self, stamp: float, now: float) -> None:
-        """A joint state with this stamp is told at the moment `now`."""
+        """A joint state with this stamp was reported at `now`."""
         with self._lock:
             self._told.append((stamp, now))
 
     def in_time(self, command: DriverCommand, arrived: float) -> bool:
-        """Whether a command that arrived then may be begun. A stop always may.
+        """Whether a command that arrived at that time may begin. A stop always may.
 
-        Of a stamp that was not told the one before it counts: some program may tell the joints once more, under its own.
+        For an unknown stamp, the previous known one counts: another program may republish the joints with its own
+        stamps.
         """
         based_on, expires_after = command.based_on, command.expires_after
         if not command.time:

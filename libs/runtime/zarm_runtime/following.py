@@ -15,7 +15,8 @@ log = logging.getLogger(__name__)
 
 
 class Following:
-    """Calls `callback(key, payload)` with what is published on `key` and with what is read, so that the last is the newest.
+    """Calls `callback(key, payload)` with publications on `key` and with values read, such that the last call has the
+    newest.
 
     `timeout` (s) is the longest wait for an answer.
     """
@@ -35,7 +36,7 @@ class Following:
         self._timeout = timeout
         self._turn = threading.Lock()
         self._reading = threading.Lock()
-        self._published: set[str] | None = None  # since it is being read
+        self._published: set[str] | None = None  # since the read began
 
     def receive(self, name: str, payload: bytes) -> None:
         """Take a publication."""
@@ -45,7 +46,7 @@ class Following:
             self._callback(name, payload)
 
     def read(self) -> bool:
-        """Read the present values; whether somebody answered."""
+        """Read the present values; returns whether anyone answered."""
         answered = False
         with self._reading:
             with self._turn:
@@ -55,7 +56,7 @@ class Following:
                     if reply.ok is not None and understood(reply.ok):
                         answered = True
                         self._read(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
-            except zenoh.ZError as error:  # the link is gone again, or the session closed
+            except zenoh.ZError as error:  # the link is lost again, or the session closed
                 log.info("not read key=%s reason=%s", self._key, error)
             finally:
                 with self._turn:
@@ -64,6 +65,6 @@ class Following:
 
     def _read(self, name: str, payload: bytes) -> None:
         with self._turn:
-            if self._published is None or name not in self._published:  # else this answer may be the older of the two
+            if self._published is None or name not in self._published:  # else this answer may be the older one
                 self._observe(name, payload)
                 self._callback(name, payload)

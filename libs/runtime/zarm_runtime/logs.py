@@ -15,11 +15,11 @@ _COLOURS = {"planner": 36, "executor": 33, "ros_bridge": 35}
 
 BURST = 20
 BURST_PERIOD = 10.0
-"""How many warnings of one kind are logged in this many seconds: whoever sends nonsense does not fill the disk."""
+"""Period (s) in which the warnings of one kind are limited, so that a faulty client does not fill the disk."""
 
 
 class Flood(logging.Filter):
-    """Passes the first `BURST` warnings or errors that one line of code logs in `BURST_PERIOD` s; the last says so."""
+    """Passes the first `BURST` warnings or errors that one line of code logs in `BURST_PERIOD` s; the last one says so."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,13 +78,13 @@ class _JsonFormatter(logging.Formatter):
 
 
 def _taken_apart(record: logging.LogRecord) -> tuple[str, dict[str, object]]:
-    """What happened, and the values that go with it."""
+    """The event, and its values."""
     values = list(record.args) if isinstance(record.args, tuple) else []
     if record.args and not values:
         return record.getMessage(), {}
 
     def filled(template: str) -> object:
-        """The next values, put into a part of the template; a number alone stays one."""
+        """The next values, inserted into a part of the template; a number alone stays a number."""
         specs = [spec for spec in _SPEC.findall(template) if spec != "%%"] if record.args else []
         taken = tuple(values.pop(0) for _ in specs)
         if len(taken) == 1 and template == specs[0] and isinstance(taken[0], int | float):
@@ -102,7 +102,7 @@ def _taken_apart(record: logging.LogRecord) -> tuple[str, dict[str, object]]:
 
 
 def name_robot(robot: str) -> None:
-    """Say in every line from now on, where it is JSON, which robot this process serves."""
+    """From now on name this process's robot in every JSON line."""
     for handler in logging.getLogger().handlers:
         if isinstance(handler.formatter, _JsonFormatter):
             handler.formatter.robot = robot

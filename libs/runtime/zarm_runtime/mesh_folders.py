@@ -8,7 +8,9 @@ from pathlib import Path
 
 
 def add_meshes(parser: argparse.ArgumentParser) -> None:
-    """Give a command line the folders of the scene's meshes, `options.meshes`: those of `$ZARM_MESHES` and `--meshes`."""
+    """Add the folders of the scene's meshes to a command line, as `options.meshes`: those of `$ZARM_MESHES` and
+    `--meshes`.
+    """
     parser.add_argument(
         "--meshes",
         type=Path,

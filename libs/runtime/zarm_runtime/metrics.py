@@ -19,34 +19,34 @@ log = logging.getLogger(__name__)
 
 Kind = Literal["counter", "gauge"]
 Histogram = tuple[Sequence[int], float]
-"""How many values there were between one bound and the next, and the sum of all."""
+"""The number of values in each bucket, and the sum of all."""
 
 
 DURATIONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
-"""Bounds (s) of the histograms of `time`: a plan takes 5 ms as a rule, and its deadline is 5 s."""
+"""Bucket bounds (s) of the histograms of `time`: a plan usually takes 5 ms, and its deadline is 5 s."""
 
 
 class Metrics:
-    """What is counted of one robot. This class counts nothing: nobody reads it.
+    """The metrics of one robot. This base class records nothing, for use when metrics are off.
 
-    Names are Prometheus's: of a counter without `_total`, times in seconds. `what` is a sentence for whoever reads them.
+    Names follow Prometheus: counters without `_total`, times in seconds. `what` is a sentence for the reader.
     """
 
     def count(self, name: str, what: str, by: int = 1, **labels: str) -> None:
-        """Add to a counter; 0 makes it known before there is anything to count, as alerts on its increase need."""
+        """Add to a counter; 0 makes it known before anything is counted, as alerts on its increase need."""
 
     def time(self, name: str, what: str, seconds: float, **labels: str) -> None:
         """Add a duration to a histogram."""
 
     def read(self, kind: Kind, name: str, what: str, value: Callable[[], float | None], **labels: str) -> None:
-        """Have `value` called, from a thread of its own, whenever somebody reads; None: there is none now."""
+        """Call `value`, in its own thread, whenever metrics are read; None: no value now."""
 
     def read_histogram(self, name: str, what: str, bounds: Sequence[float], value: Callable[[], Histogram]) -> None:
-        """The same of a histogram, of which a loop that may wait for nobody keeps the numbers itself."""
+        """The same for a histogram whose numbers are kept by a loop that must not wait."""
 
 
 class _Exported(Metrics):
-    """Those of one robot among all that one process has read."""
+    """The metrics of one robot among all those of a process."""
 
     def __init__(self, robot: str, readings: _Readings) -> None:
         self._robot = robot
@@ -86,7 +86,7 @@ class _Exported(Metrics):
 
 
 class _Readings:
-    """What one process has read: counted as it goes in `metric`s, or looked up when somebody reads."""
+    """The metrics of one process: counted in a `metric`, or evaluated when read."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
         self._registry = registry
@@ -96,19 +96,19 @@ class _Readings:
         registry.register(self)
 
     def metric(self, make: Callable[..., Any], name: str, what: str, labels: Sequence[str], **options: Any) -> Any:
-        """The counter or histogram of this name, which is made where there is none yet."""
+        """The counter or histogram of this name, created if necessary."""
         with self._lock:
             if name not in self._metrics:
                 self._metrics[name] = make(name, what, labels, registry=self._registry, **options)
             return self._metrics[name]
 
     def add(self, name: str, make: Callable[[], Metric], sample: Callable[[Any], None]) -> None:
-        """Have `sample` add to a family, which those of several robots share, whenever somebody reads."""
+        """Make `sample` add to a family, which several robots share, whenever metrics are read."""
         with self._lock:
             self._families.setdefault(name, (make, []))[1].append(sample)
 
     def collect(self) -> Iterator[Metric]:
-        """What is looked up, now; the library calls it."""
+        """The metrics evaluated now; called by the library."""
         with self._lock:
             families = [(make, samples.copy()) for make, samples in self._families.values()]
         for make, samples in families:
@@ -120,10 +120,10 @@ class _Readings:
 
 @contextmanager
 def serve_metrics(where: str | None) -> Iterator[Callable[[str], Metrics]]:
-    """What makes the Metrics of a robot, which are read at `http://<where>/metrics` as long as the block lasts.
+    """A factory for the Metrics of a robot, served at `http://<where>/metrics` as long as the block lasts.
 
-    `where` is `host:port`; None: nobody reads them. Raises InvalidRequest for what is no such address, and Unavailable where
-    the port is taken or the library is missing.
+    `where` is `host:port`; None: metrics are off. Raises InvalidRequest for an invalid address, and Unavailable if the
+    port is taken or the library is missing.
     """
     if where is None:
         yield lambda _robot: Metrics()

@@ -9,11 +9,12 @@ from typing import Literal
 _SECONDS = 1.0
 
 Listener = Literal["nobody", "silent", "tls", "other"]
-"""`silent` takes connections and says nothing, as a process that hangs does; `tls` wants certificates, or shows one."""
+"""`silent` accepts connections and sends nothing, like a process that hangs; `tls` requires or presents certificates.
+"""
 
 
 def what_listens(host: str, port: int) -> Listener:
-    """Ask by beginning a TLS handshake, in which nobody is trusted and nothing is said."""
+    """Probe by starting a TLS handshake, without trust and without sending data."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:

@@ -19,22 +19,24 @@ log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
 
 Observer = Callable[[str, bytes], None]
-"""Is told key and payload of what passes; called from any thread, the control loop's too, so it must return at once."""
+"""Receives key and payload of each message; called from any thread, including the control loop, so it must return at
+once.
+"""
 
 
 def unobserved(_key: str, _what: object) -> None:
-    """The observer of a bus that nobody observes."""
+    """The observer of a bus without observers."""
 
 
 class Encoded(NamedTuple):
-    """A message as it goes onto the wire; what is published and answered alike is encoded once."""
+    """A message in wire format; one that is both published and answered is encoded once."""
 
     payload: bytes
     encoding: zenoh.Encoding
 
     @classmethod
     def of(cls, message: Message) -> Encoded:
-        """The bytes of a message, and what they are."""
+        """Encode a message."""
         return cls(encode(message), encoding_of(type(message)))
 
 
@@ -53,7 +55,7 @@ class Publisher(Generic[M]):
         self._observe(self._key, payload)
 
     def heard(self) -> bool:
-        """Whether somebody subscribes to it now."""
+        """Whether it has subscribers now."""
         status: Any = self._entity.matching_status  # Zenoh's stub says bool
         return bool(status.matching)
 
@@ -71,16 +73,16 @@ class Latched(Generic[M]):
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
 
     def set(self, message: M, *, key: str | None = None) -> Encoded:
-        """Change the value and publish it; `key` names the member of a family. Waits where the link has no room.
+        """Change the value and publish it; `key` names the member of a family. Waits if the link has no room.
 
         Returns what was published.
         """
         key = key or self._key
         encoded = Encoded.of(message)
-        with self._order:  # publications leave in the order in which the value changed, and no answer waits for one
+        with self._order:  # publications leave in the order of the changes, and no answer waits for one
             with self._lock:
                 self._values[key] = encoded
-            # Zenoh would drop it where a link has no room, and nobody would ever publish it again.
+            # Zenoh would drop it on a link without room, and nobody would ever publish it again.
             self._session.put(
                 key, encoded.payload, encoding=encoded.encoding, congestion_control=zenoh.CongestionControl.BLOCK
             )
@@ -93,7 +95,7 @@ class Latched(Generic[M]):
             self._values.pop(key, None)
 
     def undeclare(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         self._queryable.undeclare()
 
     def _answer(self, query: zenoh.Query) -> None:
@@ -117,9 +119,9 @@ class Latest(Generic[M]):
         self._subscriber = session.declare_subscriber(key, self._receive)
 
     def get(self, *, max_age: float | None = None) -> M | None:
-        """The newest message, or None when there is none, or none received within the last `max_age` s.
+        """The newest message, or None if there is none, or none received within the last `max_age` s.
 
-        One that cannot be read is logged and dropped.
+        An unreadable one is logged and dropped.
         """
         newest = self._newest
         if newest is None or (max_age is not None and time.monotonic() - newest[1] > max_age):
@@ -127,14 +129,14 @@ class Latest(Generic[M]):
         return self._read(newest)
 
     def received(self) -> tuple[M, float] | None:
-        """The newest message and when it was received, s on the monotonic clock, or None when there is none."""
+        """The newest message and its time of arrival (s, monotonic), or None if there is none."""
         newest = self._newest
         if newest is None or (message := self._read(newest)) is None:
             return None
         return message, newest[1]
 
     def wait(self, timeout: float) -> M | None:
-        """The next message that arrives, or None after `timeout` s."""
+        """The next message, or None after `timeout` s."""
         deadline = time.monotonic() + timeout
         before = self._newest
         while True:
@@ -147,7 +149,7 @@ class Latest(Generic[M]):
                 return message
 
     def undeclare(self) -> None:
-        """Receive no more."""
+        """Stop receiving."""
         self._subscriber.undeclare()
 
     def _read(self, newest: tuple[bytes, float]) -> M | None:
@@ -181,7 +183,7 @@ def encoding_of(model: type[Message]) -> zenoh.Encoding:
 
 
 def understood(sample: zenoh.Sample) -> bool:
-    """Whether a sample is a publication, and of this version of the contract or of none; what is of another is logged."""
+    """Whether a sample is a publication of this version of the contract, or of no stated version; others are logged."""
     if sample.kind != zenoh.SampleKind.PUT:
         return False
     other = other_contract(str(sample.encoding))
@@ -196,7 +198,7 @@ def understood(sample: zenoh.Sample) -> bool:
 
 
 def deliver(key: str, payload: bytes, model: type[M], callback: Callable[[str, M], None]) -> None:
-    """Call `callback` with what was received; log what cannot be read, and an exception of the callback."""
+    """Call `callback` with the message received; log unreadable ones, and exceptions of the callback."""
     try:
         message = decode(model, payload)
     except InvalidRequest as error:
@@ -204,7 +206,7 @@ def deliver(key: str, payload: bytes, model: type[M], callback: Callable[[str, M
         return
     try:
         callback(key, message)
-    except Exception:  # whatever the callback does wrong, the next message is to be delivered
+    except Exception:  # whatever the callback does wrong, the next message must be delivered
         log.exception("subscriber failed key=%s", key)
 
 

@@ -26,9 +26,9 @@ Reply = TypeVar("Reply", bound=Message)
 
 
 class Served(Generic[Request]):
-    """A key whose queries a handler answers, `handler(request, arrival)`, in up to `workers` threads; `Bus.serve` says how.
+    """A key whose queries are answered by `handler(request, arrival)`, in up to `workers` threads; see `Bus.serve`.
 
-    `answered` is told of each query: the key, and `ok`, `unsent` or the code of the problem.
+    `answered` is called for each query with the key, and `ok`, `unsent` or the code of the problem.
     """
 
     def __init__(
@@ -89,13 +89,15 @@ class Served(Generic[Request]):
 def ask(
     session: zenoh.Session, key: str, reply: type[Reply], timeout: float, role: Role | None, **request: Any
 ) -> Reply:
-    """The answer to a query; `request` holds its payload, encoding and attachment. Raises what `Bus.call` raises for answers."""
+    """The answer to a query; `request` holds its payload, encoding and attachment. Raises what `Bus.call` raises for
+    answers.
+    """
     refused = "" if role is None else f", or the router there lets no {role} ask"
     began = time.monotonic()
 
     def unavailable() -> Unavailable:
         late = f" within {timeout:g} s" if time.monotonic() - began > 0.9 * timeout else ""  # else nobody serves it
-        asked = key.removesuffix("$*")  # of what is only read
+        asked = key.removesuffix("$*")  # of a key that is only read
         return Unavailable(f"nobody answered on {asked}{late}{refused}; `zarm status` shows which services run")
 
     try:
@@ -122,7 +124,7 @@ def ask(
         raise unavailable()
     try:
         problem = decode(Problem, first.err.payload.to_bytes())
-    except InvalidRequest:  # Zenoh's own error reply, a timeout for one, is no Problem
+    except InvalidRequest:  # Zenoh's own error reply, such as a timeout, is not a Problem
         raise unavailable() from None
     raise from_problem(problem)
 
@@ -142,7 +144,7 @@ def _refuse(error: ZarmError) -> NoReturn:
 
 
 def _reply(query: zenoh.Query, key: str, work: Callable[[], Message | Encoded]) -> str:
-    """Answer with what `work` makes; `ok`, or the code of the problem that it came to."""
+    """Answer with the result of `work`; returns `ok`, or the code of its problem."""
     try:
         answer = work()
         encoded = answer if isinstance(answer, Encoded) else Encoded.of(answer)

@@ -9,10 +9,10 @@ from zarm_contract.errors import Busy
 
 
 class Quota:
-    """Room for `total` requests on `key`. Where it is `shared`, one client has no more in hand than are left for others.
+    """Room for `total` requests on `key`. If it is `shared`, no client has more pending than remain for others.
 
-    So one client alone gets half of it, the next half of the rest, and whoever comes late finds some; where two are greedy
-    for long, both have a third.
+    So one client alone gets half of it, the next half of the rest, and latecomers find some room; if two are greedy for
+    long, each has a third.
     """
 
     def __init__(self, key: str, total: int, *, shared: bool) -> None:
@@ -23,7 +23,7 @@ class Quota:
         self._lock = threading.Lock()
 
     def enter(self, client: str) -> None:
-        """Take a request in. Raises Busy if there is no room for it."""
+        """Admit a request. Raises Busy if there is no room for it."""
         with self._lock:
             left, held = self._total - self._held.total(), self._held[client]
             if not left:
@@ -36,7 +36,7 @@ class Quota:
             self._held[client] += 1
 
     def leave(self, client: str) -> None:
-        """Its request is answered."""
+        """A request has been answered."""
         with self._lock:
             self._held[client] -= 1
             if not self._held[client]:

@@ -1,4 +1,4 @@
-"""Real-time priority, where the system allows it, for everything that a moving robot waits for."""
+"""Real-time priority, if the system allows it, for everything that a moving robot waits for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ CONTROL_PRIORITY = 20
 
 
 def ask_for_realtime(priority: int) -> bool:
-    """Give the calling thread, and all that it starts from now on, a real-time priority; whether that is allowed."""
+    """Give the calling thread, and all threads it starts from now on, a real-time priority; returns whether that is
+    allowed.
+    """
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
     except (AttributeError, PermissionError):  # no such call on macOS; no such right in most containers
@@ -22,7 +24,7 @@ def ask_for_realtime(priority: int) -> bool:
 
 @contextmanager
 def realtime_offspring(priority: int) -> Iterator[None]:
-    """Threads that the calling one starts inside have a real-time priority, where that is allowed; it itself goes back."""
+    """Threads started inside by the calling one have a real-time priority, if allowed; that of the caller is restored."""
     allowed = ask_for_realtime(priority)
     try:
         yield

@@ -1,8 +1,9 @@
 """Records as MCAP files (https://mcap.dev), which Foxglove opens.
 
-A channel is a key of the bus, a message is the very bytes that went over it (encoding `json`), with the schema of its
-class (`jsonschema`, named `zarm.<Message>.v3`). `log_time` is when it was sent or received here, in ns since 1970;
-`publish_time` is the same, but for values that held already when the record begins: then it is when they were published.
+A channel is a key of the bus, a message the exact bytes sent over it (encoding `json`), with the schema of its class
+(`jsonschema`, named `zarm.<Message>.v3`). `log_time` is when it was sent or received here, in ns since 1970;
+`publish_time` is the same, except for values that already held when the record begins: then it is when they were
+published.
 """
 
 from __future__ import annotations
@@ -28,20 +29,20 @@ from zarm_runtime.recorded import Recorded
 from zarm_runtime.version import version
 
 Entry = tuple[int, str, bytes]
-"""When (ns since 1970), on which key, and the payload. A plain tuple: the garbage collector does not look into those."""
+"""Time (ns since 1970), key, and payload. A plain tuple, because the garbage collector does not scan those."""
 
 DRAFT = ".part"
-"""What the name of a record ends in until it is whole."""
+"""Suffix of a record's name until it is complete."""
 
 
 _DAMAGED = (McapError, ZstdError, ValueError, LookupError, OverflowError, MemoryError, struct.error)
-"""What the libraries raise for a file that was cut short or changed; lengths in it may say anything."""
+"""Errors that the libraries raise for a truncated or modified file; lengths in it may have any value."""
 
 
 class RecordFile:
-    """A record that is written to `<path>.part` and appears as `path` when it is closed, whole or not at all.
+    """A record written to `<path>.part`, which appears as `path` when it is closed, complete or not at all.
 
-    Raises OSError, from any method, where it cannot be written. It is not flushed to the disk: a power cut may lose it.
+    Any method raises OSError if it cannot be written. It is not flushed to the disk: a power cut may lose it.
     """
 
     def __init__(self, path: Path, keys: Keys) -> None:
@@ -66,17 +67,17 @@ class RecordFile:
         )
 
     def flush(self) -> None:
-        """Hand to the system what was written so far: of a process that is killed, the draft holds that much."""
+        """Hand all data written so far to the system: if the process is killed, the draft contains that much."""
         self._writer.flush()
 
     def close(self) -> None:
-        """Finish the file; from now on it is at `path`, in place of what was there."""
+        """Finish the file; from now on it is at `path`, replacing what was there."""
         self._writer.finish()
         self._stream.close()
         self.draft.replace(self.path)
 
     def abandon(self) -> None:
-        """Write no more, and leave the draft as it is."""
+        """Stop writing, and leave the draft as it is."""
         with suppress(OSError):  # what could not be written before cannot be written now
             self._stream.close()
 
@@ -116,11 +117,11 @@ def read_record(path: Path) -> Iterator[Entry]:
 
 @functools.cache
 def plain_schema(model: type[Message]) -> dict[str, Any]:
-    """The JSON schema of a message class in the words that Foxglove knows, which are few.
+    """The JSON schema of a message class in the few keywords that Foxglove knows.
 
-    Its reader (parseJsonSchema in foxglove/studio, packages/mcap-support) refuses a channel for a `$ref`, an `anyOf`, an
-    array without `items`, or an array of arrays. So references are written out, `X | None` is X, a tuple is an array; rows
-    of numbers are not described, although they are in the messages.
+    Its reader (parseJsonSchema in foxglove/studio, packages/mcap-support) refuses a channel for a `$ref`, an `anyOf`,
+    an array without `items`, or an array of arrays. So references are expanded, `X | None` becomes X, and a tuple an
+    array; rows of numbers are not described, although they are in the messages.
     """
     whole = model.model_json_schema()
     return _plain(whole, whole.get("$defs", {}))

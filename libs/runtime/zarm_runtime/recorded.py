@@ -21,10 +21,11 @@ from zarm_contract.messages import (
 
 
 class Recorded:
-    """The recorded keys of one robot. The preview and the trajectories of goals are left out: they follow from plans and streams.
+    """The recorded keys of one robot. The preview and the trajectories of goals are left out: they follow from plans
+    and streams.
 
-    `models` are the classes by key expression (goals are the family `executor/goal/*`); `present` are the keys that answer
-    with their present value, so that a record can begin with what held before it.
+    `models` are the classes by key expression (goals are the family `executor/goal/*`); `present` are the keys that
+    answer with their present value, so that a record can begin with the values that held before.
     """
 
     def __init__(self, keys: Keys) -> None:

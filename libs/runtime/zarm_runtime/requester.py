@@ -14,19 +14,19 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Requester
 
 ANYONE = Requester.model_construct(client="", timeout=math.inf)
-"""Whoever does not say who it is, all of them together: any Zenoh client, and calls within one process."""
+"""All requesters that do not identify themselves: any Zenoh client, and calls within one process."""
 
 _requester: ContextVar[Requester] = ContextVar("requester", default=ANYONE)
 
 
 def requester() -> Requester:
-    """Who asks for what this thread works on."""
+    """The requester for whom this thread works."""
     return _requester.get()
 
 
 @contextmanager
 def on_behalf_of(who: Requester) -> Iterator[None]:
-    """Have `requester` return `who` in this thread."""
+    """Make `requester` return `who` in this thread."""
     before = _requester.set(who)
     try:
         yield
@@ -35,10 +35,10 @@ def on_behalf_of(who: Requester) -> Iterator[None]:
 
 
 def requester_of(query: zenoh.Query) -> Requester:
-    """Who sent a query; ANYONE where its attachment does not say so."""
+    """The sender of a query; ANYONE if its attachment does not say."""
     if query.attachment is None:
         return ANYONE
     try:
         return decode(Requester, query.attachment.to_bytes())
-    except InvalidRequest:  # other tools of Zenoh attach what they like
+    except InvalidRequest:  # other Zenoh tools attach anything
         return ANYONE

@@ -8,14 +8,14 @@ from zarm_contract.access import ROLES, Role
 from zarm_contract.errors import InvalidRequest
 
 RENEWAL_DAYS = 60
-"""A certificate that ends within this time is renewed by `zarm certs`, and a service that starts with it warns."""
+"""Within this time of its end a certificate is renewed by `zarm certs`, and a service that starts with it warns."""
 
 PAGE = "page"
-"""What the certificate of the page in the browser is called: no role on the bus."""
+"""The name of the web page's certificate, which is not a role on the bus."""
 
 
 def security_on() -> bool:
-    """Whether the bus is spoken to with certificates: `ZARM_SECURITY` is `on`, or else `off`, the default."""
+    """Whether the bus uses certificates: `ZARM_SECURITY` is `on`, or `off`, the default."""
     setting = os.environ.get("ZARM_SECURITY", "").lower() or "off"
     if setting not in ("on", "off"):
         raise InvalidRequest(f"ZARM_SECURITY={setting} is neither on nor off", field="ZARM_SECURITY")

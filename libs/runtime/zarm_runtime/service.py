@@ -32,19 +32,19 @@ from zarm_runtime.version import version as version
 log = logging.getLogger(__name__)
 
 _WITHDRAWAL = 2.0
-"""Seconds that a starting service gives another one that starts at the same moment to withdraw."""
+"""Seconds that a starting service gives another one, starting at the same moment, to withdraw."""
 
 _WATCH_PERIOD = 1.0
-"""Seconds between two looks for an older owner of the same robot."""
+"""Interval (s) at which an older owner of the same robot is searched."""
 _GLANCE = 0.3
-"""Seconds that such a look takes at most, as when no router is there."""
+"""Time limit (s) of that search, needed if no router is there."""
 
 
 @dataclass
 class Service:
     """A running service: its robot, its keys, its bus; `options` are its command line (`connect`, `state`, its own).
 
-    `instance` sorts by the time of the start.
+    `instance` sorts by start time.
     """
 
     name: str
@@ -54,39 +54,39 @@ class Service:
     options: argparse.Namespace
     instance: str = field(default_factory=lambda: f"{time.time_ns() // 1_000_000:011x}{secrets.token_hex(2)}")
     interruptible: Callable[[], None] = lambda: None
-    """Raises where this is no moment to start anew; a service that moves something sets it."""
+    """Raises if the service must not restart now; set by a service that moves something."""
     ailment: Callable[[], str | None] = lambda: None
-    """What keeps it from serving though it is ready, in a sentence; a service with something to watch sets it."""
+    """A sentence on what keeps a ready service from serving; set by a service that monitors itself."""
     metrics: Metrics = field(default_factory=Metrics)
-    """What it counts, of no consequence unless somebody reads it."""
+    """The metrics, which have no effect unless they are served."""
     end: Callable[[], None] = lambda: None
     """Ends the process in order."""
     outdated: bool = False
-    """Whether the robot's file has changed, and the process starts anew to take it."""
+    """Whether the robot's file has changed, and the process is restarting to load it."""
     note: str = ""
-    """What else there is to know of it, in `health`."""
+    """Further information in `health`."""
     _activity: str = "starting"
     _ready: bool = False
     _started: float = field(default_factory=time.monotonic)
 
     def open_bus(self) -> Bus:
-        """A further session of this service; use it in `with`."""
+        """Another session of this service; use it in `with`."""
         return Bus(self.options.connect, role=self.bus.role)
 
     def starting(self, activity: str) -> None:
-        """Say in `health` what the service is busy with before it is ready."""
+        """Report in `health` what the service is doing before it is ready."""
         self._activity = activity
         log.info("starting activity=%s", activity.replace(" ", "_"))
 
     def ready(self) -> None:
-        """Say in `health` that requests are served at full speed from now on."""
+        """Report in `health` that requests are now served at full speed."""
         self._activity, self._ready = "serving", True
         log.info(
             "ready robot=%s instance=%s seconds=%.2f", self.keys.robot, self.instance, time.monotonic() - self._started
         )
 
     def health(self, _: Nothing | None = None) -> Health:
-        """How this service is."""
+        """The health of this service."""
         ailment = self.ailment()
         return Health(
             service=self.name,
@@ -103,10 +103,10 @@ class Service:
         )
 
     def reread(self, _: Nothing) -> Health:
-        """Look at the robot's file again; where it has changed, end, and start anew with it in the same process.
+        """Read the robot's file again; if it has changed, end, and restart with it in the same process.
 
-        Whoever asks sees in `health` when that is done. Raises InvalidRequest for a file with faults, and what
-        `interruptible` raises; then nothing has changed.
+        `health` shows when that is done. Raises InvalidRequest for a faulty file, and what `interruptible` raises; then
+        nothing has changed.
         """
         robot = load_robot(str(self.robot.path))
         if robot.hash != self.robot.hash:
@@ -117,7 +117,7 @@ class Service:
         return self.health()
 
     def count(self) -> None:
-        """Have its queries counted, and what it is be read."""
+        """Count its queries, and export its health as metrics."""
 
         def answered(key: str, outcome: str) -> None:
             relative = key.removeprefix(f"zarm/{self.keys.robot}/")
@@ -148,15 +148,15 @@ class Service:
         )
 
     def claim(self) -> None:
-        """Become the one owner of this service for the robot. Raises Unavailable while another one is alive.
+        """Become the only owner of this service for the robot. Raises Unavailable while another one is alive.
 
         Close the bus after a refusal: this instance's token may be on it.
         """
         if others := self._others():
             raise self.taken(others)
         self.bus.declare_alive(self.keys.alive(self.name, self.instance))
-        # An owner has seen no other token since it declared its own, so there is one at most. Of several that start at
-        # the same moment the smallest id waits for the rest to withdraw; whoever does not is an owner.
+        # An owner has seen no other token since it declared its own, so there is at most one. Of several that start at
+        # the same moment, the one with the smallest id waits for the rest to withdraw; any that does not is an owner.
         deadline = time.monotonic() + _WITHDRAWAL
         while others := self._others():
             if min(others) < self.instance or time.monotonic() > deadline:
@@ -168,8 +168,8 @@ class Service:
     def older_owner(self) -> str | None:
         """The instance of an owner that was there before this one, if it is on the bus.
 
-        While a router is away an owner is not seen, and another instance may start beside it as soon as the router is back,
-        before the owner is. The younger, which started without need, must give way.
+        While a router is away its clients are not seen, and another instance may start as soon as the router is back,
+        before the owner reconnects. The younger one, which started without need, must give way.
         """
         older = [instance for instance in self._others(_GLANCE) if instance < self.instance]
         return min(older, default=None)
@@ -179,7 +179,7 @@ class Service:
         return [instance for _, _, instance in alive if instance != self.instance]
 
     def taken(self, others: list[str]) -> Unavailable:
-        """What to raise where these instances own the robot."""
+        """The error to raise if these instances own the robot."""
         return Unavailable(
             f"a {self.name} for the robot {self.keys.robot} is already on this bus (instance {min(others)}); "
             "stop it, or start this one under another --name"
@@ -191,9 +191,9 @@ def run_service(
 ) -> int:
     """Run a service process until SIGTERM or SIGINT and return its exit code.
 
-    `parser` comes from `service_parser`. `start(service)` returns a context manager that opens and closes the service of one
-    robot; it calls `service.ready()`. What it cannot start with, it raises as a ZarmError: that ends as one line in the
-    log and exit code 1.
+    `parser` comes from `service_parser`. `start(service)` returns a context manager that opens and closes the service
+    of one robot; it calls `service.ready()`. If it cannot start, it raises a ZarmError, which results in one log line
+    and exit code 1.
     """
     setup_logging(name)
     options = parser.parse_args()
@@ -236,9 +236,7 @@ def run_service(
         if refusal is not None:
             raise refusal
         if any(service.outdated for service in services):
-            signal.pthread_sigmask(
-                signal.SIG_BLOCK, signals.ENDING
-            )  # what comes from now on waits for the next program
+            signal.pthread_sigmask(signal.SIG_BLOCK, signals.ENDING)  # signals from now on wait for the next program
             if not signals.heard:
                 sys.stdout.flush()
                 os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - this very program
@@ -290,7 +288,9 @@ def default_state() -> Path:
 
 
 def service_parser(name: str, *, several: bool = False) -> argparse.ArgumentParser:
-    """The command line that every service has; a service adds its own options. `several`: one process may serve several robots."""
+    """The command line common to all services; a service adds its own options. `several`: one process may serve several
+    robots.
+    """
     parser = argparse.ArgumentParser(f"zarm-{name.replace('_', '-')}", description=f"The zarm {name} of one robot.")
     count = "+" if several else None
     robot, instance = os.environ.get("ZARM_ROBOT", "doosan_m1013"), os.environ.get("ZARM_NAME")

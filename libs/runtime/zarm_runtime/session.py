@@ -24,14 +24,17 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-"""Where a router listens and clients look unless told otherwise: loopback, Zenoh's usual port."""
+"""Default endpoint of routers and clients: loopback, Zenoh's usual port."""
 
 ROUTER_MAX_BYTES = 2 * MAX_BYTES
-"""Longest payload that a router passes on. What is a little too long is refused by its receiver, with a sentence."""
+"""Longest payload that a router passes on. One that is only slightly too long is refused by its receiver, with a
+message.
+"""
 
 _ROUTER_RUNTIME = "(rx: (worker_threads: 16))"
-"""Each client that publishes to one that takes nothing occupies one of these threads until that one's link is given up. Zenoh's own
-two are soon none, and then nothing passes, a stop neither."""
+"""Each client that publishes to a blocked one occupies one of these threads until the blocked link is given up. Zenoh's
+default of two is soon exhausted, and then nothing passes, not even a stop.
+"""
 
 _ENDPOINT = re.compile(r"(?:(?:tcp|tls|quic|ws|udp)/\S+:\d+|unixsock-stream/\S+?)(?:[?#]\S*)?")
 _LOCAL = re.compile(r"\w+/(?:127\.|localhost:|\[::1\])|unixsock-stream/")
@@ -40,8 +43,8 @@ _LOCAL = re.compile(r"\w+/(?:127\.|localhost:|\[::1\])|unixsock-stream/")
 def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Role | None = None) -> zenoh.Session:
     """A session that is a client of the router at `endpoint`; waits `timeout` s for it.
 
-    `role` is what it is where ZARM_SECURITY is on (default: what ZARM_ROLE says). Once open it reconnects by itself when the
-    router comes back. Raises InvalidRequest for an endpoint or certificates that cannot be used, and Unavailable.
+    `role` is its role with ZARM_SECURITY on (default: ZARM_ROLE). Once open it reconnects by itself when the router
+    returns. Raises InvalidRequest for an invalid endpoint or certificates, and Unavailable.
     """
     certificates = _certificates(role or client_role()) if security_on() else None
     place = spoken(endpoint)
@@ -53,7 +56,9 @@ def open_client(endpoint: str = DEFAULT_ENDPOINT, timeout: float = 5.0, role: Ro
 
 
 def spoken(endpoint: str) -> str:
-    """An endpoint as it is used: with ZARM_SECURITY on, `tcp/...` is `tls/...`. Raises InvalidRequest for what is none."""
+    """The endpoint to use: with ZARM_SECURITY on, `tcp/...` becomes `tls/...`. Raises InvalidRequest for an invalid
+    one.
+    """
     if not _ENDPOINT.fullmatch(endpoint):
         raise InvalidRequest(f"{endpoint!r} is not an endpoint; write it like {DEFAULT_ENDPOINT}")
     protocol, _, address = endpoint.partition("/")
@@ -72,12 +77,11 @@ def open_router(endpoint: str) -> zenoh.Session:
 
 
 def router_config(listen: str | None = None, links: Sequence[str] = (), *, config: Path | None = None) -> zenoh.Config:
-    """A router that listens at `listen`, linked to the routers at the endpoints `links`, each link tried for ever.
+    """A router that listens at `listen`, linked to the routers at the endpoints `links`, each link retried for ever.
 
-    `config` is a file in Zenoh's own format whose settings are taken instead of zarm's; `listen` and `links`, where given,
-    take the place of what it says of them. Where nobody says where to listen, it is the default endpoint. With ZARM_SECURITY
-    on, certificates and access control are added whatever the file says. Raises InvalidRequest for a file, an endpoint or
-    certificates that cannot be used.
+    `config` is a file in Zenoh's own format whose settings replace zarm's; `listen` and `links`, if given, override it.
+    Without any address the default endpoint is used. With ZARM_SECURITY on, certificates and access control are added
+    whatever the file says. Raises InvalidRequest for an invalid file, endpoint or certificates.
     """
     settings = _config(_ROUTER) if config is None else _read(config)
     changes: dict[str, object] = {"mode": "router"}
@@ -95,10 +99,10 @@ def router_config(listen: str | None = None, links: Sequence[str] = (), *, confi
 
 
 def run_router(config: zenoh.Config) -> zenoh.Session:
-    """A router in this process, of a configuration that `router_config` made. Raises Unavailable if it cannot listen.
+    """A router in this process, with a configuration from `router_config`. Raises Unavailable if it cannot listen.
 
-    Its threads have a real-time priority where that is allowed, as every command to a robot passes through them. Where
-    everyone on the network may use it, a warning says so.
+    Its threads have a real-time priority if allowed, because every command to a robot passes through them. If everyone
+    on the network may use it, a warning says so.
     """
     if exposed := _open_to_all(config):
         log.warning(
@@ -131,10 +135,10 @@ def _open_to_all(config: zenoh.Config) -> list[str]:
 _ALONE: dict[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    # A killed process would leave its shared memory, 16 MB, behind, and a full /dev/shm ends those who live on.
+    # A killed process would leave its shared memory, 16 MB, behind, and a full /dev/shm kills those still running.
     "transport/shared_memory/enabled": False,
-    "scouting/delay": 0,  # a router would wait half a second for whom it does not look for
-    # Zenoh's own, from 1 s to 4 s, leaves a robot without its driver for long after a cable is back.
+    "scouting/delay": 0,  # a router would wait half a second for peers that it does not search
+    # Zenoh's own, from 1 s to 4 s, leaves a robot without its driver long after a cable is reconnected.
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
 }
 
@@ -142,10 +146,9 @@ _ALONE: dict[str, object] = {
 _ROUTER = _ALONE | {
     "connect/timeout_ms": -1,
     "connect/exit_on_failure": False,
-    # A link that is silent is given up after 5 s and made anew: TCP alone, or Zenoh's own 10 s, leaves it silent for as long
-    # again as it was cut. Not sooner: an executor that hears nothing brakes and then empties its driver, within 4 s, and of
-    # what a silent link holds up the driver must get the last, not the braking alone.
-    # What waits for room on such a link holds up everything else from the same client.
+    # A silent link is given up after 5 s and reopened: TCP alone, or Zenoh's own 10 s, leaves it silent for as long
+    # again as it was cut. Not sooner: an executor that hears nothing brakes and then empties its driver, within 4 s,
+    # and of what a silent link holds up the driver must get the last, not the braking alone.
     "transport/link/tx/lease": 5000,
     "transport/unicast/open_timeout": 2000,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
@@ -158,10 +161,10 @@ _ROUTER = _ALONE | {
             "size_limit": ROUTER_MAX_BYTES,
         }
     ],
-    # A message is put together before it is measured; this bounds the memory for that.
+    # A message is assembled before it is measured; this bounds the memory for that.
     "transport/link/rx/max_message_size": 2 * ROUTER_MAX_BYTES,
 }
-"""What deploy/router.json5 says as well."""
+"""The same settings as in deploy/router.json5."""
 
 
 def _client_settings(endpoint: str, timeout: float) -> dict[str, object]:
@@ -193,7 +196,7 @@ def _certificates(role: Role) -> Certificates:
 
 def _why_not(place: str) -> str:
     """Why there is no session with a router at this endpoint."""
-    from zarm_runtime.probe import what_listens  # needed here alone
+    from zarm_runtime.probe import what_listens  # needed only here
 
     listener = what_listens(*_address(place)) if place.startswith(("tcp/", "tls/")) else "nobody"
     if listener == "silent":
@@ -214,7 +217,7 @@ def _read(file: Path) -> zenoh.Config:
     try:
         return zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
-        reason = str(error).rpartition(" at /")[0]  # less the place in Zenoh's source
+        reason = str(error).rpartition(" at /")[0]  # without the place in Zenoh's source
         raise InvalidRequest(
             f"{file} is not a configuration of Zenoh that can be read ({reason}); deploy/router.json5 is one",
             field="--config",

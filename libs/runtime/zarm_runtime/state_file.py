@@ -1,8 +1,8 @@
 """Saved state: one message per file, with a version, in a folder that has one owner.
 
-A file is `{"version": 1, "written_by": "<version of zarm>", "content": <the message>}`. What was written before files stated a
-version is of version 0, and the whole of it is its content. No file is ever lost: whatever takes the place of one that was of
-an older version, or could not be read, leaves it beside its own (`scene.json.v0`, `scene.json.broken`).
+A file is `{"version": 1, "written_by": "<version of zarm>", "content": <the message>}`. Files from before this format
+have version 0 and consist of the content alone. No file is ever lost: when one of an older version, or an unreadable
+one, is replaced, it is kept beside the new one (`scene.json.v0`, `scene.json.broken`).
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
 
 Migration = Callable[[Any], Any]
-"""From the content of one version, as JSON reads it, to that of the next. Raises what `_UNREADABLE` lists."""
+"""From the content of one version, as parsed from JSON, to that of the next. Raises what `_UNREADABLE` lists."""
 
 _UNREADABLE = (InvalidRequest, ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What reading and migrating raise for a file that was cut short or changed."""
+"""Errors raised in reading and migrating a truncated or modified file."""
 
 _REMEDY = "make room or make the folder writable, or name another with --state or ZARM_STATE"
 
 
 def unchanged(content: Any) -> Any:
-    """The migration of a content that has stayed the same."""
+    """The migration of unchanged content."""
     return content
 
 
 class StateFile(Generic[M]):
-    """A message of class `model` at `path`, replaced whole or not at all. Safe for any number of threads.
+    """A message of class `model` at `path`, replaced completely or not at all. Thread-safe.
 
-    `migrations[n]` leads from version n to n + 1, so that their number is the version that is written. It outlives a crash of
-    the process; only where it is `flushed` to the disk, which takes milliseconds, it outlives a power cut too.
+    `migrations[n]` leads from version n to n + 1, so their number is the version written. The file survives a crash of
+    the process; only if it is `flushed` to the disk, which takes milliseconds, it also survives a power cut.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class StateFile(Generic[M]):
         self._model = model
         self._migrations = migrations
         self._flushed = flushed
-        self._saving = threading.Lock()  # two at once would take each other's draft away
+        self._saving = threading.Lock()  # two at once would remove each other's drafts
 
     def load(self) -> M | None:
         """The message; None if there is none, or if the file could not be read and was moved aside.
@@ -89,16 +89,16 @@ class StateFile(Generic[M]):
 
     @property
     def broken(self) -> Path | None:
-        """Where the content lies that could not be read, until another is saved; None if nothing is missing."""
+        """Where the unreadable content is kept until another one is saved; None if nothing is missing."""
         found = sorted(self.path.parent.glob(f"{self.path.name}.broken*"), key=lambda file: file.stat().st_mtime)
         return found[-1] if found and not self.path.exists() else None
 
     def save(self, message: M) -> None:
-        """Replace the message. Raises Unavailable if the file cannot be written; then the old one is there as before."""
+        """Replace the message. Raises Unavailable if the file cannot be written; the old one then remains."""
         self.write(encode(message))
 
     def write(self, content: bytes) -> None:
-        """`save` of a message that is encoded already."""
+        """`save` for an encoded message."""
         head = json.dumps({"version": len(self._migrations), "written_by": version()})
         try:
             self._replace(self.path, head[:-1].encode() + b', "content": ' + content + b"}")
@@ -106,7 +106,7 @@ class StateFile(Generic[M]):
             raise Unavailable(f"cannot write {self.path}: {error.strerror or error}; {_REMEDY}") from error
 
     def clear(self) -> None:
-        """Remove the message; where that fails a warning is logged."""
+        """Remove the message; a failure is logged as a warning."""
         try:
             self.path.unlink(missing_ok=True)
         except OSError as error:
@@ -126,7 +126,7 @@ class StateFile(Generic[M]):
         return decode(self._model, json.dumps(content).encode()), version
 
     def _aside(self, suffix: str) -> Path:
-        """A name beside the file's own that is free."""
+        """A free name beside the file's own."""
         aside, count = self.path.with_name(f"{self.path.name}.{suffix}"), 1
         while aside.exists():
             count += 1
@@ -158,16 +158,16 @@ class StateFile(Generic[M]):
 
 @contextmanager
 def owned(folder: Path, service: str) -> Iterator[Path]:
-    """The folder, which is made where it is missing, as one that no other process of this service uses meanwhile.
+    """The folder, created if missing, which no other process of this service may use meanwhile.
 
-    Two on different buses would not see each other, and would take each other's files for their own. Raises Unavailable.
+    Two on different buses would not see each other, and would use each other's files. Raises Unavailable.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         file = (folder / f"{service}.lock").open("ab")
     except OSError as error:
         raise Unavailable(f"cannot save state in {folder}: {error.strerror or error}; {_REMEDY}") from error
-    with file:  # its end, however the process comes to it, gives the lock back
+    with file:  # the end of the process, however it comes, releases the lock
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

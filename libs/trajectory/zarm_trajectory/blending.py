@@ -1,11 +1,11 @@
 """Blends from the present motion of a robot to another one, without a jump.
 
-From one moment on the old trajectory is left on a quintic that meets the new one in position, velocity and acceleration a
-blending time later. Of a ladder of blending times the shortest is taken whose quintic is inside every limit, that of jerk
-too. Where none is, as for one that brakes at the limits itself and comes a moment late, the robot comes to rest on the old
-trajectory and goes on to where the new one ends. Where the new trajectory continues the old one there is nothing to blend, and it is
-followed exactly. The path speed goes on as it was, so what the follower promises of a trajectory inside the limits holds on the way
-over too.
+At one moment the robot leaves the old trajectory on a quintic that meets the new one in position, velocity and
+acceleration a blending time later. From a list of blending times the shortest is used whose quintic is inside every
+limit, including jerk. If there is none, as for a new trajectory that brakes at the limits itself and arrives slightly
+late, the robot comes to rest on the old trajectory and continues to the end of the new one. If the new trajectory
+continues the old one, no blending is needed, and it is followed exactly. The path speed is unchanged, so what the
+follower guarantees for a trajectory inside the limits also holds during the blend.
 """
 
 from __future__ import annotations
@@ -18,30 +18,32 @@ from zarm_trajectory.quintic import Array, coefficients
 from zarm_trajectory.trajectory import TimedTrajectory
 
 BLENDS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
-"""Blending times that are tried, s of path time."""
+"""Blending times to try, s of path time."""
 PAST = 2.0
-"""How much of the past of a trajectory is kept, s: more than any strategy looks back for a robot that is behind."""
+"""How much (s) of a trajectory's past is kept: more than any strategy looks back for a robot that lags."""
 LONGEST_REST = 10.0
-"""How long (s) a robot that is at the end of its trajectory may wait there for the start of a chunk."""
+"""How long (s) a robot may wait at the end of its trajectory for the start of a chunk."""
 _APART = 1e-4
-"""Samples of a blended trajectory are at least this far apart, s."""
+"""Least time (s) between samples of a blended trajectory."""
 _CONTINUED = 1e-6
-"""A trajectory continues another where position (rad), velocity and acceleration differ by no more: rounding."""
+"""A trajectory continues another if position (rad), velocity and acceleration differ by no more than this, due to
+rounding.
+"""
 _CLOSE = 1e-5
-"""Samples are at least this far apart (s) where a trajectory continues another."""
+"""Least time (s) between samples where a trajectory continues another."""
 
 
 def blended(
     trajectory: TimedTrajectory, now: float, chunk: TimedTrajectory, start: float, limits: Limits
 ) -> TimedTrajectory:
-    """`trajectory` until the path time `now` (s), or until `start` where that is later, then over to `chunk`.
+    """`trajectory` until the path time `now` (s), or until `start` if that is later, then over to `chunk`.
 
-    `chunk` has its own time 0 at the path time `start`; where `now` is later, what it holds before is passed over. Both
-    rest at their ends for as long as need be.
+    `chunk` has its own time 0 at the path time `start`; if `now` is later, its beginning is skipped. Both rest at their
+    ends for as long as necessary.
 
-    Raises ExecutionRefused (`limit_violated`) where no blending time is inside the limits, and `trajectory` does not come to rest
-    shortly before and beside the end of `chunk` either; and InvalidRequest where `chunk` starts later than `LONGEST_REST` after
-    the end of `trajectory`.
+    Raises ExecutionRefused (`limit_violated`) if no blending time is inside the limits, and `trajectory` does not come
+    to rest shortly before and close to the end of `chunk` either; and InvalidRequest if `chunk` starts later than
+    `LONGEST_REST` after the end of `trajectory`.
     """
     if start > trajectory.duration + LONGEST_REST:
         raise InvalidRequest(
@@ -73,9 +75,11 @@ def blended(
 
 
 def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, start: float) -> TimedTrajectory:
-    """`trajectory` until the path time `start` (s), and from there `other`, which begins exactly where `trajectory` is then.
+    """`trajectory` until the path time `start` (s), and from there `other`, which begins exactly in the state of
+    `trajectory`.
 
-    `now` is the path time (s) that is commanded. Raises ExecutionRefused (`start_state_mismatch`) where position, velocity or acceleration would jump.
+    `now` is the commanded path time (s). Raises ExecutionRefused (`start_state_mismatch`) if position, velocity or
+    acceleration would jump.
     """
     here = _states(trajectory, np.array([start])), _states(other, np.array([0.0]))
     if not _continues(*here):
@@ -91,10 +95,10 @@ def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, s
 def _by_rest(
     trajectory: TimedTrajectory, now: float, begin: float, chunk: TimedTrajectory, limits: Limits
 ) -> TimedTrajectory | None:
-    """`trajectory` until it rests for the first time from `begin` (s) on, and from there straight to the end of `chunk`.
+    """`trajectory` until it first comes to rest from `begin` (s) on, and from there straight to the end of `chunk`.
 
-    None if that rest is later than that of `chunk`, or more than the longest blending time before it, or further from it than can be
-    gone in that time.
+    None if that rest is later than that of `chunk`, or more than the longest blending time before it, or too far from
+    it to be bridged in that time.
     """
     rest, end = _rests(trajectory, begin), _moves_until(chunk)
     way = TimedTrajectory.standing(chunk.end, chunk.duration - chunk.begin).approached_from(
@@ -113,7 +117,7 @@ def _rests(trajectory: TimedTrajectory, begin: float) -> float:
 
 
 def _moves_until(trajectory: TimedTrajectory) -> float:
-    """The time (s) from which on a trajectory stays at rest."""
+    """The time (s) from which a trajectory stays at rest."""
     moving = np.flatnonzero(_states(trajectory, trajectory.time)[1:].any(axis=(0, 2)))
     return float(trajectory.time[moving[-1] + 1]) if moving.size else trajectory.begin
 
@@ -125,7 +129,9 @@ def _continues(before: Array, after: Array) -> bool:
 def _followed_by(
     old: TimedTrajectory, now: float, begin: float, between: Array, new: TimedTrajectory, join: float, apart: float
 ) -> TimedTrajectory:
-    """`old` up to `begin` (s), then `between` (3, N, J), states at `begin` and, where there are two, at `join`, then `new`."""
+    """`old` up to `begin` (s), then `between` (3, N, J), states at `begin` and, if there are two, at `join`, then
+    `new`.
+    """
     kept, coming = (old.time >= old.since(now - PAST).time[0]) & (old.time < begin - apart), new.time > join + apart
     times, states = [old.time[kept]], [old.states[:, kept]]
     if old.duration + apart < begin - apart:  # it rests until then
@@ -137,7 +143,7 @@ def _followed_by(
 
 
 def _states(trajectory: TimedTrajectory, times: Array) -> Array:
-    """Position, velocity and acceleration (3, N, J) at N times (N,); at and beyond its end a trajectory is at rest."""
+    """Position, velocity and acceleration (3, N, J) at N times (N,); at its end and later a trajectory is at rest."""
     states = trajectory.sample(times.clip(trajectory.time[0], trajectory.duration))
     states[1:, times >= trajectory.duration] = 0.0
     return states

@@ -1,11 +1,13 @@
 """Follows a trajectory at a path speed that changes as fast as the joint limits of acceleration and jerk allow.
 
 The commanded motion is q(s(t)) with path time s and path speed sigma = ds/dt in [0, 1], so the robot stays on the
-verified path while it brakes or its speed is scaled. Within a step the rate of the path speed changes at a constant rate.
+verified path while it brakes or its speed is scaled. Within a step the rate of the path speed changes at a constant
+rate.
 
-What is held, and what goes first where not all of it can be: the robot stays on its path and never goes back on it; then jerk; then
-acceleration. `rate_bounds.py` says how the limits bound the rate; a trajectory inside the limits is inside them at every constant path speed
-below 1, so it is always allowed not to change it, and a rate is only taken up from which there is a way back to a constant speed.
+Priorities if not everything can be kept: the robot stays on its path and never goes back on it; then jerk; then
+acceleration. `rate_bounds.py` derives the bounds on the rate from the limits. A trajectory inside the limits is inside
+them at every constant path speed below 1, so keeping the path speed is always allowed, and a rate is adopted only if
+there is a way back from it to a constant speed.
 """
 
 from __future__ import annotations
@@ -24,27 +26,31 @@ from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
 TICK = 0.01
-"""Longest step, s, in which time passes for a follower: the longest period of the control loop (100 Hz)."""
+"""Longest time step (s) of a follower: the longest period of the control loop (100 Hz)."""
 CATCH_UP = 0.1
-"""A pause between ticks up to this long (s) is caught up with; after a longer one the motion goes on from rest where it
-stood, because nobody commanded the robot meanwhile."""
+"""A pause between ticks up to this long (s) is caught up; after a longer one the motion continues from rest where it
+stood, because nobody commanded the robot meanwhile.
+"""
 _SLOWEST = 0.01
-"""What takes longer (x the duration of the trajectory) than at this path speed is no motion, but a fault of the follower."""
+"""Needing longer than the trajectory's duration at this path speed indicates a fault of the follower."""
 _LEAST = 1e-3
-"""Least change of the rate, 1/s^2, with which it is brought back to zero where the path speed has almost come to its target."""
+"""Least change of the rate, 1/s^2, with which it is brought back to zero when the path speed has almost reached its
+target.
+"""
 _FARTHEST = 10
-"""Rows ahead at most in which it is looked for a way back to a constant speed."""
+"""Most rows ahead in which a way back to a constant speed is searched."""
 _INSTANT = 1e-9
-"""A time, s, in which nothing happens."""
+"""A time (s) in which nothing happens."""
 _THERE = 1e-9
-"""A path speed this close to its target is at it."""
+"""A path speed this close to its target has reached it."""
 
 
 class Follower:
-    """Where a robot with these limits is on a trajectory, and how fast it goes along it.
+    """The position of a robot with these limits on a trajectory, and its speed along it.
 
-    It begins at the path time `time` (s) with the path speed `speed` (sigma), which changes at `rate` (1/s), and `target` is the path
-    speed wanted: 1 to move as planned, less to move slower, 0 to rest. `position` (rad) and `velocity` (rad/s) are the commanded joints (J,).
+    It begins at the path time `time` (s) with the path speed `speed` (sigma), which changes at `rate` (1/s), and
+    `target` is the wanted path speed: 1 to move as planned, less to move slower, 0 to rest. `position` (rad) and
+    `velocity` (rad/s) are the commanded joints (J,).
     """
 
     def __init__(
@@ -80,12 +86,12 @@ class Follower:
 
     @property
     def settled(self) -> bool:
-        """Whether the passing of time changes nothing."""
+        """Whether time no longer changes anything."""
         return self.finished or self.speed == self.target == 0.0
 
     @property
     def steady(self) -> bool:
-        """Whether the path speed is what is wanted and does not change."""
+        """Whether the path speed is at its target and constant."""
         return self.speed == self.target and self.rate == 0.0
 
     def advance(self, dt: float) -> None:
@@ -99,11 +105,11 @@ class Follower:
 
     @property
     def state(self) -> PathState:
-        """Where it is."""
+        """The present path state."""
         return PathState(self.time, self.speed, self.rate)
 
     def moved_to(self, state: PathState, target: float) -> Self:
-        """Another follower of the same trajectory, there."""
+        """Another follower of the same trajectory, in this state."""
         other = copy.copy(self)
         other.time, other.speed, other.rate = state
         other.target, other._step = target, None
@@ -111,20 +117,20 @@ class Follower:
         return other
 
     def braking(self, dt: float) -> RetimedTrajectory:
-        """How the robot comes to rest when it is told to stop now, a point every `dt` s: the one answer to how a stop goes."""
+        """How the robot comes to rest when told to stop now, a point every `dt` s: the single definition of a stop."""
         return self.moved_to(self.state, 0.0).ahead(dt)
 
     def join(self, trajectory: TimedTrajectory) -> None:
-        """Go on along `trajectory`, which is at `time` where the present one is there."""
+        """Continue along `trajectory`, which at `time` is where the present one is."""
         self.trajectory = trajectory
         self._bounds = RateBounds.of(trajectory, self._limits)
         self._step = None
         self._reach()
 
     def ahead(self, dt: float, count: int | None = None) -> RetimedTrajectory:
-        """What lies ahead from now on, a point every `dt` s: `count` points, or all until nothing changes any more.
+        """The motion from now on, a point every `dt` s: `count` points, or all until nothing changes any more.
 
-        Raises InternalError if that is without end.
+        Raises InternalError if it never ends.
         """
         scout = copy.copy(self)
         rows: list[tuple[float, float, float]] = []
@@ -137,7 +143,7 @@ class Follower:
             if count is None:
                 raise InternalError(f"the path speed does not come from {self.speed:g} to {self.target:g}")
         time, speed, rate = np.array(rows).T
-        if not scout.settled and count is None:  # at constant speed from here: all points at once
+        if not scout.settled and count is None:  # constant speed from here: all points at once
             rest = np.arange(scout.time, self.trajectory.duration, dt * scout.speed)[1:]
             time = np.concatenate((time, rest, [self.trajectory.duration]))
             speed = np.append(speed, np.full(len(rest) + 1, scout.speed))
@@ -160,7 +166,8 @@ class Follower:
     def _change(self, dt: float) -> float:
         """Let up to `dt` s pass in which the path speed changes; returns how much.
 
-        What is decided holds for `TICK`, or until the target is another one, so that the motion does not depend on when it is looked at.
+        A decision holds for `TICK`, or until the target changes, so that the motion does not depend on when it is
+        sampled.
         """
         step = self._step
         if step is None or step.target != self.target:
@@ -178,13 +185,13 @@ class Follower:
     def _decide(self) -> _Step:
         gap = self.target - self.speed
         way = 1 if self.rate > 0.0 or (self.rate == 0.0 and gap > 0.0) else -1
-        # Slowing down is speeding up in a mirror: from here on rates and gaps are positive in the direction of `way`.
+        # Slowing down mirrors speeding up: from here on rates and gaps are positive in the direction of `way`.
         view = _View(self, way, TICK)
         needed = view.rate**2 / (2 * way * gap) if way * gap > 0.0 else math.inf
         return self._ease(view) if needed > 1.01 * view.ease else self._approach(view, way * gap, needed)
 
     def _ease(self, view: _View) -> _Step:
-        """Bring the rate to zero, as the target lies the other way or will be passed."""
+        """Bring the rate to zero, because the target lies in the other direction or will be overshot."""
         wall = 1.0 - self.speed if view.way > 0 else self.speed
         if wall <= 0.0:  # rounding
             return _Step(0.0, 0.0, self.target, level=True)
@@ -193,11 +200,11 @@ class Follower:
         return _Step(min(time, TICK), -view.way * change, self.target, level=time < TICK)
 
     def _approach(self, view: _View, gap: float, needed: float) -> _Step:
-        """Go towards the target, to meet it with a rate of zero."""
+        """Approach the target, to meet it with a rate of zero."""
         if 2 * gap <= view.rate * TICK:
             time = 2 * gap / view.rate
             return _Step(time, -view.way * view.rate / time, self.target, level=True, there=True)
-        # With this rate a step later, `ease` ends just at the target.
+        # With this rate a step later, `ease` would end exactly at the target.
         landing = view.ease * (math.sqrt(TICK * TICK / 4 + (2 * gap - view.rate * TICK) / view.ease) - TICK / 2)
         rate = max(min(view.most, landing), view.rate - max(view.shrink, needed) * TICK)
         level = rate < 1e-12 or abs(gap - TICK * (view.rate + rate) / 2) < _THERE
@@ -213,7 +220,9 @@ class Follower:
 
 
 class _Step(NamedTuple):
-    """For `left` s more the rate changes by `change` (1/s^2 each s); then, where it is `level`, it is zero, and the target is met if `there`."""
+    """For the next `left` s the rate changes by `change` (1/s^2 each s); then, if `level`, it is zero, and the target
+    is met if `there`.
+    """
 
     left: float
     change: float
@@ -223,7 +232,9 @@ class _Step(NamedTuple):
 
 
 class _View:
-    """What the limits allow a follower in one direction of change: `way` 1 speeds up, -1 slows down; all is positive in that direction."""
+    """What the limits allow a follower in one direction of change: `way` 1 speeds up, -1 slows down; all is positive in
+    that direction.
+    """
 
     def __init__(self, follower: Follower, way: int, dt: float) -> None:
         bounds, speed = follower._bounds, follower.speed
@@ -232,7 +243,7 @@ class _View:
         end = min(int((follower.time + speed * dt + max(follower.rate, 0.0) * dt * dt) / ROW), last)
         here = [bounds.at(k, speed, way) for k in range(row, end + 1)]
         self.most = min(each.rate_after(self.rate, dt) for each in here)
-        # The path speed is another one where the step ends.
+        # The path speed is different at the end of the step.
         speed = min(max(speed + way * (self.rate + self.most) * dt / 2, 0.0), 1.0)
         here += [bounds.at(k, speed, way) for k in range(row, end + 1)]
         self.most = min(each.rate_after(self.rate, dt) for each in here)

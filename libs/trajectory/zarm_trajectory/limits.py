@@ -1,4 +1,4 @@
-"""Checks a timed trajectory against the joint limits, between its samples too."""
+"""Checks a timed trajectory against the joint limits, also between its samples."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LIMIT_TOLERANCE = 1.01
-"""Velocity and acceleration of a trajectory from outside may be above their limits by this factor: what interpolation adds between
-samples."""
+"""Factor by which velocity and acceleration of external trajectories may exceed their limits, due to interpolation."""
 POSITION_TOLERANCE = 1e-4
-"""Positions may be outside their limits by this much, rad: rounding, and interpolation between samples."""
+"""Amount (rad) by which positions may exceed their limits, due to rounding and interpolation between samples."""
 _Values = Callable[[Array], Array]
-"""Of polynomials (D+1, ...) on [0, 1], lowest power first, values between which all of each polynomial lies."""
+"""Maps polynomials (D+1, ...) on [0, 1], lowest power first, to values that enclose each polynomial."""
 
 
 @dataclass(frozen=True)
 class _Curve:
-    """One quantity of N segments: `values` (points, N, J) with the extremes among them, in `offset` +- `limit` (J,)."""
+    """One quantity of N segments: `values` (points, N, J), which include the extremes, must be within `limit` (J,) of
+    `offset`.
+    """
 
     name: str
     unit: str
@@ -41,10 +42,10 @@ class _Curve:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of `joints`, each (J,): positions from `lower` to `upper` (rad), `velocity` (rad/s), `acceleration` (rad/s^2) and
-    `jerk` (rad/s^3).
+    """The limits of `joints`, each (J,): positions from `lower` to `upper` (rad), `velocity` (rad/s), `acceleration`
+    (rad/s^2) and `jerk` (rad/s^3).
 
-    That of jerk is held by what zarm makes itself. Whoever sends a trajectory may change the acceleration at once.
+    zarm's own motions keep the jerk limit. External trajectories may change the acceleration instantaneously.
     """
 
     joints: tuple[str, ...]
@@ -56,7 +57,7 @@ class Limits:
 
     @classmethod
     def of(cls, robot: RobotDescription, velocity_scale: float = 1.0, acceleration_scale: float = 1.0) -> Self:
-        """Those of the descriptor, scaled."""
+        """The limits of the descriptor, scaled."""
         cspace = robot.descriptor.cspace
         return cls(
             robot.descriptor.joints,
@@ -68,7 +69,7 @@ class Limits:
         )
 
     def check(self, trajectory: TimedTrajectory) -> None:
-        """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not looked at."""
+        """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not checked."""
         coefficients, steps = trajectory.coefficients, trajectory.steps
         if _inside(self._curves(coefficients, steps, quintic.control_points)).all():
             return
@@ -88,8 +89,10 @@ class Limits:
             )
 
     def first_inside(self, coefficients: Array, steps: Array) -> int | None:
-        """The first of these segments, coefficients (6, N, J) over the times (N,) s, that is inside every limit, if any."""
-        # With a tenth of the work many are seen to be inside for certain, but not all that are.
+        """The first of these segments, coefficients (6, N, J) over the times (N,) s, that is inside every limit, if
+        any.
+        """
+        # A tenth of the work proves many segments to be inside, but not all that are.
         certain = np.flatnonzero(_inside(self._all_curves(coefficients, steps, quintic.control_points)))
         before = int(certain[0]) if certain.size else len(steps)
         if before == 0:

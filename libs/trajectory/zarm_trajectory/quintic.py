@@ -20,14 +20,15 @@ _HERMITE = np.array(
         [6.0, -3.0, -0.5, -3.0, 0.5],
     ]
 )
-"""The three highest coefficients of the quintic on [0, 1] that covers a way, from velocity and acceleration at its start to those at
-its end (Hermite interpolation: six conditions, six coefficients)."""
+"""The three highest coefficients of the quintic on [0, 1] over a displacement, from velocity and acceleration at its
+start to those at its end (Hermite interpolation: six conditions, six coefficients).
+"""
 
 
 def coefficients(begin: Array, end: Array, step: Array) -> Array:
     """Coefficients (6, N, J) of the quintics over times of length `step` (N,) s.
 
-    `begin` and `end` (3, N, J) are their positions, velocities and accelerations at both ends.
+    `begin` and `end` (3, N, J) are positions, velocities and accelerations at both ends.
     """
     h = step[:, None]
     v0, a0, v1, a1 = begin[1] * h, begin[2] * h**2, end[1] * h, end[2] * h**2
@@ -72,15 +73,15 @@ def control_points(polynomials: Array) -> Array:
 
 
 def extremes(polynomials: Array) -> Array:
-    """Values (D+1, ...) of polynomials (D+1, ...) on [0, 1], their least and greatest among them."""
+    """Values (D+1, ...) of polynomials (D+1, ...) on [0, 1], including their minimum and maximum."""
     return values(polynomials, _ends_and_turns(polynomials))
 
 
 def _ends_and_turns(polynomials: Array) -> Array:
-    """Points (D+1, ...) in [0, 1], in order: both ends, and each at which a polynomial of degree D turns.
+    """Points (D+1, ...) in [0, 1], in order: both ends, and all extrema of a polynomial of degree D.
 
-    Between two points at which its slope turns the slope is monotone, so bisection finds the one zero it may have there.
-    Where it has none the bisection ends at a border of the interval, which does no harm.
+    Between two extrema of its slope the slope is monotone, so bisection finds the single zero that it may have there.
+    Without a zero the bisection ends at a border of the interval, which does no harm.
     """
     ends = np.zeros_like(polynomials[:1]), np.ones_like(polynomials[:1])
     if len(polynomials) == 2:

@@ -23,30 +23,35 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ROW = 0.01
-"""Path time, s, over which the bounds are one."""
+"""Path time (s) over which the bounds are constant."""
 _ROWS = 20
-"""So many rows are looked up at once."""
+"""Rows looked up at once."""
 _SAMPLES = 8
-"""The trajectory is looked at so often in each row."""
+"""Samples of the trajectory per row."""
 _NODES = 6
-"""Between so many squared path speeds from 0 to 1 the bounds are interpolated. They are concave in them, so that is conservative."""
+"""The bounds are interpolated between this many squared path speeds from 0 to 1. They are concave in them, so that is
+conservative.
+"""
 _SLACK = 0.001
-"""Share of a limit that a change of path speed may use where the trajectory alone needs all of it: less than anybody can measure."""
+"""Share of a limit that a change of path speed may use where the trajectory alone needs all of it: too little to
+measure.
+"""
 _BEYOND = 1.01
-"""A trajectory whose jerk is above the limit by more than this factor comes from somebody who does not hold it."""
+"""A trajectory whose jerk exceeds the limit by more than this factor comes from a source that ignores it."""
 _STANDING = 1e-9
-"""Slope of a trajectory, rad/s, below which a joint says nothing about the path speed."""
+"""Slope of a trajectory (rad/s) below which a joint does not constrain the path speed."""
 _MOST = 1e6
-"""Bound where no joint says anything."""
+"""Bound where no joint is a constraint."""
 
 _KEPT = 100
-"""So many times `_ROWS` are remembered: 5 MB for six joints."""
+"""Multiples of `_ROWS` remembered: 5 MB for six joints."""
 _PREPARED = 50
-"""So many of them are looked up by `prepare`: 10 s of the trajectory, in some 40 ms."""
+"""Multiples of `_ROWS` looked up by `prepare`: 10 s of the trajectory, in some 40 ms."""
 
 _Table = list[list[list[float]]]
-"""By row and node: what the rate may be by the accelerations, what it may be times the path speed by the jerks, how fast it may grow and
-fall at a rate of zero, and by how much less for each unit of the rate times the path speed."""
+"""By row and node: the bound on the rate from the accelerations, that on the rate times the path speed from the jerks,
+how fast the rate may grow and fall at zero, and by how much less for each unit of the rate times the path speed.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +63,7 @@ class RateLimits:
 
     @staticmethod
     def of(descriptor: RobotDescriptor) -> RateLimits:
-        """Those of the descriptor, the same object for the same limits."""
+        """Those of the descriptor; the same object for the same limits."""
         return _limits(tuple(descriptor.cspace.acceleration), tuple(descriptor.cspace.jerk))
 
     @property
@@ -73,8 +78,9 @@ def _limits(acceleration: tuple[float, ...], jerk: tuple[float, ...]) -> RateLim
 
 
 class Bounds(NamedTuple):
-    """In one direction of change: the greatest `rate` (1/s); how fast it may `grow` and `shrink` near zero (1/s^2), and by how much less for
-    each unit of it."""
+    """For one direction of change: the greatest `rate` (1/s); how fast it may `grow` and `shrink` near zero (1/s^2),
+    and by how much less for each unit of it.
+    """
 
     rate: float
     grow: float
@@ -83,7 +89,7 @@ class Bounds(NamedTuple):
     shrink_loss: float
 
     def rate_after(self, rate: float, dt: float) -> float:
-        """The greatest rate that one of `rate` may have become `dt` s later."""
+        """The greatest rate that `rate` may become within `dt` s."""
         grown = rate + (self.grow - self.grow_loss * rate) * dt, (rate + self.grow * dt) / (1.0 + self.grow_loss * dt)
         return min(*grown, self.rate)
 
@@ -95,7 +101,8 @@ class Bounds(NamedTuple):
 class RateBounds:
     """The bounds along `trajectory` inside these limits.
 
-    What the trajectory itself has beyond a limit is granted to it; where its jerk is, a change of path speed may add up to the limit.
+    Where the trajectory itself exceeds a limit, that is allowed; where its jerk does, a change of path speed may add up
+    to the limit.
     """
 
     def __init__(self, trajectory: TimedTrajectory, limits: RateLimits) -> None:
@@ -105,16 +112,18 @@ class RateBounds:
     @staticmethod
     @lru_cache(4)
     def of(trajectory: TimedTrajectory, limits: RateLimits) -> RateBounds:
-        """Those that whoever asked for them lately has looked up in part."""
+        """The bounds, including what recent users have already looked up."""
         return RateBounds(trajectory, limits)
 
     def prepare(self) -> None:
-        """Look up what the first seconds of a motion need, 0.9 ms for each 0.2 s of it: better here than in the control loop."""
+        """Look up what the first seconds of a motion need, 0.9 ms for each 0.2 s of it: better here than in the control
+        loop.
+        """
         for block in range(min(int(self._trajectory.duration / (ROW * _ROWS)) + 1, _PREPARED)):
             self._block(block)
 
     def at(self, row: int, speed: float, way: int) -> Bounds:
-        """The bounds in a row, that from the path time `row` x ROW (s) on, for slowing down (`way` -1) or speeding up (1)."""
+        """The bounds in a row, from the path time `row` x ROW (s) on, for slowing down (`way` -1) or speeding up (1)."""
         block, index = divmod(row, _ROWS)
         tables = self._tables.get(block) or self._block(block)
         node = speed * speed * _NODES
@@ -140,9 +149,7 @@ class RateBounds:
         trajectory, limit, jerk = self._trajectory, self._limits.acceleration, self._limits.jerk
         times = ROW * (first + np.arange(_ROWS * _SAMPLES + 1) / _SAMPLES)
         times = times.clip(trajectory.begin, trajectory.duration)
-        samples = np.arange(_ROWS)[:, None] * _SAMPLES + np.arange(
-            _SAMPLES + 1
-        )  # of each row, both its ends among them
+        samples = np.arange(_ROWS)[:, None] * _SAMPLES + np.arange(_SAMPLES + 1)  # of each row, including both its ends
         _, slope, bend = trajectory.sample(times)[:, samples]
         twist = trajectory.jerks(times)[samples]
         least_jerk = np.where(np.abs(twist) > _BEYOND * jerk, jerk, _SLACK * jerk)
@@ -171,9 +178,10 @@ _CUBED = _SQUARED**1.5
 
 
 def _room(most: Array, least: Array, *uses: tuple[Array, Array]) -> Array:
-    """What every joint of every sample has left of `most` at the nodes (rows, nodes), and `least` at least.
+    """What every joint of every sample has left of `most` at the nodes (rows, nodes), at least `least`.
 
-    Of what is used (rows, samples, J) so much for each node, (nodes,) or (rows, nodes); `most` and `least` are (rows, samples, J) too.
+    Each use (rows, samples, J) is multiplied by a factor per node, (nodes,) or (rows, nodes); `most` and `least` are
+    (rows, samples, J) too.
     """
     flat = (len(most), 1, -1)
     left = most.reshape(flat)

@@ -1,4 +1,4 @@
-"""A trajectory along another one with a different speed: what a driver is told to play."""
+"""A trajectory along another one at a different speed: what a driver is told to play."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 class RetimedTrajectory:
     """N points along a planned trajectory, one every `dt` s.
 
-    `points` is what is played, from time 0 on; `path_time` (N,) is the time (s) on the planned trajectory at which each point
-    lies, `path_speed` (N,) in [0, 1] how fast it is passed there, and `path_rate` (N,) in 1/s how fast that changes.
+    `points` is what is played, from time 0 on; `path_time` (N,) is the time (s) on the planned trajectory of each
+    point, `path_speed` (N,) in [0, 1] the path speed there, and `path_rate` (N,) in 1/s its rate of change.
     """
 
     dt: float
@@ -47,7 +47,7 @@ class RetimedTrajectory:
         return float(len(self) - 1)
 
     def followed_by(self, other: RetimedTrajectory) -> RetimedTrajectory:
-        """These points, then those of `other`, whose first is where the last of these is."""
+        """These points, then those of `other`, whose first is at the last of these."""
         states = np.concatenate((self.points.states, other.points.states[:, 1:]), axis=1)
         return type(self)(
             self.dt,
@@ -58,14 +58,14 @@ class RetimedTrajectory:
         )
 
     def at(self, index: float) -> PathState:
-        """Where on the planned trajectory a point lies, or what is between two; the nearest end beyond them."""
+        """The path state at a point, or between two; beyond them that of the nearest end."""
         places = np.arange(float(len(self)))
         return PathState(
             *(float(np.interp(index, places, row)) for row in (self.path_time, self.path_speed, self.path_rate))
         )
 
     def position(self, index: float) -> Array:
-        """The position (J,) at a point, or on the straight line between two; the nearest end beyond them."""
+        """The position (J,) at a point, or on the straight line between two; beyond them that of the nearest end."""
         index = min(max(index, 0.0), self.last)
         before = int(index)
         after, share = min(before + 1, len(self) - 1), index - before

@@ -10,11 +10,12 @@ from zarm_trajectory.quintic import Array
 
 
 class SpeedChange:
-    """How J joints go from one velocity to another: the acceleration is led to a peak, kept there, and led back to zero.
+    """How J joints change from one velocity to another: the acceleration rises to a peak, is kept, and returns to zero.
 
-    Each joint takes the time that it needs; `duration` (s) is that of the slowest. Afterwards the velocities stay. A velocity
-    never leaves the range of those that are asked for one after the other: to ask for another one in the middle of a change is
-    always possible inside the limits (a constant jerk to zero acceleration, where the change starts, ends in that range).
+    Each joint takes the time that it needs; `duration` (s) is that of the slowest. Afterwards the velocities are
+    constant. A velocity never leaves the range of those successively requested: another one can always be requested
+    during a change, inside the limits (a constant jerk to zero acceleration, with which the change starts, ends in that
+    range).
     """
 
     def __init__(self, times: Array, states: Array, jerks: Array) -> None:
@@ -23,18 +24,19 @@ class SpeedChange:
 
     @property
     def knots(self) -> Array:
-        """The times (K,) s from 0 to its end between which the jerk of every joint is constant."""
+        """The times (K,) s from 0 to the end between which the jerk of every joint is constant."""
         return np.unique(self._times)
 
     @classmethod
     def to(cls, wanted: Array, state: Array, acceleration_limit: Array, jerk_limit: Array) -> Self:
-        """To the velocities `wanted` (J,) in rad/s, from a state (3, J): position, velocity, acceleration. Limits (J,) in rad/s^2 and rad/s^3.
+        """To the velocities `wanted` (J,) in rad/s, from a state (3, J): position, velocity, acceleration. Limits (J,)
+        in rad/s^2 and rad/s^3.
 
-        With the jerk J and the peak p the velocity changes by (p^2 - a^2) / 2 J + p^2 / 2 J and what the peak that is kept adds
-        (Kroeger and Wahl, "Online trajectory generation", 2010, for a velocity as the target).
+        With the jerk J and the peak p the velocity changes by (p^2 - a^2) / 2 J + p^2 / 2 J, plus the part while the
+        peak is kept (Kroeger and Wahl, "Online trajectory generation", 2010, for a velocity as the target).
         """
         position, velocity, acceleration = state
-        straight = velocity + acceleration * np.abs(acceleration) / (2 * jerk_limit)  # where a = 0 at once leads
+        straight = velocity + acceleration * np.abs(acceleration) / (2 * jerk_limit)  # if a goes to 0 at once
         sign = np.where(wanted >= straight, 1.0, -1.0)
         height = np.sqrt(np.maximum(sign * jerk_limit * (wanted - velocity) + acceleration**2 / 2, 0.0))
         peak = sign * np.minimum(height, acceleration_limit)
@@ -59,7 +61,7 @@ class SpeedChange:
 
 
 def _after(state: Array, jerk: Array, time: Array) -> tuple[Array, Array, Array]:
-    """The state (3, ...) after some time with a constant jerk."""
+    """The state (3, ...) after some time at a constant jerk."""
     position, velocity, acceleration = state
     return (
         position + time * (velocity + time * (acceleration / 2 + time * jerk / 6)),

@@ -21,9 +21,9 @@ from zarm_trajectory.quintic import Array
 class TimedTrajectory:
     """A motion of J joints sampled at N times.
 
-    `time` (N,) in s, strictly increasing, from 0 except where the past of a motion was forgotten; `position`, `velocity`,
-    `acceleration` (N, J) in rad, rad/s, rad/s^2. Between samples it is the quintic that meets all three at both ends, as
-    `zarm_contract.messages.Trajectory` defines it.
+    `time` (N,) in s, strictly increasing, from 0 unless the past of a motion was dropped; `position`, `velocity`,
+    `acceleration` (N, J) in rad, rad/s, rad/s^2. Between samples it is the quintic that meets all three at both ends,
+    as `zarm_contract.messages.Trajectory` defines it.
     """
 
     time: Array
@@ -35,8 +35,8 @@ class TimedTrajectory:
     def of(cls, trajectory: Trajectory, joints: tuple[str, ...]) -> Self:
         """The motion of `joints`, in this order, whatever the order in the message.
 
-        Raises InvalidRequest if the message does not name exactly these joints, or has samples too close in time to divide
-        by.
+        Raises InvalidRequest if the message does not name exactly these joints, or has samples too close in time to
+        divide by.
         """
         named = trajectory.joint_names
         if sorted(named) != sorted(joints):
@@ -52,7 +52,7 @@ class TimedTrajectory:
         order = [named.index(joint) for joint in joints]
         shape = len(time), len(joints)
         rows = (trajectory.position, trajectory.velocity, trajectory.acceleration)
-        # NumPy would look at every row twice, which takes three times as long.
+        # NumPy would process every row twice, which takes three times as long.
         flat = (np.fromiter(chain.from_iterable(each), float, count=time.size * len(joints)) for each in rows)
         return cls(time, *(each.reshape(shape)[:, order] for each in flat))
 
@@ -62,7 +62,7 @@ class TimedTrajectory:
         return cls(np.array([0.0, duration]), np.stack((position, position)), *np.zeros((2, 2, len(position))))
 
     def message(self, joints: tuple[str, ...]) -> Trajectory:
-        """The motion as a message, which is not validated again; `joints` names the columns."""
+        """The motion as a message, without validation; `joints` names the columns."""
         position, velocity, acceleration = (
             tuple(map(tuple, rows.tolist())) for rows in (self.position, self.velocity, self.acceleration)
         )
@@ -86,12 +86,12 @@ class TimedTrajectory:
 
     @property
     def start(self) -> Array:
-        """Where it begins, (J,) rad."""
+        """Its first position, (J,) rad."""
         return np.asarray(self.position[0])
 
     @property
     def end(self) -> Array:
-        """Where it ends, (J,) rad."""
+        """Its last position, (J,) rad."""
         return np.asarray(self.position[-1])
 
     @property
@@ -116,7 +116,9 @@ class TimedTrajectory:
         return np.stack((self.position, self.velocity, self.acceleration))
 
     def at(self, time: float) -> Array:
-        """Position, velocity and acceleration as rows of a (3, J) array; `time` (s) outside the trajectory is its nearest end."""
+        """Position, velocity and acceleration as rows of a (3, J) array; for `time` (s) outside the trajectory, those
+        at the nearest end.
+        """
         knots = self._knots
         time = min(max(time, knots[0]), knots[-1])
         index = min(bisect_right(knots, time), len(knots) - 1) - 1
@@ -135,7 +137,7 @@ class TimedTrajectory:
         return rows
 
     def sample(self, times: Array) -> Array:
-        """Position, velocity and acceleration (3, K, J) at `times` (K,) within the trajectory, as `at` gives them."""
+        """Position, velocity and acceleration (3, K, J) at `times` (K,) within the trajectory, as `at` returns them."""
         index, u, step = self._places(times)
         position, velocity, acceleration = quintic.states(self.coefficients[:, index], u)
         return np.stack((position, velocity / step, acceleration / step**2))
@@ -146,7 +148,7 @@ class TimedTrajectory:
         return quintic.values(self.coefficients[:, index], u)
 
     def jerks(self, times: Array) -> Array:
-        """Jerks (K, J) in rad/s^3 at `times` (K,) within the trajectory; at a sample, that after it."""
+        """Jerks (K, J) in rad/s^3 at `times` (K,) within the trajectory; at a sample, the jerk after it."""
         index, u, step = self._places(times)
         _, _, _, c3, c4, c5 = self.coefficients[:, index]
         return np.asarray((6 * c3 + u * (24 * c4 + 60 * u * c5)) / step**3)
@@ -166,7 +168,7 @@ class TimedTrajectory:
         return type(self)(self.time + offset, self.position, self.velocity, self.acceleration)
 
     def since(self, time: float) -> Self:
-        """The same motion without the samples before the last one at `time` (s) or earlier; two are left at least."""
+        """The same motion without the samples before the last one at or before `time` (s); at least two are kept."""
         first = min(max(0, int(np.searchsorted(self.time, time, side="right")) - 1), len(self.time) - 2)
         return type(self)(self.time[first:], self.position[first:], self.velocity[first:], self.acceleration[first:])
 
@@ -177,11 +179,11 @@ class TimedTrajectory:
     def approached_from(
         self, position: Array, velocity_limit: Array, acceleration_limit: Array, jerk_limit: Array
     ) -> Self:
-        """This trajectory with a motion from rest at `position` (J,) to its start before it, inside these limits (J,).
+        """This trajectory, preceded by a motion from rest at `position` (J,) to its start, inside these limits (J,).
 
-        The robot may stand a tolerance away from where the trajectory starts; jumping there would break every limit. The
-        quintic from rest to rest over the distance d in time T peaks at 15/8 d/T, 10/sqrt(3) d/T^2 and 60 d/T^3. Where the
-        trajectory starts with an acceleration, reaching that adds to the second by `_SWING` of it.
+        The robot may be a tolerance away from the trajectory's start; jumping there would break every limit. The
+        quintic from rest to rest over the distance d in time T peaks at 15/8 d/T, 10/sqrt(3) d/T^2 and 60 d/T^3. If the
+        trajectory starts with an acceleration, reaching it adds `_SWING` of it to the second.
         """
         distance = np.abs(self.start - position)
         if distance.max() <= NEGLIGIBLE:
@@ -205,16 +207,17 @@ class TimedTrajectory:
         return list(self.time.tolist())
 
     def _places(self, times: Array) -> tuple[npt.NDArray[np.intp], Array, Array]:
-        """The segment (K,) that each time is in, the part (K, 1) of it that has passed, and its length (K, 1) in s."""
+        """The segment (K,) that contains each time, the elapsed share (K, 1) of it, and its length (K, 1) in s."""
         index = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
         step = self.steps[index]
         return index, ((times - self.time[index]) / step)[:, None], step[:, None]
 
 
 _SWING = 0.375
-"""The quintic from rest to a point with the acceleration a, without any distance, reaches -0.374 a on its way there: the least value
-of 3 u - 12 u^2 + 10 u^3."""
+"""The quintic from rest to a point with the acceleration a, over no distance, reaches -0.374 a on its way: the minimum
+of 3 u - 12 u^2 + 10 u^3.
+"""
 SHORTEST = 1e-6
 """Least time between two samples, s."""
 NEGLIGIBLE = 1e-6
-"""Distance (rad) that a robot may jump in one tick: 0.01 rad/s^2 at 100 Hz, under the noise of any encoder."""
+"""Distance (rad) that a robot may jump in one tick: 0.01 rad/s^2 at 100 Hz, below the noise of any encoder."""

@@ -9,7 +9,7 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    signals.expect()  # before anything else is loaded, which takes a while
+    signals.expect()  # before the imports, which take a while
     import os
 
     from zarm_cli.commands import run

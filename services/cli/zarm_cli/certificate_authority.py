@@ -27,23 +27,23 @@ from zarm_contract.errors import InvalidRequest
 
 AUTHORITY_LASTS = timedelta(days=3650)
 CERTIFICATE_LASTS = timedelta(days=730)
-"""Two years: shorter than a robot lives, so that a lost key is not valid for ever; long enough for a lab's calendar."""
+"""Two years: shorter than a robot's life, so that a lost key does not stay valid for ever; long enough for a lab."""
 _BEFORE = timedelta(days=1)
-"""Certificates are valid from a day ago, for machines whose clock is behind."""
+"""Certificates are valid from one day ago, for machines whose clock is slow."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9_-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9_-]*[A-Za-z0-9])?)*")
 
 
 @dataclass(frozen=True)
 class Authority:
-    """Whoever holds its key can become any role: it stays with whoever administers the robots, and no service needs it."""
+    """Anyone with its key can take any role: the robots' administrator keeps it, and no service needs it."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
 
     @classmethod
     def make(cls, folder: Path, now: datetime) -> Authority:
-        """A new authority, its `ca.pem` and `ca.key` in `folder`, which only its owner may enter."""
+        """A new authority, its `ca.pem` and `ca.key` in `folder`, which only its owner can access."""
         key = ec.generate_private_key(ec.SECP256R1())
         name = _name(f"zarm authority {secrets.token_hex(4)}")
         certificate = (
@@ -72,11 +72,11 @@ class Authority:
         return cls(certificate, key)
 
     def pem(self) -> bytes:
-        """Its certificate, which everyone may have and needs."""
+        """Its certificate, which is public and which everyone needs."""
         return self.certificate.public_bytes(Encoding.PEM)
 
     def made(self, certificate: x509.Certificate) -> bool:
-        """Whether it made this certificate."""
+        """Whether it issued this certificate."""
         try:
             certificate.verify_directly_issued_by(self.certificate)
         except (ValueError, TypeError, InvalidSignature):
@@ -86,7 +86,7 @@ class Authority:
     def issue(
         self, role: str, hosts: Sequence[str], now: datetime, lasts: timedelta = CERTIFICATE_LASTS
     ) -> tuple[bytes, bytes]:
-        """A certificate for `role` and its new key, PEM; for a role that is connected to, valid for these `hosts`."""
+        """A certificate for `role` and its new key, PEM; for a role that accepts connections, valid for these `hosts`."""
         key = ec.generate_private_key(ec.SECP256R1())
         purposes = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
         end = min(now + lasts, self.certificate.not_valid_after_utc)
@@ -103,7 +103,9 @@ class Authority:
 
 
 def vouching_for_itself(name: str, hosts: Sequence[str], now: datetime) -> tuple[bytes, bytes]:
-    """A server's certificate for these `hosts` and its new key, PEM, which no authority made: nobody on the bus takes it for a router's."""
+    """A self-signed server certificate for these `hosts` and its new key, PEM: on the bus it is not accepted as a
+    router's.
+    """
     key = ec.generate_private_key(ec.SECP256R1())
     return (
         _builder(_name(name), _name(name), key.public_key(), now, now + CERTIFICATE_LASTS)
@@ -134,12 +136,12 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
 
 
 def with_loopback(hosts: Iterable[str]) -> list[str]:
-    """Hosts for the certificate of what is connected to, this machine's own names first. Raises InvalidRequest for what is no host."""
+    """Hosts for a server certificate, this machine's own names first. Raises InvalidRequest for an invalid host."""
     return list(dict.fromkeys((*_LOOPBACK, *(str(_host(host).value) for host in hosts))))
 
 
 def write_secret(file: Path, content: bytes) -> None:
-    """Write a key that only its owner may read; an old one is replaced as a whole."""
+    """Write a key that only its owner can read, replacing an old one atomically."""
     new = file.with_name(f"{file.name}.{secrets.token_hex(4)}")
     with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
         stream.write(content)

@@ -59,7 +59,9 @@ def certs(
 
 
 def _make(folder: Path, kept_in: Path, hosts: list[str], now: datetime) -> list[tuple[str, str, datetime]]:
-    """What was done for each role and for the page, and until when its certificate is valid. Raises InvalidRequest, nothing being changed."""
+    """What was done for each role and for the page, and the end of validity. Raises InvalidRequest without changing
+    anything.
+    """
     from zarm_cli.certificate_authority import (
         Authority,
         hosts_of,

@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 
 class Signals:
-    """What interrupts a command: SIGINT and SIGTERM, as `zarm_cli.interrupts` has them."""
+    """Signals that interrupt a command: SIGINT and SIGTERM, as in `zarm_cli.interrupts`."""
 
     def attend(self, work: Callable[[], T]) -> T:
         """What `work` returns or raises; raises KeyboardInterrupt at the first signal."""
@@ -40,7 +40,7 @@ class Signals:
         interrupts.check()
 
     def insist(self, awaited: str) -> AbstractContextManager[None]:
-        """A block that only the third signal leaves; the second says what is waited for."""
+        """A block left early only by the third signal; the second one shows what is awaited."""
         return interrupts.insist(
             lambda: err.print(f"zarm: waiting for {awaited}; Ctrl-C again leaves the robot as it is", soft_wrap=True)
         )
@@ -62,7 +62,7 @@ def connected(connect: str, name: str | None) -> Iterator[Robot]:
 
 
 def keys_of(name: str) -> Keys:
-    """The keys of a robot. Raises InvalidRequest for a name that cannot be one."""
+    """The keys of a robot. Raises InvalidRequest for an invalid name."""
     with _naming_the_option():
         return connection.keys_of(name)
 
@@ -78,12 +78,12 @@ def _naming_the_option() -> Iterator[None]:
 
 
 def message(model: type[M], **fields: object) -> M:
-    """A message from what a person typed; None is left out. Raises InvalidRequest that names the field."""
+    """A message from user input; None is left out. Raises InvalidRequest that names the field."""
     return decode(model, json.dumps({name: value for name, value in fields.items() if value is not None}).encode())
 
 
 def floats(text: str, option: str, *counts: int) -> list[float]:
-    """The numbers of `0.4,-0.2,0.5`; as many as one of `counts`, or any number. Usage error else."""
+    """The numbers of `0.4,-0.2,0.5`; their number must be one of `counts`, if given. Usage error otherwise."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -95,5 +95,5 @@ def floats(text: str, option: str, *counts: int) -> list[float]:
 
 
 def joints(text: str | None, option: str) -> list[float] | None:
-    """The joint vector (rad) given for an option that may be left out."""
+    """The joint vector (rad) of an optional option."""
     return None if text is None else floats(text, option)

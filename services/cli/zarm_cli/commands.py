@@ -42,7 +42,7 @@ MODULES = {
     "scene": "scene",
     "robot": "robot",
 }
-"""The module of each command. It holds a function of that name, or where the command has commands of its own, `app`."""
+"""The module of each command. It holds a function of that name, or `app` if the command has subcommands."""
 
 
 def run() -> int:
@@ -54,27 +54,27 @@ def run() -> int:
         err.print(error_line(error), soft_wrap=True)
         return UNAVAILABLE if isinstance(error, Unavailable) else REFUSED
     except typer.TyperException as error:
-        if text := error.format_message():  # empty where the help was shown instead
+        if text := error.format_message():  # empty if the help was shown instead
             err.print(f"zarm: usage: {text} (`--help` shows how)", soft_wrap=True)
         return USAGE
-    except (BrokenPipeError, SystemExit):  # whoever reads the output has left, and has what they wanted
+    except (BrokenPipeError, SystemExit):  # the reader of the output has left, and has what it wanted
         return REFUSED
     except OSError as error:
-        what = error.filename or "what is printed cannot be written"  # only a file that is opened is named
+        what = error.filename or "what is printed cannot be written"  # only an opened file is named
         err.print(f"zarm: failed: {what}: {error.strerror}", soft_wrap=True)
         return REFUSED
     return code or 0
 
 
 def _needed(first: Sequence[str]) -> Iterable[str]:
-    """The commands to load for a command line that begins so: the one that is named, or for help and what is none, all."""
+    """The commands to load for a command line with this beginning: the named one, or all for help and unknown names."""
     if first == ["--version"]:
         return ()
     return [name for name in MODULES if name in first] or MODULES
 
 
 def command_line(names: Iterable[str] = MODULES) -> typer.Typer:
-    """The command line with these commands; to load all of them takes longer than most of them run."""
+    """The command line with these commands; loading all of them takes longer than most of them run."""
     app = typer.Typer(
         name="zarm",
         no_args_is_help=True,

@@ -1,4 +1,4 @@
-"""Whether the processes on a bus fit together: which differ in what, and what to do about it."""
+"""Whether the processes on a bus are compatible: which differ in what, and the remedy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HERE = "this command"
 
 @dataclass(frozen=True)
 class Mismatch:
-    """Who differs in what. A `harmless` one keeps nobody from being understood, as in the middle of an update."""
+    """Which processes differ in what. A `harmless` mismatch prevents no communication, as in the middle of an update."""
 
     kind: Literal["contract", "robot", "version"]
     message: str
@@ -27,7 +27,7 @@ class Mismatch:
 
 
 def mismatches(services: Mapping[str, Health]) -> Iterator[Mismatch]:
-    """What differs between these services, and between them and this command."""
+    """The differences between these services, and between them and this command."""
     contracts = {name: health.contract for name, health in services.items()} | {HERE: CONTRACT}
     robots = {name: health.robot_hash for name, health in services.items()}
     versions = {name: health.version for name, health in services.items()} | {HERE: version()}

@@ -55,13 +55,13 @@ def execute(
 
 
 def _saved(file: Path) -> ExecuteRequest:
-    """The request to move along a saved plan. It carries the motion itself: no service need remember that plan."""
+    """The request to execute a saved plan. It contains the motion itself, so no service has to remember that plan."""
     plan = read_plan(file)
     return ExecuteRequest(trajectory=plan.trajectory, scene_revision=plan.scene_revision)
 
 
 def _bring_to_rest(robot: Robot) -> None:
-    """Cancel the goal that runs, if any, and wait for its end: a motion is planned from where the robot rests."""
+    """Cancel the running goal, if any, and wait for its end: a motion is planned from where the robot comes to rest."""
     goal_id = robot.cancel().goal_id
     if goal_id is not None:
         robot.follow(goal_id, timeout=REST_SECONDS)
@@ -75,7 +75,7 @@ def demand_success(last: GoalState) -> None:
 
 def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False, replan: bool = False) -> GoalState:
     """Execute with a progress bar and return the goal's last state; Ctrl-C cancels and waits until the robot stands."""
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # a stop does without
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn  # not needed for a stop
 
     last: GoalState | None = None
     columns = (
@@ -111,7 +111,7 @@ def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False, re
 
 
 def _warn_of_edits(robot: Robot, goal_id: str) -> None:
-    """Say, once, that the scene becomes another than the one that the goal was begun in, unguarded; and each time what holds the goal."""
+    """Warn once if the scene is edited during an unguarded goal; and each time the goal is held, with the reason."""
     said = threading.Event()
     held = False
 

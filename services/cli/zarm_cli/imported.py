@@ -42,7 +42,7 @@ def options(**chosen: object) -> Options:
 
 
 def descriptor_of(robot: str) -> str:
-    """The descriptor of a robot that is given as a URDF or xacro; of any other what is given."""
+    """The descriptor of a robot given as a URDF or xacro; anything else is returned unchanged."""
     file = Path(robot)
     if file.suffix not in _SUFFIXES or not file.is_file():
         return robot

@@ -1,8 +1,8 @@
 """Ctrl-C and SIGTERM: the first one raises KeyboardInterrupt where a command waits, and only there.
 
-Raised by the handler itself, as Python does it, KeyboardInterrupt comes up between any two lines: at the door of the
-`__exit__` that stops the services, which are then left, or within a library that swallows it (pydantic's serializer, wherever
-it asks what something is an instance of), and the robot moves on.
+Raised by the handler itself, as by default in Python, KeyboardInterrupt may occur between any two lines: on entering
+the `__exit__` that stops the services, which then keep running, or inside a library that swallows it (pydantic's
+serializer, wherever it checks a type), and the robot moves on.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from zarm_runtime import signals
 T = TypeVar("T")
 
 _INSISTS = 1.0
-"""Seconds that a command insists at least: what it asks for gets on its way, and a robot that answers is waited for."""
+"""Least time (s) that a command insists, so that its request is sent and a responding robot is waited for."""
 
 
 class Inbox(Generic[T]):
-    """What other threads have for the main one, which takes it with `wait_for`."""
+    """Items from other threads for the main thread, which takes them with `wait_for`."""
 
     def __init__(self) -> None:
         self._things: deque[T] = deque()
 
     def put(self, thing: T) -> None:
-        """Add something; for any thread."""
+        """Add an item; may be called from any thread."""
         self._things.append(thing)
         signals.wake()
 
     def take(self) -> T | None:
-        """The oldest thing, or None."""
+        """The oldest item, or None."""
         return self._things.popleft() if self._things else None
 
 
@@ -53,7 +53,7 @@ class _Insistence:
             raise KeyboardInterrupt
 
     def seconds(self) -> float:
-        """How long a third signal still counts for nothing; without end where it counts."""
+        """Seconds for which a third signal is still ignored; infinite once it counts."""
         left = self._until - time.monotonic()
         return left if left > 0 else math.inf
 
@@ -84,8 +84,8 @@ def check() -> None:
 
 @contextmanager
 def insist(tell: Callable[[], object]) -> Iterator[None]:
-    """In this block a first signal stays pending, a second one has `tell` say what is waited for, and a third one, though not
-    in the first second, raises KeyboardInterrupt.
+    """A block in which a first signal stays pending, a second one makes `tell` show what is awaited, and a third one,
+    though not in the first second, raises KeyboardInterrupt.
     """
     _state.insistence = _Insistence(tell)
     try:
@@ -95,7 +95,7 @@ def insist(tell: Callable[[], object]) -> Iterator[None]:
 
 
 def wait_for(inbox: Inbox[T], seconds: float = math.inf) -> T | None:
-    """The next thing in an inbox, None when there is none for so many s. Raises KeyboardInterrupt."""
+    """The next item of an inbox, None if none comes for `seconds`. Raises KeyboardInterrupt."""
     deadline = time.monotonic() + seconds
     while True:
         check()
@@ -112,7 +112,7 @@ def pause(seconds: float = math.inf) -> None:
 
 
 def attend(work: Callable[[], T]) -> T:
-    """What `work` returns or raises, done by another thread. Raises KeyboardInterrupt, and then nobody hears what became of it."""
+    """The result or exception of `work`, run by another thread. On KeyboardInterrupt its result is lost."""
     done: Inbox[bool] = Inbox()
     future = _work.submit(work)
     future.add_done_callback(lambda _: done.put(True))

@@ -32,23 +32,22 @@ from zarm_runtime.service import default_state
 from zarm_runtime.session import DEFAULT_ENDPOINT, open_router, spoken
 
 SERVICES = ("planner", "servo", "executor")
-"""What every robot needs, in the order in which they start; they stop the other way round, so that the robot comes to rest
-first."""
+"""The services that every robot needs, in start order; they stop in reverse, so that the robot comes to rest first."""
 METERED = ("planner", "executor", "ros_bridge", "leeloo_sim", "servo")
-"""Whose metrics are read at the address that `up` is given, at the next port, and so on."""
+"""Services whose metrics are served: the first at the address given to `up`, the others at the following ports."""
 _PLANNER_PACKAGES = ("fcl", "llvmlite", "numba", "toppra", "trimesh")
 _ROS_PACKAGES = ("rclpy", "curobo_msgs")
 
 
 class SimulatedDriver(StrEnum):
-    """What is behind the strategies that need a driver, where `zarm up` starts it."""
+    """The driver used by strategies that need one, if `zarm up` starts it."""
 
     sim = "sim"
 
 
 @dataclass(frozen=True)
 class Stack:
-    """What `launch` started."""
+    """What `launch` has started."""
 
     robot: RobotDescription
     client: Robot
@@ -56,14 +55,14 @@ class Stack:
     services: Sequence[str]
 
     def health(self, service: str) -> Health | None:
-        """How a service is, None while it does not answer."""
+        """The health of a service, None while it does not answer."""
         try:
             return self.client.health(service, timeout=1.0)
         except Unavailable:
             return None
 
     def wait_ready(self, report: Callable[[str], None]) -> None:
-        """Wait until every service is ready, reporting what they do. Raises Unavailable when one cannot start."""
+        """Wait until every service is ready, reporting what they do. Raises Unavailable if one cannot start."""
         while not_ready := [
             (name, health) for name in self.services if not ((health := self.health(name)) and health.ready)
         ]:
@@ -73,8 +72,9 @@ class Stack:
             pause(0.1)
 
     def wait(self) -> None:
-        """Wait for ever, and say which service is started again; raises InternalError when one ends again and again."""
-        while not (fallen := [name for name in self.supervisor.given_up() if name != "viewer"]):  # no page, but a robot
+        """Wait for ever, logging restarts; raises InternalError when a service keeps failing."""
+        # A robot does not need the page.
+        while not (fallen := [name for name in self.supervisor.given_up() if name != "viewer"]):
             for service, how in self.supervisor.ended():
                 err.print(f"zarm: the {service} has ended ({how}) and is started again", soft_wrap=True)
             pause(1.0)
@@ -99,11 +99,11 @@ def launch(
     log_level: str | None = None,
     view: str | None = None,
 ) -> Iterator[Stack]:
-    """Start the services of one robot, on a router of their own at `listen` or on the one at `connect`; at `view`, `HOST:PORT`,
-    the page that shows it.
+    """Start the services of one robot, with a router of their own at `listen` or using the one at `connect`; at `view`,
+    `HOST:PORT`, also the page.
 
-    Leaving stops them in order. Raises InvalidRequest for a descriptor or name that cannot be used and for a robot that
-    is already up on that bus, Unavailable if the port is taken, no router answers, or packages are not installed.
+    Leaving stops them in order. Raises InvalidRequest for an invalid descriptor or name and for a robot already running
+    on that bus, Unavailable if the port is taken, no router answers, or packages are missing.
     """
     _require("the planner cannot run", _PLANNER_PACKAGES, "`pip install 'zarm[planner]'` installs what is needed")
     if ros:
@@ -124,7 +124,7 @@ def launch(
     simulated = {"leeloo_sim": ("zarm_leeloo_sim.service", [*arguments])} if driver is SimulatedDriver.sim else {}
     bridge = {"ros_bridge": ("zarm_ros_bridge.service", [*arguments])} if ros else {}
     programs = {
-        **simulated,  # this and the bridge before the executor, which may wait for a driver and brakes through it at the end
+        **simulated,  # this and the bridge before the executor, which may wait for a driver and at the end brakes by it
         **bridge,
         "planner": ("zarm_planner.service", [*arguments, *folders]),
         "servo": ("zarm_servo.service", [*arguments, *folders]),
@@ -136,9 +136,9 @@ def launch(
     if view is not None:
         page = ["--robot", f"{keys.robot}={find_robot(robot)}", "--connect", endpoint, "--listen", view, *folders]
         programs["viewer"] = (VIEWER, [*page, "--state", str(state)])
-    environment = {"ZARM_METRICS": ""}  # of one address there is but one
+    environment = {"ZARM_METRICS": ""}  # an address can be used only once
     if ros and not any(map(os.environ.get, REACH)):
-        environment[RANGE] = "LOCALHOST"  # whoever reaches DDS can move the robot
+        environment[RANGE] = "LOCALHOST"  # anyone who reaches DDS can move the robot
     if sys.stderr.isatty():
         environment["ZARM_COLOUR"] = "1"
     if log_level is not None:
@@ -235,7 +235,7 @@ def up(
             param_hint="--connect / --listen",
         )
     with (
-        suppress(KeyboardInterrupt),  # the ordinary end
+        suppress(KeyboardInterrupt),  # the usual end
         launch(
             robot,
             name=name,
@@ -250,7 +250,7 @@ def up(
             view=view_at if view else None,
         ) as stack,
     ):
-        stack.wait_ready(lambda _: None)  # the services' own log lines say it
+        stack.wait_ready(lambda _: None)  # the services' own log lines report it
         _say_ready(stack)
         stack.wait()
 

@@ -18,15 +18,16 @@ from zarm_contract.messages import Hold, Message, Pose
 
 
 def _width() -> int | None:
-    """Columns of standard output, None if it is a terminal, which knows. A pipe is as wide as is good to read; programs set
-    COLUMNS to 80 that know no better, but fewer are meant."""
+    """Columns of standard output, None if it is a terminal, which knows its width. A pipe gets a readable width;
+    programs set COLUMNS to 80 by default, so only smaller values are respected.
+    """
     columns = os.environ.get("COLUMNS", "")
     if sys.stdout.isatty():
         return None
     return int(columns) if columns.isdecimal() and 0 < int(columns) < 80 else 120
 
 
-# Nothing that is printed is markup: messages hold brackets.
+# Output is never markup, because messages contain brackets.
 out = Console(highlight=False, markup=False, width=_width())
 err = Console(highlight=False, markup=False, stderr=True)
 
@@ -95,7 +96,7 @@ def facts(*rows: tuple[str, str]) -> Table:
 
 
 def records(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """A table with one line for each row; where the terminal has no room for it, one fact a line, row after row."""
+    """A table with one line for each row; on a terminal too narrow for that, one fact per line."""
     table = Table(*columns, box=None)
     for row in rows:
         table.add_row(*row)

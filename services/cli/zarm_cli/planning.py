@@ -88,9 +88,9 @@ def plan(
 
 @dataclass(frozen=True)
 class TypedGoal:
-    """What a person typed: joints (rad), or poses of the tip of which the orientation may be left out.
+    """A typed goal: joints (rad), or tip poses whose orientation is optional.
 
-    `any_of` asks for one of the poses, else the motion passes all of them.
+    With `any_of` the motion goes to one of the poses, otherwise through all.
     """
 
     joints: list[float] | None
@@ -99,7 +99,7 @@ class TypedGoal:
 
 
 def typed_goal(to: list[str] | None, joints_goal: str | None, any_of: bool) -> TypedGoal:
-    """Read --to and --joints, of which one must be given, and --any; usage error else."""
+    """Read --to and --joints, one of which must be given, and --any; usage error otherwise."""
     if bool(to) == (joints_goal is not None):
         raise typer.BadParameter("give exactly one of them", param_hint="--to / --joints")
     if any_of and not to:
@@ -108,7 +108,7 @@ def typed_goal(to: list[str] | None, joints_goal: str | None, any_of: bool) -> T
 
 
 def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None:
-    """Read --hold and --hold-frame; usage error for what is no axis."""
+    """Read --hold and --hold-frame; usage error for an unknown axis."""
     if axes is None:
         if frame is not None:
             raise typer.BadParameter("belongs to --hold", param_hint="--hold-frame")
@@ -120,9 +120,10 @@ def _constraint(axes: str | None, frame: str | None) -> dict[str, object] | None
 
 
 def request_plan(robot: Robot, goal: TypedGoal, *, start: list[float] | None = None, **asked: object) -> Plan:
-    """Ask for a plan; `asked` are further fields of PlanRequest, None being left out. Ctrl-C ends the planning as well.
+    """Request a plan; `asked` are further fields of PlanRequest, without those that are None. Ctrl-C cancels the
+    planning too.
 
-    Raises what the planner answers.
+    Raises the planner's error.
     """
     return robot.request_plan(message(PlanRequest, goal=_goal(robot, goal, start), start=start, **asked))
 
@@ -137,14 +138,16 @@ def _goal(robot: Robot, typed: TypedGoal, start: list[float] | None) -> dict[str
 
 
 def full_pose(robot: Robot, typed: list[float], at: list[float] | None = None) -> dict[str, list[float]]:
-    """Position and orientation of a typed pose; left out, the orientation is that at the joints `at`, or measured."""
+    """Position and orientation of a typed pose; by default the orientation is the tip's at the joints `at`, or
+    measured.
+    """
     if len(typed) == 3:
         typed = [*typed, *(robot.tip() if at is None else robot.fk([at])[0]).orientation]
     return {"position": typed[:3], "orientation": typed[3:]}
 
 
 def plan_table(found: Plan) -> Table:
-    """A plan in the words of a person."""
+    """A plan as a readable table."""
     times = found.timings
     stages = ("ik", "search", "shortcut", "timing", "verify", "optimize")
     shares = ", ".join(f"{stage} {getattr(times, stage) * 1e3:.1f}" for stage in stages)

@@ -29,7 +29,7 @@ def show() -> None:
 
 
 class Geometry(StrEnum):
-    """Which of a URDF's geometries is taken."""
+    """Which of a URDF's geometries is used."""
 
     auto = "auto"
     collision = "collision"
@@ -180,7 +180,7 @@ def edit(
 
 
 def _findings(robot: RobotDescription) -> list[str]:
-    """What is wrong with the geometry; said to be unknown without the packages that look at it."""
+    """Faults of the geometry; reported as unknown if the packages that check it are missing."""
     try:
         return checked.findings(robot)
     except Unavailable as error:

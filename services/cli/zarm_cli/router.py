@@ -32,7 +32,7 @@ def router(
 ) -> None:
     """Run only a router, until Ctrl-C or SIGTERM. It restores broken links."""
     settings = router_config(listen, link or (), config=config)
-    with suppress(KeyboardInterrupt), run_router(settings):  # the ordinary end
+    with suppress(KeyboardInterrupt), run_router(settings):  # the usual end
         endpoints = [("endpoint", endpoint) for endpoint in listens_at(settings)]
         out.print(facts(*endpoints, *(("link", spoken(endpoint)) for endpoint in link or ())))
         out.print("The router runs; Ctrl-C stops it.")

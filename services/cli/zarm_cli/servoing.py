@@ -24,7 +24,7 @@ from zarm_contract.messages import ServoSession
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 HOLD = 0.6
-"""A key counts for so long (s) after it was pressed: until a terminal repeats it, at the latest."""
+"""How long (s) a key press counts: at least until a terminal repeats it."""
 LINEAR, ANGULAR, JOINT = 0.1, 0.5, 0.3
 """Speeds (m/s, rad/s, rad/s) at the scale 1."""
 _SLOWEST, _FASTEST, _FACTOR = 0.05, 2.0, 1.25
@@ -32,7 +32,7 @@ _AXES = {
     "w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "r": (2, 1), "f": (2, -1),
     "u": (3, 1), "o": (3, -1), "i": (4, 1), "k": (4, -1), "j": (5, 1), "l": (5, -1),
 }  # fmt: skip
-"""The component of the twist that a key is for, and its sign."""
+"""The twist component of each key, and its sign."""
 _HELP = """\
 w s   x + -     u o   about x + -    1..9  choose a joint    + -    faster, slower
 a d   y + -     i k   about y + -    ] [   move it + -       t      base or tool
@@ -44,7 +44,9 @@ TakeOver = Annotated[bool, typer.Option("--take-over", help="Take over from anot
 
 @dataclass(frozen=True)
 class Keys:
-    """What the keys that were pressed ask for: a twist or the speed of one joint, `pressed` at that moment (s, monotonic)."""
+    """The motion that the pressed keys request: a twist or the speed of one joint, `pressed` at that moment (s,
+    monotonic).
+    """
 
     scale: float = 0.5
     frame: Literal["base", "tool"] = "base"
@@ -53,7 +55,7 @@ class Keys:
     pressed: float = 0.0
 
     def press(self, key: str, joints: int, now: float) -> Keys:
-        """After one more key; a key that is none stops, as space does."""
+        """The state after one more key; an unknown key stops, as space does."""
         match key:
             case "+" | "=":
                 return replace(self, scale=min(_FASTEST, self.scale * _FACTOR))
@@ -71,7 +73,7 @@ class Keys:
         return replace(self, moves=None)
 
     def send(self, jogging: Jogging, joints: int, now: float) -> None:
-        """Tell the robot what they ask for now."""
+        """Send the present request to the robot."""
         moves = self.moves if now - self.pressed <= HOLD else None
         values = [0.0] * max(6, joints)
         if moves is not None and moves[0] == "joint":
@@ -115,7 +117,7 @@ def jog(
                 if now - shown > 0.1:
                     shown = now
                     live.update(_display(keys, jogging.state), refresh=True)
-            jogging.end()  # raises why it has ended
+            jogging.end()  # raises the reason for its end
 
 
 def track(
@@ -178,7 +180,7 @@ def _display(keys: Keys, state: ServoSession | None) -> Table:
 
 @contextmanager
 def _single_keys() -> Iterator[int]:
-    """The terminal tells each key at once, and shows none; Ctrl-C stays what it is."""
+    """The terminal delivers each key at once, without echo; Ctrl-C keeps its meaning."""
     import termios
     import tty
 
@@ -192,7 +194,9 @@ def _single_keys() -> Iterator[int]:
 
 
 def _read(descriptor: int) -> str:
-    """The keys that were pressed, after `PERIOD` s at most; the end of the input counts as Ctrl-D, and what is no character stops."""
+    """The keys pressed, after at most `PERIOD` s; the end of the input counts as Ctrl-D, and anything undecodable
+    stops.
+    """
     if not select.select([descriptor], [], [], PERIOD)[0]:
         return ""
     read = os.read(descriptor, 64).decode(errors="replace") or "\x04"

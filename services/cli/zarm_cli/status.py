@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _NEEDED = ("planner", "executor")
-_PERIOD = 0.1  # s between two looks of `watch`
+_PERIOD = 0.1  # interval (s) of `watch`
 _STALE = 1.0  # s after which a joint state is no longer shown
 
 M = TypeVar("M", bound=Message)
@@ -83,7 +83,7 @@ def _not_ready(service: str, health: Health | None) -> str:
 def _told(ask: Callable[[], M]) -> M | None:
     try:
         return ask()
-    except (Unavailable, InternalError):  # nobody answers, or whoever does speaks another contract
+    except (Unavailable, InternalError):  # no answer, or one with another contract
         return None
 
 

@@ -1,8 +1,8 @@
 """Keeps service processes running with supervisord: restart with back-off, stop in order, leave nothing behind.
 
-supervisord runs as a child with a configuration of its own in a temporary folder. It looks around once a second, so a
-process that died is started again after about 1 s; starting and stopping do not wait for that look, because a call on its
-socket wakes it. It and the services hang on leashes (`zarm_cli.end_with_parent`): whatever ends the launcher ends them too.
+supervisord runs as a child with its own configuration in a temporary folder. It polls once a second, so a process that
+died is restarted after about 1 s; starting and stopping do not wait for the poll, because a call on its socket wakes
+it. It and the services are on leashes (`zarm_cli.end_with_parent`): whatever ends the launcher ends them too.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from supervisor.xmlrpc import SupervisorTransport
 from zarm_contract.errors import InternalError
 
 _STOP_SECONDS = 15  # for one process, deceleration included; then it is killed
-_ENDED = re.compile(r" exited: (\w+) \((.+?)(?:; .+)?\)\n")  # how supervisord's log puts it
-_RETRIES = 6  # starts that fail in a row, with 1 s, 2 s, ... between them
+_ENDED = re.compile(r" exited: (\w+) \((.+?)(?:; .+)?\)\n")  # the format of supervisord's log
+_RETRIES = 6  # consecutive failed starts, with 1 s, 2 s, ... between them
 
 _HEAD = """\
 [supervisord]
@@ -49,7 +49,7 @@ file = {folder}/socket
 supervisor.rpcinterface_factory = supervisor.rpcinterface:make_main_rpcinterface
 """
 
-# Of two programs the one with the higher priority is started last and stopped first.
+# The program with the higher priority is started later and stopped earlier.
 _PROGRAM = """
 [program:{name}]
 command = {command}
@@ -64,7 +64,7 @@ stdout_logfile_maxbytes = 0
 """
 
 
-_ERROR = re.compile(r"[\w.]*(Error|Exception)\b")  # the end of what Python prints of one
+_ERROR = re.compile(r"[\w.]*(Error|Exception)\b")  # the end of a Python traceback
 
 
 def _reason(name: str, lines: Iterable[str]) -> str | None:
@@ -85,9 +85,9 @@ def _command(module: str, arguments: Sequence[str]) -> list[str]:
 
 
 class Supervisor:
-    """Modules that run as programs, `{name: (module, arguments)}`: started in this order, stopped in the opposite one.
+    """Modules that run as programs, `{name: (module, arguments)}`: started in this order, stopped in reverse.
 
-    Use it in `with`; leaving stops them all. What they print goes to standard error.
+    Use it in `with`; leaving stops them all. Their output goes to standard error.
     """
 
     def __init__(self, programs: Mapping[str, tuple[str, Sequence[str]]], environment: Mapping[str, str]) -> None:
@@ -114,7 +114,7 @@ class Supervisor:
             stdin=subprocess.PIPE,  # the leash
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            start_new_session=True,  # Ctrl-C in the terminal reaches the launcher alone
+            start_new_session=True,  # Ctrl-C in the terminal reaches only the launcher
         )
         self._relay = threading.Thread(target=self._relay_output, daemon=True)
         self._relay.start()
@@ -137,7 +137,9 @@ class Supervisor:
         self._folder.cleanup()
 
     def ended(self) -> list[tuple[str, str]]:
-        """Programs that have ended by themselves since the last call, and how: `exit status 1`, `terminated by SIGKILL`."""
+        """Programs that have ended by themselves since the last call, and how: `exit status 1`, `terminated by
+        SIGKILL`.
+        """
         with suppress(FileNotFoundError), Path(self._folder.name, "supervisord.log").open() as log:
             log.seek(self._read)
             text = log.read()
@@ -151,13 +153,14 @@ class Supervisor:
         return [process["name"] for process in self._processes() if process["stop"]]
 
     def given_up(self) -> list[str]:
-        """Names of the programs that ended too often in a row and are not started again."""
+        """Names of the programs that failed too often in a row and are not restarted."""
         return [process["name"] for process in self._processes() if process["state"] == ProcessStates.FATAL]
 
     def last_words(self, name: str) -> str:
-        """Why a program ended: the reason in its own log (as `zarm_runtime.service` writes it); else the error that ended a program
-        before it had a log; else the last line of all."""
-        self._relay.join(0.2)  # what it printed last may still be on its way here
+        """Why a program ended: the reason in its own log (as `zarm_runtime.service` writes it); otherwise the error
+        that ended a program before it had a log; otherwise its last line.
+        """
+        self._relay.join(0.2)  # its last output may still be on its way
         lines = list(self._last_lines)[::-1]
         return _reason(name, lines) or next(filter(_ERROR.match, lines), None) or (lines or ["it printed nothing"])[0]
 
@@ -183,7 +186,7 @@ class Supervisor:
         if output is None:
             return
         for line in output:
-            with suppress(OSError):  # whoever read our standard error has left; supervisord must not wait for us
+            with suppress(OSError):  # nobody reads our standard error any more; supervisord must not block on us
                 sys.stderr.buffer.write(line)
                 sys.stderr.buffer.flush()
             self._last_lines.append(line.decode(errors="replace").strip())

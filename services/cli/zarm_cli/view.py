@@ -14,7 +14,7 @@ from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 VIEW = "127.0.0.1:8017"
-"""Where the page is served unless told otherwise."""
+"""Default address of the page."""
 VIEWER, EDITOR = "zarm_viewer.service", "zarm_viewer.editor"
 _PACKAGES = ("viser", "trimesh", "collada", "websockets")
 
@@ -51,13 +51,13 @@ def view(
 
 
 def serve(words: list[str], page: str = VIEWER) -> NoReturn:
-    """Become the viewer, or the editor of a robot, with these words of its command line."""
+    """Become the viewer, or the editor of a robot, with these arguments."""
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, "-P", "-m", page, *words])  # noqa: S606 - our own interpreter
 
 
 def require_viewer() -> None:
-    """Raise Unavailable where the packages of the page are not installed."""
+    """Raise Unavailable if the packages of the page are not installed."""
     if missing := [package for package in _PACKAGES if find_spec(package) is None]:
         raise Unavailable(
             f"the page cannot be served, because {' and '.join(missing)} cannot be imported here; `pip install 'zarm[viewer]'` "

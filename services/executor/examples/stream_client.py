@@ -1,13 +1,13 @@
-"""How a closed-loop planner drives zarm: here the first joint follows a target that swings, 20 chunks a second.
+"""A closed-loop planner that drives zarm: here the first joint follows a swinging target, at 20 chunks a second.
 
     python stream_client.py --joints joint_1 joint_2 joint_3 joint_4 joint_5 joint_6 --seconds 10
 
-It needs `eclipse-zenoh` and nothing of zarm. What zarm expects of such a client:
+It needs only `eclipse-zenoh`, nothing of zarm. What zarm expects of such a client:
 
-- chunk 1 starts at 0 s of the stream, where the robot rests; each later one in place of whatever is left of those before;
-- each chunk ends at rest, so that the robot has a way to stop on where this program dies;
-- the next one is received within `deadline` s of this one, else the robot brakes and the goal ends `aborted` (`timeout`);
-- what becomes of the stream is in the state of its goal, on `executor/goal/<goal_id>`; a chunk has no answer.
+- chunk 1 starts at 0 s of the stream, where the robot rests; each later one replaces the rest of those before;
+- each chunk ends at rest, so that the robot can stop along it if this program dies;
+- the next one arrives within `deadline` s of this one, or the robot brakes and the goal ends `aborted` (`timeout`);
+- the state of the stream's goal, on `executor/goal/<goal_id>`, reports its progress and end; chunks are not answered.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import time
 import zenoh
 
 EVERY, HORIZON, BRAKING, STEP = 0.05, 0.3, 0.8, 0.02
-"""A chunk every so many s, with the target for so long, then to rest; its samples so far apart."""
+"""Chunk interval, time following the target, time braking to rest, and sample interval of a chunk (s)."""
 
 
 def target(t: float, amplitude: float, period: float) -> tuple[float, float, float]:
@@ -32,7 +32,7 @@ def target(t: float, amplitude: float, period: float) -> tuple[float, float, flo
 
 
 def braking(q: float, v: float, a: float, s: float) -> tuple[float, float, float]:
-    """The state at the share `s` of braking from (q, v, a): velocity (v + b s)(1 - s)^2, integrated and derived."""
+    """The state at the share `s` of braking from (q, v, a): velocity (v + b s)(1 - s)^2, its integral and derivative."""
     b = a * BRAKING + 2 * v
     return (
         q + BRAKING * (v * (1 - (1 - s) ** 3) / 3 + b * (s**2 / 2 - 2 * s**3 / 3 + s**4 / 4)),
@@ -42,7 +42,7 @@ def braking(q: float, v: float, a: float, s: float) -> tuple[float, float, float
 
 
 def main() -> None:
-    """Follow the target for a while; exits with what went wrong."""
+    """Follow the target for a while; exits with the error, if any."""
     parser = argparse.ArgumentParser(description="An example of a client that streams to zarm.")
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="the router's endpoint")
     parser.add_argument("--config", help="Zenoh's configuration of a client, where certificates are asked for")

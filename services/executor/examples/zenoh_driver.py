@@ -1,15 +1,15 @@
-"""How a robot without ROS is connected to zarm: a driver that speaks Zenoh, here with an ideal arm in place of hardware.
+"""A driver that connects a robot to zarm over Zenoh, without ROS; here with an ideal arm instead of hardware.
 
     python zenoh_driver.py --joints joint_1 joint_2 joint_3 joint_4 joint_5 joint_6 --at 0 0 1.570796 0 1.570796 0
 
-It needs `eclipse-zenoh` and nothing of zarm, so any language with Zenoh will do. Your controller is called in `Arm`. zarm expects:
-- it publishes its joints on `zarm/<robot>/driver/joint_states`, at 100 Hz better than at 20, moving or not, each time with
-  another `stamp`: what is told again with an old one counts as silence;
-- it plays the newest `driver/command` from its arrival on, one point each `time`, instead of what was left of the last;
-- it drops a command that comes more than `expires_after` s after it told the joints with the stamp `based_on`: it is late;
-- a command without points, and points that run out, bring the robot to rest: that is the watchdog for a dead executor;
-- it publishes on `driver/progress` how much of the command is played, or leaves `state_topic` out of the descriptor;
-- it refuses by itself what its robot cannot do: limits of velocity and acceleration are the last line of defence.
+It needs only `eclipse-zenoh`, so any language with Zenoh will do. Call your controller in `Arm`. zarm expects:
+- it publishes its joints on `zarm/<robot>/driver/joint_states`, rather at 100 Hz than at 20, moving or not, each time
+  with a new `stamp`: a message with an old one counts as silence;
+- it plays the newest `driver/command` from its arrival on, one point at each `time`, dropping the rest of the last;
+- it drops a command that arrives more than `expires_after` s after it published the joints with the stamp `based_on`;
+- a command without points, or the end of the points, brings the robot to rest: the watchdog for a dead executor;
+- it publishes on `driver/progress` how much of the command is played, or the descriptor has no `state_topic`;
+- it refuses what its robot cannot do: its limits of velocity and acceleration are the last line of defence.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ PERIOD = 0.01
 
 
 class Arm:
-    """An arm that has at once the velocity that it is told. Yours talks to a controller instead."""
+    """An arm that moves at the commanded velocity at once. Yours talks to a controller instead."""
 
     def __init__(self, position: list[float]) -> None:
         self.position, self.velocity = position, [0.0] * len(position)
 
     def move(self, velocity: list[float], dt: float) -> None:
-        """Take on these velocities (rad/s) for `dt` s."""
+        """Move at these velocities (rad/s) for `dt` s."""
         self.velocity = velocity
         self.position = [q + v * dt for q, v in zip(self.position, velocity, strict=True)]
 
@@ -59,10 +59,10 @@ class Driver:
             self._newest = now, command
 
     def step(self) -> None:
-        """One period: play what is due, and tell where the arm is."""
+        """One period: play what is due, and publish the joints."""
         now, stamp, (began, command) = time.monotonic(), time.time(), self._newest
         times, rows, played = command.get("time", []), command.get("velocity", []), 0
-        while self._stepped < now:  # a machine that is late leaves no point out
+        while self._stepped < now:  # a late machine skips no point
             dt, self._stepped = min(now - self._stepped, PERIOD), min(now, self._stepped + PERIOD)
             at = self._stepped - began
             played = max(1, sum(moment <= at for moment in times))

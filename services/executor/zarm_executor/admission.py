@@ -1,4 +1,4 @@
-"""Admission of goals: they are checked one at a time, and one that was stopped meanwhile does not start."""
+"""Admission of goals: they are checked one at a time, and one that has been stopped meanwhile does not start."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from zarm_executor.reporter import Reporter
 from zarm_executor.strategies.base import Measured
 
 REST_PATIENCE = 10.0
-"""Longest wait, s, for a moving robot to come to rest; a robot needs about its velocity over its acceleration limit."""
+"""Longest wait (s) for a moving robot to come to rest; it needs roughly its velocity limit divided by its acceleration
+limit.
+"""
 
 
 @dataclass(frozen=True)
 class Turn:
-    """What may be done while one's goal, which was asked for at `arrival`, is the one that is checked."""
+    """What may be done while the goal requested at `arrival` is the one being checked."""
 
     machine: Machine
     reporter: Reporter
     arrival: int
 
     def preempt(self, goal_id: str) -> None:
-        """End the goal that there is in favour of `goal_id`, and wait for rest. Raises what `Machine.preempt` raises."""
+        """End the current goal in favour of `goal_id`, and wait for rest. Raises what `Machine.preempt` raises."""
         try:
             self.machine.preempt(goal_id, self.arrival, REST_PATIENCE)
         finally:
             self.reporter.publish()
 
     def start(self, goal: Goal) -> None:
-        """Start a goal, once the servo has seen its trajectory where that must be.
+        """Start a goal, once the servo has seen its trajectory if that is required.
 
-        Raises what `Machine.demand_guard` and `Machine.start` raise, and Unavailable where the goal cannot be put on record.
+        Raises what `Machine.demand_guard` and `Machine.start` raise, and Unavailable if the goal cannot be recorded.
         """
         self.reporter.remember(goal.before_motion())
         try:
@@ -50,7 +52,7 @@ class Turn:
 
 
 class Admission:
-    """The one way to start a goal. Safe from any thread. Joints are fresh for `joint_state_timeout` (s)."""
+    """The only way to start a goal. Thread-safe. Joints are fresh for `joint_state_timeout` (s)."""
 
     def __init__(self, machine: Machine, reporter: Reporter, joint_state_timeout: float) -> None:
         self._machine = machine
@@ -59,18 +61,20 @@ class Admission:
         self._checking = threading.Lock()
 
     def demand_presence(self) -> None:
-        """Raises Busy if what is asked now may have been asked long ago, and given up since."""
+        """Raises Busy if a request arriving now may be old, and given up by its client since."""
         if self._machine.was_away(time.monotonic()):
             raise Busy("the executor stood still for so long that the client may have given up; try again in a moment")
 
     def joint_state(self) -> Measured | None:
-        """The measured state of the robot: fresh, or what there is once no fresh one has come for as long as one is fresh."""
+        """The measured state of the robot: a fresh one, or the last one if no fresh one arrives within
+        `joint_state_timeout`.
+        """
         timeout = self._joint_state_timeout
         return self._machine.wait_for_joint_state(time.monotonic() - timeout, timeout)
 
     @contextmanager
     def turn(self, arrival: int, *, preempt: bool = False) -> Iterator[Turn]:
-        """In it a goal that was asked for at `arrival` is checked and started. One at a time.
+        """A context in which the goal requested at `arrival` is checked and started. One at a time.
 
         Raises Busy, and what `Machine.admit` raises.
         """

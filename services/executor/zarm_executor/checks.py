@@ -23,14 +23,15 @@ def executable(message: Trajectory, robot: RobotDescription) -> TimedTrajectory:
     velocity or acceleration, between samples too).
     """
     trajectory = TimedTrajectory.of(message, robot.descriptor.joints)
-    with np.errstate(all="ignore"):  # absurd numbers overflow to inf and NaN, which no comparison below lets pass
+    with np.errstate(all="ignore"):  # absurd numbers overflow to inf and NaN; the comparisons below reject them
         _rest(trajectory, robot.descriptor.joints, (0, -1))
         Limits.of(robot).check(trajectory)
     return trajectory
 
 
 def continuation(message: Trajectory, robot: RobotDescription, turns: Array) -> TimedTrajectory:
-    """The trajectory of a message, shifted by `turns` (J,) rad, that this robot can follow from a motion; it ends at rest.
+    """The trajectory of a message, shifted by `turns` (J,) rad, for this robot to continue on while moving; it ends at
+    rest.
 
     Raises what `executable` raises.
     """
@@ -44,10 +45,11 @@ def continuation(message: Trajectory, robot: RobotDescription, turns: Array) -> 
 def startable(
     trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: RobotDescription
 ) -> TimedTrajectory:
-    """The trajectory as it runs from where the robot stands, `measured` on the clock that reads `now`.
+    """The trajectory as it runs from the robot's position, `measured` on the clock that reads `now`.
 
-    A revolute joint may stand whole turns from where the path starts: then the path is shifted by them, where the joint's
-    range allows. What is left, at most `start_tolerance`, is moved first, slowly enough for every limit.
+    A revolute joint may be whole turns away from the start of the path: the path is then shifted by these turns if the
+    joint's range allows. The remaining offset, at most `start_tolerance`, is moved first, slowly enough for every
+    limit.
 
     Raises ExecutionRefused: `no_joint_state` or `start_state_mismatch`.
     """
@@ -59,7 +61,8 @@ def startable(
 def placed(
     trajectory: TimedTrajectory, measured: Measured | None, now: float, robot: RobotDescription
 ) -> tuple[TimedTrajectory, Measured]:
-    """The trajectory, shifted by whole turns so that the robot stands within `start_tolerance` of its start; and where it stands.
+    """The trajectory, shifted by whole turns so that the robot is within `start_tolerance` of its start; and the
+    robot's state.
 
     Raises what `startable` raises.
     """

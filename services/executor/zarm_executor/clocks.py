@@ -9,10 +9,10 @@ _TRIES = 5
 
 
 def time_of_day(moment: float) -> float:
-    """The time of day (Unix s) of this `moment` (s) of the monotonic clock, by how the two clocks stand now.
+    """The time of day (Unix s) of a `moment` (s) of the monotonic clock, by the current offset of the two clocks.
 
-    They are read again where something else had the processor in between: so much earlier the moment would seem, 1 % of the
-    velocity between two ticks of 10 ms for 0.1 ms.
+    The clocks are read again if another thread ran in between, which would make the moment seem earlier by as much: 0.1
+    ms is 1 % of the velocity between two ticks of 10 ms.
     """
     for _ in range(_TRIES):
         before = time.monotonic()

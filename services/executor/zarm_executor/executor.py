@@ -40,9 +40,9 @@ log = logging.getLogger(__name__)
 
 
 class Executor:
-    """Answers the queries. Every ZarmError it raises is the answer, and then nothing has moved that did not move before.
+    """Answers the queries. A ZarmError raised here is the answer, and means that the query has started no motion.
 
-    `arrival` is the number of a query in the order in which they came, see `Machine`.
+    `arrival` numbers the queries in order of arrival, see `Machine`.
     """
 
     def __init__(
@@ -71,7 +71,9 @@ class Executor:
         self._describing = threading.Lock()
 
     def execute(self, request: ExecuteRequest, arrival: int) -> Accepted:
-        """Check a motion and start it; one that preempts is checked for all but its start before the other one ends."""
+        """Check a motion and start it. One that preempts is fully checked, except for its start, before the current
+        goal ends.
+        """
         with self._admission.turn(arrival, preempt=request.preempt) as turn:
             chosen = self._plans.chosen(request)
             scene = self._present.demand(chosen.name, chosen.scene_revision)
@@ -79,17 +81,17 @@ class Executor:
             goal_id = self._named(request.goal_id)
             if request.preempt:
                 turn.preempt(goal_id)
-                scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest took a while
+                scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest may take a while
             trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
             goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
             goal.replan, goal.tip = request.replan, chosen.tip
             turn.start(goal)
-        RateBounds.of(trajectory, RateLimits.of(self._robot.descriptor)).prepare()  # so that no tick has to
+        RateBounds.of(trajectory, RateLimits.of(self._robot.descriptor)).prepare()  # no tick has to compute them
         return Accepted(goal_id=goal_id)
 
     def replace(self, request: ReplaceTrajectory) -> Accepted:
-        """Have a goal go on along another trajectory. Raises what the checks of a motion and `Machine.replace` raise."""
+        """Continue a goal along another trajectory. Raises what the checks of a motion and `Machine.replace` raise."""
         revision = request.scene_revision
         if self._machine.scene != revision:
             self._present.demand("the trajectory", revision)
@@ -107,7 +109,7 @@ class Executor:
         return Accepted(goal_id=request.goal_id)
 
     def _named(self, goal_id: str | None) -> str:
-        running = self._reporter.publish().goal_id  # a goal that has just ended is known from now on
+        running = self._reporter.publish().goal_id  # from here on, a goal that has just ended is known
         if goal_id is not None and (goal_id == running or self._reporter.knows(goal_id)):
             raise InvalidRequest(
                 f"there has been a goal {goal_id} already; give every goal a new goal_id", field="goal_id"
@@ -115,13 +117,13 @@ class Executor:
         return goal_id or f"goal-{secrets.token_hex(4)}"
 
     def check_idle(self) -> None:
-        """Raises Busy unless the robot rests and nothing is wrong."""
+        """Raises Busy unless the robot is at rest and nothing is wrong."""
         mode = self._machine.state().mode
         if mode != "idle":
             raise Busy(f"the executor is in the mode {mode}; let the goal end, or reset the fault, and try again")
 
     def cancel(self, request: CancelRequest, arrival: int) -> ExecutorState:
-        """Cancel one goal, or the one that runs."""
+        """Cancel the given goal, or the running one."""
         self._machine.cancel(request.goal_id, "the goal was cancelled by a client", arrival)
         return self._reporter.publish()
 
@@ -131,12 +133,12 @@ class Executor:
         return self._reporter.publish()
 
     def pause(self, _: Nothing, arrival: int) -> ExecutorState:
-        """Hold the goal that runs."""
+        """Hold the running goal."""
         self._machine.pause(arrival)
         return self._reporter.publish()
 
     def resume(self, _: Nothing, arrival: int) -> ExecutorState:
-        """Go on with the goal that is held. Raises what `Admission.demand_presence` and `Machine.resume` raise."""
+        """Resume the held goal. Raises what `Admission.demand_presence` and `Machine.resume` raise."""
         self._admission.demand_presence()
         scene, state = self._present.look(), self._machine.state()
         if state.guarded and state.goal_id is not None:
@@ -150,7 +152,7 @@ class Executor:
         return self._reporter.publish()
 
     def speed(self, request: SpeedRequest) -> Speed:
-        """Read the share of the planned speed at which the robot moves, or change it, also while it moves."""
+        """Read or change the robot's share of the planned speed, also while it moves."""
         if request.speed_scale is not None:
             self._machine.set_speed(request.speed_scale)
             self._reporter.publish()
@@ -161,11 +163,11 @@ class Executor:
     def _keep_speed(self) -> None:
         try:
             self._kept_speed.save(self._speed())
-        except Unavailable as error:  # the robot is slower at once, whatever becomes of the file
+        except Unavailable as error:  # the robot slows down at once, even if the file cannot be written
             log.warning("the speed will not outlive this process reason=%s", error)
 
     def publish_speed(self) -> None:
-        """Publish the share of the planned speed at which the robot moves."""
+        """Publish the robot's share of the planned speed."""
         self._speeds.put(self._speed())
 
     def _speed(self) -> Speed:
@@ -183,7 +185,7 @@ class Executor:
         return self.publish_strategies()
 
     def publish_strategies(self) -> Strategies:
-        """Publish which strategy is active; of several switches the last one's is published last."""
+        """Publish which strategy is active; after several switches, the last one is published last."""
         with self._describing:
             strategies = self._describe_strategies()
             self._publisher.put(strategies)

@@ -18,17 +18,17 @@ from zarm_runtime.record import DRAFT, RecordFile
 log = logging.getLogger(__name__)
 
 KEPT = 20
-"""How many records stay; older ones are removed."""
+"""Number of records kept; older ones are removed."""
 
 _PATIENCE = 10.0
-"""How long (s) the end of the process waits for a record that is being written."""
+"""How long (s) the process waits at its end for a record to be written."""
 
 
 class FlightRecorder:
-    """`<folder>/<time in UTC>_<code of the problem>.mcap` for each fault, written by a thread of its own; use it in `with`.
+    """Writes `<folder>/<time in UTC>_<code of the problem>.mcap` for each fault, in its own thread; use it in `with`.
 
-    A fault that comes while a record is written has its own written next; of several that wait, only the last, as a record
-    reaches back further than to the one before it. Where a record cannot be written, a warning is all that follows.
+    A fault during writing is recorded next. If several wait, only the last is recorded, because a record reaches back
+    beyond the one before it. A record that cannot be written causes only a warning.
     """
 
     def __init__(self, folder: Path, keys: Keys, ring: Ring) -> None:
@@ -53,7 +53,7 @@ class FlightRecorder:
         self._thread.join(_PATIENCE)
 
     def fault(self, problem: Problem) -> None:
-        """Have the record of this fault written; returns at once."""
+        """Request the record of this fault; returns at once."""
         with self._changed:
             self._waiting = problem
             self._changed.notify_all()
@@ -94,7 +94,7 @@ class FlightRecorder:
         log.info("record path=%s messages=%d", path, file.count)
 
     def _tidy(self) -> None:
-        """Remove what is too old, and the drafts of processes that were killed while they wrote."""
+        """Remove old records, and the drafts of processes killed while writing."""
         drafts = list(self._folder.glob(f"*.mcap{DRAFT}"))
         try:
             for old in (*drafts, *sorted(self._folder.glob("*.mcap"))[:-KEPT]):

@@ -1,4 +1,6 @@
-"""The ghost: plays every plan once as a preview, whatever the strategy. It moves nothing, and may fail alone."""
+"""The ghost: plays every plan once as a preview, whatever the strategy. It moves nothing, and its failure affects
+nothing else.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,13 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 PERIOD, REST_PERIOD = 0.02, 0.1
-"""Periods of `preview/joint_states`, s: while a plan is played, and at its end."""
+"""Periods of `preview/joint_states`, s: while a plan is played, and when it has ended."""
 LEAST = 0.2
-"""Shortest time, s, for which a plan is shown: of plans that come faster than anybody can see, the newest is."""
+"""Shortest time (s) for which a plan is shown: if plans come faster than anyone can see, only the newest is."""
 
 
 class Ghost:
-    """Shows the newest plan on `preview/trajectory` and plays it on `preview/joint_states`, where it rests at its end."""
+    """Shows the newest plan on `preview/trajectory` and plays it on `preview/joint_states`, where it stays at its end."""
 
     def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription) -> None:
         self._robot = robot
@@ -37,19 +39,19 @@ class Ghost:
         self._news = threading.Event()
 
     def show(self, _key: str, plan: Plan) -> None:
-        """Play this plan from the next period on; called from any thread."""
+        """Play this plan from the next period on; may be called from any thread."""
         with self._lock:
             self._newest = plan
         self._news.set()
 
     def play(self, now: float) -> None:
-        """One period; `now` is on the monotonic clock. What fails ends the preview of this plan and nothing else.
+        """One period; `now` is on the monotonic clock. An error ends only the preview of this plan.
 
-        Where nothing is played, it waits up to `REST_PERIOD` for a plan.
+        If nothing is playing, waits up to `REST_PERIOD` for a plan.
         """
         try:
             self._play(now)
-        except Exception:  # nothing that only shows may end a process that moves a robot
+        except Exception:  # a mere display must not end a process that moves a robot
             log.exception("the preview failed; it goes on with the next plan")
             self._trajectory = None
 

@@ -13,12 +13,14 @@ from zarm_executor.strategies.base import Progress
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _SHOWN_PAST = 0.5
-"""How much (s) of the past of a stream is shown with every chunk: where a robot is that is behind."""
+"""How much (s) of a stream's past is published with every chunk: a robot that lags behind is there."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a goal ends; after a `fault` of the robot nothing moves until it is left, a `latched` one by `reset` alone."""
+    """How a goal ends. After a robot `fault` nothing moves until the fault is left; a `latched` fault can only be left
+    by `reset`.
+    """
 
     status: GoalStatus
     problem: Problem | None = None
@@ -27,7 +29,9 @@ class Outcome:
 
     @classmethod
     def fault_of(cls, failures: Sequence[ExecutionFailed], policy: FaultPolicy) -> Outcome:
-        """What checks during motion found, or the control loop, first things first; its problem says how the fault is left."""
+        """The outcome of failed checks during motion or in the control loop, in order; its problem says how to leave
+        the fault.
+        """
         latched = policy == "latch" or any(isinstance(failure, NotStopped) for failure in failures)
         found = "; and ".join(failure.problem.message for failure in failures)
         way_out = (
@@ -41,9 +45,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Chunk:
-    """A piece of a stream: `trajectory` begins at `start` s of it. The next one is due `deadline` s after the moment `received`.
+    """A piece of a stream: `trajectory` begins at the stream time `start` (s). The next chunk is due `deadline` s after
+    `received`.
 
-    `received` is on the monotonic clock; `scene` is the revision that the scene had then.
+    `received` is on the monotonic clock; `scene` is the scene revision at that time.
     """
 
     sequence: int
@@ -57,14 +62,13 @@ class Chunk:
 
 @dataclass
 class Goal:
-    """A motion along `trajectory`; of a stream `chunk` is the newest one.
+    """A motion along `trajectory`; for a stream, `chunk` is the newest one.
 
-    `scene` is the revision of the scene that it was begun in, of a stream that its newest chunk came in; None if nobody had
-    told one.
-    `verified` is the revision in which the trajectory was verified, None if it was in none; `number` counts its trajectories.
-    With `replan` the servo may replace its trajectory, by one to other joints where the pose `tip` is the goal.
-    `hold` says why it is held though nobody told it to, since the moment `hold_since`; it `waits` once the robot rests.
-    `outcome` is set once it is certain that it ends, and how; `elapsed` counts s in motion.
+    `scene` is the scene revision in which the goal began, or in which the newest chunk of a stream arrived; None if
+    none was known. `verified` is the revision in which the trajectory was verified, or None; `number` counts its
+    trajectories. If `replan` is set, the servo may replace the trajectory, also by one to other joints if the goal is
+    the pose `tip`. `hold` says why the goal is held without having been paused, since `hold_since`; it `waits` once the
+    robot is at rest. `outcome` is set once it is certain that, and how, the goal ends. `elapsed` counts s in motion.
     """
 
     goal_id: str
@@ -88,28 +92,28 @@ class Goal:
 
     @property
     def moving(self) -> bool:
-        """Whether it is to go on: neither is its end certain, nor is it held."""
+        """Whether the goal is to go on: its end is not certain yet, and it is not held."""
         return self.outcome is None and not self.pausing and self.hold is None
 
     @property
     def complete(self) -> bool:
-        """Whether the end of its trajectory is its goal, rather than where to wait for the next chunk."""
+        """Whether the trajectory ends at the goal, rather than where the robot waits for the next chunk."""
         return self.chunk is None or self.chunk.last
 
     def steer(self, trajectory: TimedTrajectory, chunk: Chunk) -> None:
-        """Go on along `trajectory`, which leads to `chunk`."""
+        """Continue along `trajectory`, which leads to `chunk`."""
         self.trajectory, self.chunk, self.scene = trajectory, chunk, chunk.scene
         self.number += 1
         self.monitor.steer(trajectory)
 
     def replace(self, trajectory: TimedTrajectory, verified: SceneRevision) -> None:
-        """Go on along `trajectory`, which was verified in that scene."""
+        """Continue along `trajectory`, which was verified in that scene."""
         self.trajectory, self.scene, self.verified = trajectory, verified, verified
         self.number += 1
         self.monitor.steer(trajectory)
 
     def late(self, now: float) -> Problem | None:
-        """Why it must end because its next chunk is late; the time does not run while it is held."""
+        """The problem if the goal must end because its next chunk is late; time does not count while it is held."""
         if self.chunk is None or self.chunk.last:
             return None
         waited = now - max(self.chunk.received, self.held_until)
@@ -122,7 +126,7 @@ class Goal:
         )
 
     def state(self, progress: Progress) -> GoalState:
-        """What is said about it on the bus when the strategy is as far as `progress`."""
+        """The state published for the goal at this `progress` of the strategy."""
         return GoalState(
             goal_id=self.goal_id,
             plan_id=self.plan_id,
@@ -136,7 +140,9 @@ class Goal:
         )
 
     def followed(self, joints: tuple[str, ...]) -> GoalTrajectory:
-        """Its trajectory as a message, of a stream with no more than `_SHOWN_PAST` before its newest chunk; `joints` names the columns."""
+        """The trajectory as a message, for a stream with at most `_SHOWN_PAST` before its newest chunk; `joints` names
+        the columns.
+        """
         trajectory = self.trajectory
         if self.chunk is not None:
             trajectory = trajectory.since(self.chunk.start - _SHOWN_PAST)
@@ -152,5 +158,5 @@ class Goal:
         )
 
     def before_motion(self) -> GoalState:
-        """What is said about it while the robot stands at its start."""
+        """The state published while the robot is still at the start."""
         return self.state(Progress(time=0.0, speed=0.0, command=self.trajectory.start, finished=False))

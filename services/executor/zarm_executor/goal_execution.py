@@ -20,9 +20,10 @@ log = logging.getLogger(__name__)
 
 
 class GoalExecution:
-    """`strategy` moves the robot along the goal's path; every state that the goal comes to is added to `changes`.
+    """Executes one goal: `strategy` moves the robot along its path, and each new state of the goal is appended to
+    `changes`.
 
-    One call at a time. Raises Unavailable for a stream under a strategy that cannot follow one.
+    One call at a time. Raises Unavailable for a stream if the strategy cannot follow one.
     """
 
     def __init__(self, goal: Goal, strategy: Strategy, guard: Guard, changes: deque[GoalState]) -> None:
@@ -41,40 +42,42 @@ class GoalExecution:
     # -- commands --
 
     def start(self, speed_scale: float) -> None:
-        """Begin to move the robot, which stands at the start of the path. Raises what the strategy raises."""
+        """Start to move the robot, which is at the start of the path. Raises what the strategy raises."""
         self._speed_scale = speed_scale
         self._strategy.start(self.goal.trajectory, speed_scale)
         self._note()
 
     def permit(self, authority: Authority, limit: Limit | None, scene: SceneRevision | None) -> None:
-        """Take up how far the servo lets it go, which is `limit`; what it says of another scene than `scene` only holds it back."""
+        """Take an authority of the servo, whose end is `limit`. If it is for a scene other than `scene`, it can only
+        hold the goal back.
+        """
         if authority.trajectory == self.goal.number:
             nearer = limit is not None and (self._limit is None or limit.until < self._limit.until)
             if nearer or authority.scene_revision == scene:
                 self._limit = limit
 
     def end(self, outcome: Outcome) -> None:
-        """Bring the robot to rest, where the goal ends so."""
+        """Bring the robot to rest, and then end the goal with this outcome."""
         self.goal.outcome = outcome
         self._strategy.stop()
         self._become("stopping")
 
     def fail(self, failure: ExecutionFailed) -> None:
-        """Bring the robot to rest, where the goal ends in a fault."""
+        """Bring the robot to rest, and then end the goal in a fault."""
         self._failures.append(failure)
         self.end(Outcome.fault_of(self._failures, self.goal.monitor.faults))
 
     def pause(self) -> None:
-        """Bring the robot to rest and hold it; nothing where the goal ends."""
+        """Bring the robot to rest and hold it; no effect on a goal that is ending."""
         if self.goal.outcome is None:
             self.goal.pausing = True
             self._strategy.stop()
 
     def resume(self, speed_scale: float, scene: SceneRevision | None, now: float) -> None:
-        """Go on where it was paused, as far as its authority reaches.
+        """Resume where the goal was paused, as far as its authority reaches.
 
-        Raises ExecutionRefused (`stale_plan`) where its scene is not the present one, `scene`, and the servo has not checked the
-        rest of it in that.
+        Raises ExecutionRefused (`stale_plan`) if its scene is not the present one, `scene`, and the servo has not
+        checked the rest of it in that scene.
         """
         goal = self.goal
         if goal.outcome is None and goal.pausing:
@@ -92,13 +95,13 @@ class GoalExecution:
                 self._strategy.move(speed_scale)
 
     def set_speed(self, speed_scale: float) -> None:
-        """Move at this share of the planned speed, unless it is held or ends."""
+        """Move at this share of the planned speed, unless the goal is held or ending."""
         self._speed_scale = speed_scale
         if self.goal.moving:
             self._strategy.move(speed_scale)
 
     def steer(self, chunk: Chunk, limits: Limits) -> None:
-        """Lead the robot over to this chunk; nothing where the goal is no stream, has its last one, or ends.
+        """Blend over to this chunk; no effect if the goal is not a stream, has its last chunk, or is ending.
 
         Raises what `blended` raises.
         """
@@ -112,12 +115,13 @@ class GoalExecution:
     def replace(
         self, trajectory: TimedTrajectory, at: float, verified: SceneRevision, until: float | None = None
     ) -> None:
-        """Go on along `trajectory`, verified in that scene, from the path time `at` (s) on; a goal that is held is held no longer.
+        """Continue along `trajectory`, verified in that scene, from the path time `at` (s) on; this releases a held
+        goal.
 
-        It may go up to the time `until` (s) of `trajectory`, None: to its end.
+        The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
 
-        Raises Busy for a goal that is told to pause or to end, Unavailable if the strategy cannot follow it, and ExecutionRefused
-        (`start_state_mismatch`) where it is too late for `at`, and what `continued` raises.
+        Raises Busy if the goal is pausing or ending, Unavailable if the strategy cannot follow it, ExecutionRefused
+        (`start_state_mismatch`) if it is too late for `at`, and what `continued` raises.
         """
         self._demand_no_end()
         strategy = self._steerable()
@@ -136,11 +140,12 @@ class GoalExecution:
     def replace_at_rest(
         self, trajectory: TimedTrajectory, monitor: Monitor, verified: SceneRevision, until: float | None = None
     ) -> None:
-        """Go on along `trajectory`, verified in that scene, from where the robot rests, held by its authority; `monitor` watches it.
+        """Continue along `trajectory`, verified in that scene, from where the robot rests, held by its authority;
+        `monitor` watches it.
 
-        It may go up to the time `until` (s) of `trajectory`, None: to its end.
+        The robot may go up to the time `until` (s) of `trajectory`, or to its end if None.
 
-        Raises Busy if it does not rest so, and what the strategy raises.
+        Raises Busy if the robot is not at rest in this way, and what the strategy raises.
         """
         self._demand_no_end()
         goal, time = self.goal, self._strategy.progress().time
@@ -162,7 +167,9 @@ class GoalExecution:
             raise Busy(f"{self.goal.goal_id} is ending or pausing, so its trajectory cannot be replaced")
 
     def _go_on(self, begin: float, until: float | None) -> None:
-        """Take the new trajectory, which begins at the path time `begin` (s), as free up to its time `until` (s), None: to its end."""
+        """Take the new trajectory, which begins at the path time `begin` (s), as free up to its time `until` (s), or to
+        its end if None.
+        """
         goal = self.goal
         self._limit = self._guard.limit(goal.trajectory, None if until is None else begin + until)
         if goal.hold is not None and goal.hold.reason == "obstruction":
@@ -183,12 +190,12 @@ class GoalExecution:
     # -- what is --
 
     def state(self) -> GoalState:
-        """The state of the goal now."""
+        """The goal's current state."""
         return self.goal.state(self._strategy.progress())
 
     @property
     def mode(self) -> RobotMode:
-        """What it makes of the robot's mode."""
+        """The robot mode that follows from the goal."""
         if self.goal.outcome is None and self.goal.status == "paused":
             return "paused"
         return "stopping" if self.goal.outcome or self.goal.pausing else "running"
@@ -196,7 +203,7 @@ class GoalExecution:
     # -- the control loop --
 
     def advance(self, now: float, dt: float, *, guarded: bool) -> Outcome | None:
-        """See what the strategy made of `dt` s of control, to `now` on the monotonic clock; how the goal ended, once it has.
+        """Evaluate `dt` s of control, up to `now` on the monotonic clock; returns the goal's outcome once it has ended.
 
         `guarded`: a servo watches it.
         """
@@ -228,7 +235,7 @@ class GoalExecution:
         return self._come_to_rest(now, progress, measured)
 
     def _see(self, seen: bool) -> None:
-        """Note whether the robot's joints are reported; the log says when that changes."""
+        """Note whether the robot's joints are reported, and log when that changes."""
         if seen and not self._seen:
             log.warning("the robot's joints are reported again goal_id=%s", self.goal.goal_id)
         elif self._seen and not seen:
@@ -240,7 +247,7 @@ class GoalExecution:
             if not self.goal.monitor.at_rest(now, progress, measured):
                 return None
         except ExecutionFailed as failure:
-            self.fail(failure)  # the robot had its time to stop; the strategy goes on telling it to
+            self.fail(failure)  # the robot had its time to stop; the strategy keeps telling it to
         if self.goal.outcome is not None:
             return self._finish(self.goal.outcome)
         if self.goal.pausing:
@@ -250,7 +257,9 @@ class GoalExecution:
         return None
 
     def _obey(self, now: float, progress: Progress, *, guarded: bool) -> None:
-        """Brake where the authority ends or a servo that must be there is not; go on when that is over, and give up in time."""
+        """Brake at the end of the authority or without a required servo; continue when that is over, or give up after a
+        while.
+        """
         goal = self.goal
         if goal.hold is None:
             if not guarded and self._guard.required:
@@ -273,7 +282,7 @@ class GoalExecution:
             self._say_what_is_in_the_way(goal.hold)
 
     def _say_what_is_in_the_way(self, hold: Hold) -> None:
-        """What it waits for now may be another thing than what it was held for."""
+        """Update the hold if another obstacle is now in the way."""
         before, found = hold.obstruction, None if self._limit is None else self._limit.obstruction
         if before is not None and found is not None and (before.object, before.link) != (found.object, found.link):
             self.goal.hold = hold.model_copy(update={"obstruction": found})
@@ -288,7 +297,7 @@ class GoalExecution:
                 self._hold(limit.hold(state), now)
 
     def _blocked(self, now: float) -> bool:
-        """Hold a goal that rests where its authority ends; whether it does."""
+        """Hold a goal at rest whose authority ends here; returns whether it does."""
         limit, time = self._limit, self._strategy.braking_from().time
         blocked = limit is not None and limit.until < time + LEAST_WAY
         if limit is not None and blocked:
@@ -297,7 +306,7 @@ class GoalExecution:
         return blocked
 
     def _free(self, progress: Progress, *, guarded: bool) -> bool:
-        """Whether what held it is over."""
+        """Whether the reason for the hold is gone."""
         if not guarded and self._guard.required:
             return False
         if self.goal.hold is not None and self.goal.hold.reason == "no_guard":

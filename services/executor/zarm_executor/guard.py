@@ -1,7 +1,7 @@
 """The authority of a goal: how far the servo lets it go, and whether there is a servo.
 
-The servo says up to which path time a goal may go, again and again. It says so of one scene; what it says of another than the
-present one only holds the goal back. One that is silent, or checks in an old scene, for `guard_timeout` guards nothing.
+The servo repeatedly states up to which path time a goal may go in one scene. If that is not the present scene, it can
+only hold the goal back. A servo that is silent, or checks in an old scene, for `guard_timeout` guards nothing.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 LEAST_WAY = 0.1
-"""A goal that is held goes on when it may go so much (s of the path) further: not by every millimetre."""
+"""A held goal resumes only when it may go at least this much further (s of path time), not millimetre by millimetre."""
 _TICKS = 2
 """Ticks until a stop takes effect."""
 _LOOK = 0.1
-"""How far ahead (s) it is looked whether the robot would still rest in time, so that it need not be looked at every tick."""
+"""Look-ahead (s) of the test whether the robot could still stop in time, so that not every tick has to repeat it."""
 _POINT = 0.1
-"""A braking is looked at in points so far (s) apart."""
+"""Time step (s) of the braking computation."""
 
 
 class Limit:
-    """The end of an authority: the robot, which is led by `follower`, rests before the path time `until` (s)."""
+    """The end of an authority: the robot, led by `follower`, must come to rest before the path time `until` (s)."""
 
     def __init__(self, follower: Follower, until: float, obstruction: Obstruction | None) -> None:
         self.until = until
@@ -36,9 +36,9 @@ class Limit:
         self._free = PathState(-math.inf, 0.0)
 
     def must_brake(self, state: PathState, reaction: float) -> bool:
-        """Whether a robot that could brake from there must, as `reaction` s later it would not rest in time any more.
+        """Whether a robot in this state must brake now, because `reaction` s later it could no longer stop in time.
 
-        Where it would rest in time from a little further on too, it is not looked again until it comes there.
+        If it could still stop in time from a little further on, the test is skipped until it gets there.
         """
         soon = state.after(reaction)
         if state.speed == 0.0 or (
@@ -52,14 +52,14 @@ class Limit:
         return self._rest(soon) >= self.until
 
     def hold(self, state: PathState) -> Hold:
-        """What holds a robot that brakes from there."""
+        """The hold of a robot that brakes from this state."""
         found = self.obstruction
         if found is not None:
             found = found.model_copy(update={"avoidable": self._rest(state) <= found.time})
         return Hold(reason="obstruction", obstruction=found)
 
     def _rest(self, state: PathState) -> float:
-        """The path time (s) at which a robot comes to rest that brakes from there."""
+        """The path time (s) at which a robot braking from this state comes to rest."""
         return float(self._follower.moved_to(state, 0.0).ahead(_POINT).path_time[-1])
 
 
@@ -77,7 +77,7 @@ class Guard:
         self._heard_at = self._confirmed_at = -math.inf
 
     def hear(self, authority: Authority, now: float) -> bool:
-        """Note what the servo says; whether it is newer than what it said before."""
+        """Note an authority; returns whether it is newer than the last one."""
         before = self._newest
         if before is not None and before.servo == authority.servo and authority.sequence <= before.sequence:
             return False
@@ -85,7 +85,7 @@ class Guard:
         return True
 
     def of(self, goal_id: str) -> Authority | None:
-        """What was said last, if it is about this goal."""
+        """The last authority, if it is for this goal."""
         newest = self._newest
         return newest if newest is not None and newest.goal_id == goal_id else None
 
@@ -96,7 +96,7 @@ class Guard:
         return now - self._confirmed_at <= self.timeout
 
     def checked(self, goal_id: str | None, scene: SceneRevision | None, now: float) -> bool:
-        """Whether what the servo said last is about this goal in this very scene, and not old."""
+        """Whether the last authority is for this goal in exactly this scene, and not old."""
         newest = self._newest
         return (
             newest is not None
@@ -107,18 +107,18 @@ class Guard:
     def limit(
         self, trajectory: TimedTrajectory, until: float | None, obstruction: Obstruction | None = None
     ) -> Limit | None:
-        """The end of an authority over this trajectory up to the path time `until` (s); None if it reaches to its end."""
+        """The end of an authority over this trajectory up to the path time `until` (s); None if it reaches the end."""
         if until is None or until >= trajectory.duration:
             return None
         return Limit(Follower(trajectory, self._limits), until, obstruction)
 
     def must_brake(self, limit: Limit, state: PathState) -> bool:
-        """Whether a robot that would brake from there must do so now."""
+        """Whether a robot that would brake from this state must do so now."""
         return limit.must_brake(state, self._reaction)
 
 
 def given_up(hold: Hold, patience: float) -> Problem:
-    """Why a goal ends that was held for `patience` s."""
+    """The problem with which a goal ends that was held for `patience` s."""
     found = hold.obstruction
     if hold.reason == "no_guard":
         return Problem(

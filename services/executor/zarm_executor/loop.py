@@ -16,19 +16,19 @@ from zarm_runtime.realtime import CONTROL_PRIORITY, ask_for_realtime
 log = logging.getLogger(__name__)
 
 LATE = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
-"""Bounds, s, between which it is counted how late calls are: usually 0.05 ms, 0.3 ms beside a busy planner."""
+"""Bucket bounds (s) of the lateness of calls: usually 0.05 ms, 0.3 ms beside a busy planner."""
 
 
 class Loop:
     """Calls `work(now)` every `period` s from `start` to `stop`, or inside a `with`.
 
-    Deadlines lie on one fixed grid of the monotonic clock, so they neither drift nor bunch up; `now` is the deadline. A
-    deadline that has passed when the thread gets to it is left out: the next call is then two or more periods later.
+    Deadlines lie on a fixed grid of the monotonic clock, so they neither drift nor bunch up; `now` is the deadline.
+    Missed deadlines are skipped: the next call then comes two or more periods later.
 
-    A `realtime` loop goes before every other thread of the machine, where the system lets it.
+    A `realtime` loop takes precedence over every other thread of the machine, if the system permits.
 
-    An exception ends the whole process at once with code 1: a robot whose owner has lost a thread has no owner, and
-    what supervises the process starts it again, at rest.
+    An exception ends the whole process at once with code 1: with a thread lost nobody controls the robot, and the
+    supervisor restarts the process at rest.
     """
 
     def __init__(self, name: str, period: float, work: Callable[[float], object], *, realtime: bool = False) -> None:
@@ -41,25 +41,25 @@ class Loop:
         self._late_counts = [0] * (len(LATE) + 1)
         self._late_sum = self._latest = 0.0
         self.ticks = 0
-        """How many calls have ended."""
+        """Number of completed calls."""
 
     def lateness(self) -> tuple[list[int], float]:
-        """How many calls were later than one of `LATE` and not than the next, and the sum of all (s)."""
+        """The number of calls by lateness, one per interval of `LATE`, and the total lateness (s)."""
         return self._late_counts.copy(), self._late_sum
 
     def latest(self) -> float:
-        """How late (s) the latest of the calls was since this was last asked."""
+        """The greatest lateness (s) of a call since this was last asked."""
         latest, self._latest = self._latest, 0.0
         return latest
 
     def start(self) -> None:
-        """Begin; the first call comes at once. A loop that was stopped may be started again."""
+        """Begin; the first call comes at once. A stopped loop may be started again."""
         self._ended.clear()
         self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End, after the call that runs, if any."""
+        """End, after the current call, if any."""
         self._ended.set()
         self._thread.join()
 

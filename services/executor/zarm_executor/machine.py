@@ -1,20 +1,20 @@
 """The state machine that owns the robot: who may move it, one goal at a time.
 
-mode      idle -> running -> idle                      a goal that succeeds, or is missed by a robot that rests
+mode      idle -> running -> idle                      a goal that succeeds, or that the robot misses but comes to rest
           running -> stopping -> paused -> running     pause and resume
           running | paused -> stopping -> idle         cancel, stop, another goal that preempts this one, a switch of
                                                        strategy, the end of the process
-          running          -> stopping -> idle         a stream whose client is late or sends what cannot be done
+          running          -> stopping -> idle         a stream whose client is late or sends an impossible chunk
           running | paused -> stopping -> fault        a check during motion failed, or the robot could not be stopped;
                                                        `reset` leads back to idle
-          fault            -> running                  a goal, where the descriptor's `faults` is `clear_at_rest`, the robot
-                                                       rests and tells its joints, and it did stop when it was told to
+          fault            -> running                  a goal, if the descriptor's `faults` is `clear_at_rest`, the robot
+                                                       is at rest and reports its joints, and it stopped when told to
 
-A machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and what
-changed waits in `changes` for whoever publishes it.
+The machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and changes
+wait in `changes` until they are published.
 
-Commands are carried out by several threads, so each comes with its `arrival`, a number that grows in the order in which they
-reached the process: what arrived before a stop that was carried out already comes too late, however long it waited.
+Several threads carry out commands, so each has an `arrival`, a number in the order in which they reached the process: whatever
+arrived before a stop that has been carried out is too late, however long it waited.
 """
 
 from __future__ import annotations
@@ -37,21 +37,22 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 WITHDRAWN = 4096
-"""How many goals that were cancelled before they came are remembered."""
+"""Number of goals remembered that were cancelled before they arrived."""
 STALL_LIMIT = 1.0
-"""A control loop that was away for longer (s) while the robot moved ends the motion in `fault`."""
+"""If the control loop stands still for longer than this (s) while the robot moves, the motion ends in `fault`."""
 _CUT_OFF = 3.5
-"""A process that stood still for longer (s) may have lost its link to the router, which gives up a silent one after 5 s from what it
-heard last: then a cancel of what was asked before has not come."""
+"""A process suspended for longer than this (s) may have lost its link to the router, which drops a silent peer after 5
+s. A cancel of an earlier request may then not have arrived.
+"""
 _DRAINED = 0.5
-"""For so long (s) after that what comes may have been asked before."""
+"""For this long (s) after that, arriving requests may be old."""
 
 
 class Machine:
-    """See the module. `strategy` is opened; raises the ZarmError of that. `period` (s) is that of the control loop,
-    `speed_scale` the speed of the first motion.
+    """See the module. `strategy` is opened here, which may raise its ZarmError. `period` (s) is that of the control
+    loop, `speed_scale` the speed of the first motion.
 
-    `scene` is the revision of the scene as it was told last, None before the first time.
+    `scene` is the last known scene revision, None before the first.
     """
 
     def __init__(self, strategy: Strategy, period: float, guard: Guard, *, speed_scale: float = 1.0) -> None:
@@ -63,7 +64,7 @@ class Machine:
         self._motion: GoalExecution | None = None
         self._successor: str | None = None
         self._problem: Problem | None = None
-        self._faulty: Goal | None = None  # which ended in the fault that there is
+        self._faulty: Goal | None = None  # ended in the present fault
         self._switching = False
         self._ending = False
         self._last_tick: float | None = None
@@ -75,7 +76,8 @@ class Machine:
         self._begun = threading.Condition(self._lock)
         self._ticked = threading.Condition(self._lock)
         self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
-        # Arrivals of the newest stop, of the newest command that ends whatever moves (a stop too), and of the newest pause.
+        # Arrivals of the latest stop, of the latest command that ends any motion (including stop), and of the latest
+        # pause.
         self._stopped_by = self._cleared_by = self._held_by = 0.0
         self.changes: deque[GoalState] = deque()
         self.scene: SceneRevision | None = None
@@ -83,7 +85,7 @@ class Machine:
     # -- commands --
 
     def admit(self, *, preempt: bool = False) -> None:
-        """Raise Busy or Unavailable where no motion can start now, or with `preempt` as soon as the robot rests."""
+        """Raise Busy or Unavailable if no motion can start now, or, with `preempt`, as soon as the robot is at rest."""
         with self._lock:
             if self._ending:
                 raise Unavailable("the executor is ending; execute again when it has been started again")
@@ -96,13 +98,13 @@ class Machine:
             self._strategy.admit()
 
     def was_away(self, now: float) -> bool:
-        """Whether the control loop stood still until just now, so that what comes at `now` may have been asked long ago."""
+        """Whether the control loop stood still until just now, so that a request arriving at `now` may be old."""
         with self._lock:
             standing = self._last_tick is not None and now - self._last_tick > _CUT_OFF
             return standing or now - self._back_at < _DRAINED
 
     def start(self, goal: Goal, arrival: int) -> None:
-        """Move the robot along the goal's path, which starts where it stands.
+        """Move the robot along the goal's path, which starts at its position.
 
         Raises what `admit` raises, and Cancelled if a stop, a pause or a cancel of this goal arrived later than this.
         """
@@ -123,7 +125,7 @@ class Machine:
                 motion.permit(authority, limit, self.scene)
 
     def _can_leave_fault(self) -> bool:
-        """Whether the next goal leaves the fault that there is."""
+        """Whether the next goal may leave the present fault."""
         goal, now, strategy = self._faulty, self._last_tick, self._strategy
         if goal is None or goal.outcome is None or goal.outcome.latched or now is None:
             return False
@@ -133,9 +135,9 @@ class Machine:
         self._problem = self._faulty = None
 
     def preempt(self, goal_id: str, arrival: int, patience: float) -> None:
-        """End the goal that there is, if any, as cancelled, so that `goal_id` can start where the robot rests then.
+        """Cancel the current goal, if any, so that `goal_id` can start from the robot's rest position.
 
-        Raises Unavailable if it does not within `patience` s, and Cancelled as `start` does.
+        Raises Unavailable if the robot is not at rest within `patience` s, and Cancelled as `start` does.
         """
         with self._lock:
             self._demand_not_overtaken(arrival, goal_id)
@@ -146,24 +148,24 @@ class Machine:
         self._demand_not_overtaken(arrival, goal_id)
 
     def _demand_not_overtaken(self, arrival: float, goal_id: str) -> None:
-        """Raise Cancelled where a stop, a pause or a cancel of this goal arrived after the request to begin it."""
+        """Raise Cancelled if a stop, a pause or a cancel of this goal arrived after the request to start it."""
         if goal_id in self._withdrawn:
             raise Cancelled(f"{goal_id} was cancelled before it started; the robot has not moved")
         if self._overtaken(arrival):
             raise Cancelled("a stop or a pause came after this request; this motion has not started")
 
     def _overtaken(self, arrival: float) -> bool:
-        """Whether what would move the robot comes after a command to stop or to pause that arrived later."""
+        """Whether a stop or a pause arrived later than this request to move the robot."""
         return arrival < max(self._cleared_by, self._held_by)
 
     def stop(self, why: str, arrival: float) -> None:
-        """End whatever moves as cancelled. Nothing that arrived before is carried out any more."""
+        """Cancel any motion. Nothing that arrived earlier is carried out any more."""
         with self._lock:
             self._stopped_by = max(self._stopped_by, arrival)
             self.cancel(None, why, arrival)
 
     def cancel(self, goal_id: str | None, why: str, arrival: float) -> None:
-        """End this goal, or whichever there is, as cancelled. One that has not come yet, or arrived before, will not start."""
+        """Cancel this goal, or the current one. A goal that has not come yet, or arrived earlier, will not start."""
         with self._lock:
             if goal_id is not None and self._motion_of(goal_id) is None:
                 self._withdrawn.append(goal_id)
@@ -172,7 +174,7 @@ class Machine:
             self._end(goal_id, _cancelled(why))
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> Goal | None:
-        """Lead the robot over to this chunk of the stream `goal_id`, and return that; None if it is not under way.
+        """Blend over to this chunk of the stream `goal_id`, and return its goal; None if the stream is not running.
 
         Raises what `blended` raises.
         """
@@ -192,11 +194,13 @@ class Machine:
         start: float | Monitor,
         until: float | None = None,
     ) -> Goal:
-        """Have the goal go on along `trajectory`, verified in `scene`, in place of its trajectory `number`; the goal.
+        """Continue the goal along `trajectory`, verified in `scene`, instead of its trajectory `number`; returns the
+        goal.
 
-        From the path time `start` (s) on, or from where the robot rests, watched by the Monitor `start`. It may go up to the time `until` (s)
-        of `trajectory`, None: to its end, before the servo says how far. Raises ExecutionRefused (`stale_plan`) where another
-        trajectory is followed, and what `GoalExecution.replace` and `replace_at_rest` raise.
+        It continues from the path time `start` (s), or, if `start` is a Monitor, from rest and watched by it. It may go
+        up to the time `until` (s) of `trajectory`, or to its end if None, until the servo states its authority. Raises
+        ExecutionRefused (`stale_plan`) if the goal follows another trajectory, and what `GoalExecution.replace` and
+        `replace_at_rest` raise.
         """
         with self._lock:
             motion = self._motion_of(goal_id)
@@ -214,12 +218,12 @@ class Machine:
             return motion.goal
 
     def hear(self, authority: Authority, now: float) -> None:
-        """Take up what the servo says, which came at the moment `now` of the monotonic clock."""
+        """Take an authority of the servo, received at `now` on the monotonic clock."""
         with self._lock:
             motion = None if authority.goal_id is None else self._motion_of(authority.goal_id)
             trajectory = None if motion is None else motion.goal.trajectory
         limit = None
-        if trajectory is not None:  # no tick waits for this
+        if trajectory is not None:  # computed outside the lock, so that no tick waits for it
             limit = self._guard.limit(trajectory, authority.until, authority.obstruction)
         with self._lock:
             newer = self._guard.hear(authority, now)
@@ -228,14 +232,16 @@ class Machine:
             self._told.notify_all()
 
     def wait_for_authority(self, goal_id: str, scene: SceneRevision | None) -> bool:
-        """Wait, no longer than a servo may be silent, until one has checked this goal in this scene; whether one has."""
+        """Wait until a servo has checked this goal in this scene, at most as long as a servo may be silent; returns
+        whether one has.
+        """
         with self._told:
             return self._told.wait_for(
                 lambda: self._guard.checked(goal_id, scene, self._last_tick or -math.inf), self._guard.timeout
             )
 
     def demand_guard(self, goal: Goal) -> None:
-        """Raise Unavailable where a servo must guard every motion, and none has given this goal authority."""
+        """Raise Unavailable if a servo is required and has given this goal no authority."""
         if self._guard.required and not self.wait_for_authority(goal.goal_id, self.scene):
             raise Unavailable(
                 "no servo gives this goal authority, and execution.guard is required: start the servo (`zarm status` shows "
@@ -243,7 +249,7 @@ class Machine:
             )
 
     def abort(self, goal_id: str, problem: Problem) -> None:
-        """End the stream `goal_id`, whose client did wrong, as aborted; that is no fault of the robot."""
+        """Abort the stream `goal_id` for an error of its client; this is not a robot fault."""
         with self._lock:
             self._end(goal_id, Outcome("aborted", problem))
 
@@ -253,7 +259,7 @@ class Machine:
             motion.end(outcome)
 
     def _motion_of(self, goal_id: str | None) -> GoalExecution | None:
-        """The motion of this goal, or of whichever there is."""
+        """The motion of this goal, or the current one."""
         motion = self._motion
         return motion if motion is not None and goal_id in (None, motion.goal.goal_id) else None
 
@@ -265,7 +271,7 @@ class Machine:
                 self._motion.pause()
 
     def resume(self, arrival: float, scene: SceneRevision | None = None) -> None:
-        """Go on with a goal that was paused, the scene now being `scene`; not where a stop or a pause arrived later.
+        """Resume a paused goal in the present scene, `scene`, unless a stop or a pause arrived later.
 
         Raises what `GoalExecution.resume` raises.
         """
@@ -274,16 +280,16 @@ class Machine:
                 self._motion.resume(self._speed_scale, scene, self._last_tick or 0.0)
 
     def set_speed(self, speed_scale: float) -> None:
-        """Move at this share of the planned speed from now on; a goal that is held does so when it goes on."""
+        """From now on move at this share of the planned speed; a held goal does so when it resumes."""
         with self._lock:
             self._speed_scale = speed_scale
             if self._motion is not None:
                 self._motion.set_speed(speed_scale)
 
     def reset(self, arrival: float) -> None:
-        """Leave `fault`; not where a stop arrived later.
+        """Leave `fault`, unless a stop arrived later.
 
-        Raises the ZarmError of opening the strategy again, where a switch left none open; it is fault then.
+        If a switch left no strategy open, opens it again; if that raises its ZarmError, the fault stays.
         """
         with self._lock:
             if arrival < self._stopped_by:
@@ -296,9 +302,9 @@ class Machine:
     def switch(self, strategy: Strategy, patience: float, arrival: float) -> None:
         """Bring the robot to rest within `patience` s, then let `strategy` move it; a fault stays.
 
-        Raises Busy if a stop arrived later and while another switch is under way, and Unavailable at the end of the process, where the robot does not
-        rest, or where `strategy` cannot be opened; then the old one is active as before. Where that cannot be opened again
-        either, nothing can move the robot: that is a fault.
+        Raises Busy if a stop arrived later or another switch is in progress, and Unavailable when the process is
+        ending, the robot does not come to rest, or `strategy` cannot be opened; the old strategy then stays active. If
+        that cannot be opened again either, nothing can move the robot, which is a fault.
         """
         with self._lock:
             if self._ending:
@@ -330,7 +336,7 @@ class Machine:
             raise Busy("a stop came after the request to switch; send it again")
 
     def _reopened(self, why: str) -> Unavailable:
-        """Open the strategy again after a switch that failed; what to answer."""
+        """Open the old strategy again after a failed switch; returns the error to answer with."""
         try:
             self._strategy.open()
         except ZarmError as error:
@@ -345,7 +351,7 @@ class Machine:
         return Unavailable(f"{why}; {self._strategy.name} is active again")
 
     def end(self, patience: float) -> bool:
-        """Bring the robot to rest and admit no further motion; whether it rests within `patience` s."""
+        """Bring the robot to rest and admit no further motion; returns whether it is at rest within `patience` s."""
         with self._lock:
             self._ending = True
         self.stop("the executor was told to end", math.inf)
@@ -361,7 +367,7 @@ class Machine:
     # -- what is --
 
     def state(self) -> ExecutorState:
-        """The robot's state now."""
+        """The robot's current state."""
         with self._lock:
             return ExecutorState(
                 mode=self._mode(),
@@ -375,19 +381,19 @@ class Machine:
             )
 
     def news(self) -> tuple[tuple[GoalState, ...], ExecutorState]:
-        """What is left in `changes`, taken out, and the robot's state that came of it."""
+        """Take the goal states out of `changes`; returns them and the robot's resulting state."""
         with self._lock:
             changes = tuple(self.changes)
             self.changes.clear()
             return changes, self.state()
 
     def goal_state(self) -> GoalState | None:
-        """The state of the goal that has not ended, if there is one."""
+        """The state of the current goal, if any."""
         with self._lock:
             return self._motion.state() if self._motion else None
 
     def sequence(self, goal_id: str) -> int | None:
-        """The number of the newest chunk of the stream `goal_id`; None if it is not under way."""
+        """The number of the newest chunk of the stream `goal_id`; None if the stream is not running."""
         with self._lock:
             motion = self._motion_of(goal_id)
             return motion.goal.chunk.sequence if motion is not None and motion.goal.chunk is not None else None
@@ -402,9 +408,10 @@ class Machine:
             return self._strategy.joint_state()
 
     def wait_for_joint_state(self, since: float, patience: float) -> Measured | None:
-        """The newest measured state, once that is of `since` (s, on the monotonic clock) or later, after `patience` s at most.
+        """The newest measured state, as soon as it dates from `since` (s, monotonic clock) or later, or after
+        `patience` s.
 
-        A robot that stands tells where it is as seldom as its executor allows, and a busy machine passes that on late.
+        A robot at rest reports its position as rarely as its executor allows, and a busy machine passes it on late.
         """
 
         def fresh() -> bool:
@@ -416,12 +423,12 @@ class Machine:
             return self._strategy.joint_state()
 
     def wait_for_rest(self, patience: float) -> bool:
-        """Wait until no goal is left; whether that was so within `patience` s."""
+        """Wait until no goal is left; returns whether that happened within `patience` s."""
         with self._rested:
             return self._rested.wait_for(lambda: self._motion is None, patience)
 
     def wait_for_news(self, patience: float) -> None:
-        """Wait until there is a goal, or `changes` are left, no longer than `patience` s."""
+        """Wait until there is a goal or `changes` to publish, for at most `patience` s."""
         with self._begun:
             self._begun.wait_for(lambda: self._motion is not None or self.changes, patience)
 
@@ -433,7 +440,7 @@ class Machine:
     # -- the control loop --
 
     def tick(self, now: float) -> Measured | None:
-        """One period of control, `now` (s) on the monotonic clock; returns the measured state of the robot."""
+        """One control period at `now` (s, monotonic clock); returns the measured state of the robot."""
         with self._lock:
             dt = 0.0 if self._last_tick is None else now - self._last_tick
             self._last_tick = now

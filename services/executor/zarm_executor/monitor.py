@@ -12,15 +12,18 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 SLOWEST_PACE = 0.05
-"""A driver may be slower than it was told, as a UR is whose speed slider is down, as far as the slowest speed scale."""
+"""Slowest pace relative to the command that a driver may have, as a UR with its speed slider down: that of the slowest
+speed scale.
+"""
 
 BRAKING = 1.5
-"""Braking along a path takes at most so many times what the worst joint alone needs from its velocity limit to rest, by its limits of
-acceleration and jerk. Measured over random paths at every limit: 1.2."""
+"""Bound on braking along a path, as a multiple of what the worst joint alone needs from its velocity limit to rest, by
+its limits of acceleration and jerk. Measured over random paths at every limit: 1.2.
+"""
 
 
 class NotStopped(ExecutionFailed):
-    """The robot did not stop, or not where it should have, when it was told to."""
+    """The robot did not stop when told to, or not where it should have."""
 
 
 class Monitor:
@@ -43,21 +46,22 @@ class Monitor:
         self._heard_at: float | None = None
 
     def steer(self, trajectory: TimedTrajectory) -> None:
-        """The motion goes on along `trajectory`, which is at its present time where the one before is there."""
+        """Continue along `trajectory`, which at its present time is where the previous one is."""
         self._trajectory = trajectory
 
     def go_on(self) -> None:
-        """The motion goes on after a stop."""
+        """Continue the motion after a stop."""
         self._stopping_since = self._rest_since = None
 
     def follow(self, now: float, dt: float, progress: Progress, measured: Measured | None) -> bool:
-        """Whether the robot is seen to follow; while its joints are not reported the strategy holds it, for `hold_timeout`.
+        """Whether the robot is seen to follow; while its joints are not reported, the strategy holds it for up to
+        `hold_timeout`.
 
         Raises ExecutionFailed if it does not follow: `tolerance_violated` or `driver_stalled`.
 
-        The allowed duration counts time at path speed 1; what the executor itself slows down or holds is not held
-        against the robot. A driver that is slower than it was told is on the path all the same: the allowed duration is
-        that at `SLOWEST_PACE`, and `progress_timeout` says how long it may stand.
+        The allowed duration counts time at path speed 1, so slowing down or holding by the executor does not count
+        against the robot. A driver slower than commanded is still on the path: the allowed duration is that at
+        `SLOWEST_PACE`, and `progress_timeout` bounds how long it may stand still.
         """
         if not progress.at_rest:
             self._rest_since = None
@@ -82,7 +86,7 @@ class Monitor:
         return True
 
     def _wait_for_joints(self, now: float, dt: float, measured: Measured | None) -> None:
-        if self._heard_at is None or dt > CATCH_UP:  # what came during a pause of the executor is still to be read
+        if self._heard_at is None or dt > CATCH_UP:  # what came during a pause of the executor is still unread
             self._heard_at = now
         if now - self._heard_at > self._execution.hold_timeout:
             age = np.inf if measured is None else now - measured.time
@@ -106,9 +110,9 @@ class Monitor:
             )
 
     def at_goal(self, now: float, progress: Progress, measured: Measured | None) -> bool:
-        """Whether the robot rests at the end of the path, which is commanded.
+        """Whether the robot rests at the end of the path, which has been commanded.
 
-        Raises ExecutionFailed (`tolerance_violated`) when it still moves after `settle_time`.
+        Raises ExecutionFailed (`tolerance_violated`) if it still moves after `settle_time`.
         """
         if measured is None or not progress.finished:
             return False
@@ -119,9 +123,9 @@ class Monitor:
         return False
 
     def missed(self, now: float, progress: Progress, measured: Measured | None) -> Problem | None:
-        """How far beside the end of the path the robot rests when the `settle_time` is over; None if it does not.
+        """The error with which the robot rests beside the end of the path after `settle_time`; None if it does not.
 
-        That is no fault: it rests, and the next motion starts from where it is.
+        This is not a fault: the robot is at rest, and the next motion starts from its position.
         """
         if measured is None or not progress.finished or not self._stopped(measured) or not self._overdue(now):
             return None
@@ -136,11 +140,11 @@ class Monitor:
         )
 
     def at_rest(self, now: float, progress: Progress, measured: Measured | None) -> bool:
-        """Whether the robot stands still after it was told to stop; asked at every tick from then on.
+        """Whether the robot stands still after being told to stop; asked at every tick from then on.
 
-        Raises ExecutionFailed when it does not report `settle_time` after what is commanded has come to rest; NotStopped when
-        it does not stand then, and at the latest that long after the longest braking, and if it stands further than
-        `path_tolerance` from where it was commanded to stop: then it has not heard of the stop.
+        Raises ExecutionFailed if it does not report within `settle_time` after the command has come to rest. Raises
+        NotStopped if it does not stand then, or at the latest that long after the longest braking; also if it stands
+        further than `path_tolerance` from where it was to stop, because then it has not received the stop.
         """
         if self._stopping_since is None:
             self._stopping_since = now
@@ -166,7 +170,7 @@ class Monitor:
         return False
 
     def rests(self, now: float, progress: Progress, measured: Measured | None) -> bool:
-        """Whether the robot stands, as is commanded, by joints that are fresh."""
+        """Whether the robot stands as commanded, judged by fresh joint states."""
         fresh = measured is not None and now - measured.time <= self._execution.joint_state_timeout
         return measured is not None and fresh and progress.at_rest and self._stopped(measured)
 

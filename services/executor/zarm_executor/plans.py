@@ -11,17 +11,17 @@ from zarm_contract.errors import ExecutionRefused, InvalidRequest, Unavailable
 from zarm_contract.messages import ExecuteRequest, Plan, Pose, SceneRevision, Trajectory
 
 REMEMBERED = 32
-"""How many plans stay executable by their id."""
+"""Number of plans that remain executable by id."""
 
 PUBLICATION_PATIENCE = 0.5
-"""Longest wait, s, for the publication of a plan whose id a client knows already."""
+"""Longest wait (s) for the publication of a plan whose id a client already knows."""
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """What a request asks for: a plan, or a trajectory of no plan that may claim no scene.
+    """The plan to execute, or a trajectory without a plan, which need not claim a scene.
 
-    `tip` is the pose that the plan's goal is, where that is one.
+    `tip` is the goal of the plan, if that is a pose.
     """
 
     plan_id: str | None
@@ -31,15 +31,15 @@ class Chosen:
 
     @property
     def name(self) -> str:
-        """As it is called in a refusal."""
+        """Its name in a refusal."""
         return self.plan_id or "the trajectory"
 
 
 class Plans:
-    """The last plans of the planner. Safe from any thread.
+    """The planner's latest plans. Thread-safe.
 
-    A client may have its plan from the planner and ask for its execution before the publication of it is read here. So
-    `newest` asks the planner for its newest plan; it raises Unavailable where none answers.
+    A client may request execution of a plan before its publication is received here. In that case `newest` asks the
+    planner for its newest plan; it raises Unavailable if none answers.
     """
 
     def __init__(self, robot_hash: str, newest: Callable[[], Plan]) -> None:
@@ -58,9 +58,9 @@ class Plans:
             self._changed.notify_all()
 
     def chosen(self, request: ExecuteRequest) -> Chosen:
-        """What a request asks for.
+        """The plan or trajectory that a request names.
 
-        Raises InvalidRequest for a plan that is not known, ExecutionRefused (`stale_plan`) for one of another robot.
+        Raises InvalidRequest for an unknown plan, ExecutionRefused (`stale_plan`) for one of another robot.
         """
         if request.trajectory is not None:
             return Chosen(None, request.trajectory, request.scene_revision)
@@ -91,7 +91,7 @@ class Plans:
         newest = self._ask()
         if newest is not None and newest.plan_id == plan_id:
             return newest
-        with self._changed:  # it may be one before the newest
+        with self._changed:  # it may be older than the newest
             self._changed.wait_for(lambda: plan_id in self._plans, PUBLICATION_PATIENCE)
             plan = self._plans.get(plan_id)
         if plan is None:

@@ -20,23 +20,25 @@ from zarm_runtime.state_file import StateFile
 log = logging.getLogger(__name__)
 
 PERIOD = 0.02
-"""How often (s) the machine is looked at for changes that no command brought about."""
+"""Interval (s) at which the machine is polled for changes not caused by a command."""
 REST_PERIOD = 0.1
-"""How often (s) where there is no goal."""
+"""The same without a goal (s)."""
 PROGRESS_PERIOD = 0.1
-"""How often (s) the state of a moving goal is published."""
+"""Interval (s) at which the state of a moving goal is published."""
 MISSED_TICKS_PERIOD = 1.0
-"""How often (s) at most the executor's state is published for nothing but missed ticks."""
+"""Least interval (s) at which the executor's state is published only because of missed ticks."""
 ENDS = ("succeeded", "cancelled", "aborted")
-"""How goals end."""
+"""Final states of a goal."""
 FINISHED_GOALS = 32
-"""How many goals at their end stay answerable."""
+"""Number of ended goals that remain queryable."""
 
 
 class Reporter:
-    """Publishes `executor/state`, `executor/goal/<goal_id>` and `executor/trajectory`, and keeps the running goal in `running` for a restart.
+    """Publishes `executor/state`, `executor/goal/<goal_id>` and `executor/trajectory`, and keeps the running goal in
+    `running` for a restart.
 
-    `lateness()` is how late the latest tick was since it was last asked. `on_fault(problem)` is called once all that led to a fault has been published.
+    `lateness()` is the greatest lateness of a tick since last asked. `on_fault(problem)` is called once everything that
+    led to a fault has been published.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class Reporter:
         self._lock = threading.Lock()
 
     def report_interrupted(self) -> None:
-        """Report the goal that an earlier process left running, if any, as aborted."""
+        """Report the goal left running by an earlier process, if any, as aborted."""
         left = self._running.load()
         if left is not None:
             problem = Problem(
@@ -82,22 +84,22 @@ class Reporter:
                 self._publish_goal(left.model_copy(update={"status": "aborted", "problem": problem}))
 
     def knows(self, goal_id: str) -> bool:
-        """Whether this is one of the last goals that have ended."""
+        """Whether this is one of the last ended goals."""
         with self._lock:
             return goal_id in self._finished
 
     def report(self, goal: GoalState) -> None:
-        """Publish the end of a goal that has not begun, whatever runs."""
+        """Publish the end of a goal that never began, whatever is running."""
         with self._lock:
             self._set_goal(goal)
 
     def remember(self, goal: GoalState) -> None:
-        """Put on record, before it moves, a goal that a restart must report. Raises Unavailable."""
-        self.publish()  # takes the goal before this one off the record
+        """Record a goal before it moves, so that a restart can report it. Raises Unavailable."""
+        self.publish()  # takes the previous goal off the record
         self._running.save(goal)
 
     def show(self, goal: Goal) -> None:
-        """Publish what is followed for a goal, from now on."""
+        """From now on publish what is followed for this goal."""
         self._trajectories.set(goal.followed(self._joints))
 
     def forget(self) -> None:
@@ -105,15 +107,15 @@ class Reporter:
         self._running.clear()
 
     def look(self, now: float) -> None:
-        """Publish what has changed; `now` is on the monotonic clock. Where there is no goal, wait up to `REST_PERIOD` for one."""
+        """Publish changes; `now` is on the monotonic clock. If there is no goal, wait up to `REST_PERIOD` for one."""
         self.publish(now)
         self._machine.wait_for_news(REST_PERIOD)
 
     def publish(self, now: float | None = None) -> ExecutorState:
-        """Publish what has changed, and return the state that now stands on the bus; `now` is on the monotonic clock.
+        """Publish changes, and return the state that is now on the bus; `now` is on the monotonic clock.
 
-        A command's handler calls it before it answers, so that no answer is ahead of the published state; nor is that
-        ahead of the goals, so that whoever sees the robot idle can read how its goal ended.
+        A command handler calls this before it answers, so no answer is ahead of the published state. The state is not
+        ahead of the goals either, so whoever sees the robot idle can read how its goal ended.
         """
         now = time.monotonic() if now is None else now
         with self._lock:

@@ -12,30 +12,34 @@ from zarm_runtime.record import Entry
 from zarm_runtime.recorded import Recorded
 
 SECONDS = 60
-"""How far back the ring reaches."""
+"""How far back (s) the ring reaches."""
 SIZE = 64 * 1024 * 1024
-"""What it takes of memory (bytes) at most; then it reaches less far back."""
+"""Its memory limit (bytes), which may shorten its reach."""
 
 _SPAN = 1.0
 _SHARE = 64
-"""A segment ends after so long (s), or when it holds this share of the whole; the oldest one is dropped as a whole."""
+"""A segment ends after `_SPAN` s, or when it holds this fraction (1/64) of the memory limit; the oldest is dropped
+whole.
+"""
 _OVERHEAD = 270
-"""Bytes that Python needs for an entry beside its payload: tuple 80, int 32, bytes 33, key up to 90, its place in a list 9, and
-rounding up. Measured with short payloads: 265."""
+"""Bytes that Python needs per entry besides its payload: tuple 80, int 32, bytes 33, key up to 90, list slot 9, and
+rounding up. Measured with short payloads: 265.
+"""
 
 
 @dataclass
 class _Segment:
     began: float
-    before: dict[str, Entry]  # what held when it began, of the keys that are published only when they change
+    before: dict[str, Entry]  # values at its beginning of the keys that are published only on change
     entries: list[Entry] = field(default_factory=list)
     size: int = 0
 
 
 class Ring:
-    """Keeps what it observes for `seconds`, in `size` bytes; both are bounds. Ages are measured on the monotonic clock.
+    """Keeps what it observes, for at most `seconds` and within `size` bytes. Ages are measured on the monotonic clock.
 
-    To append costs the same whatever the ring holds, so the control loop may: segments are dropped whole.
+    Appending costs the same however full the ring is, because segments are dropped whole; so the control loop may do
+    it.
     """
 
     def __init__(self, keys: Keys, seconds: float = SECONDS, size: int = SIZE) -> None:
@@ -49,12 +53,12 @@ class Ring:
         self._lock = threading.Lock()
 
     def observe(self, key: str, payload: bytes) -> None:
-        """Append a message, if its key is recorded; one that is too large to be read by anybody is left out."""
+        """Append a message if its key is recorded; one too large for any reader is left out."""
         model = self._recorded.model(key)
         if model is None or len(payload) > model.max_bytes:
             return
         entry, now, size = (time.time_ns(), key, payload), time.monotonic(), len(payload) + _OVERHEAD
-        dropped = []  # what becomes free does so outside of the lock
+        dropped = []  # freed only outside the lock
         with self._lock:
             if now - self._newest.began > _SPAN or self._newest.size + size > self._most // _SHARE:
                 self._newest = _Segment(now, self._present.copy())
@@ -69,7 +73,7 @@ class Ring:
                 self._size -= dropped[-1].size
 
     def contents(self) -> tuple[list[Entry], list[Entry]]:
-        """What held when the ring begins, and what it holds, in the order in which it came."""
+        """The values that held when the ring begins, and its messages in order of arrival."""
         with self._lock:
             before = list(self._segments[0].before.values())
             *whole, last = (segment.entries for segment in self._segments)

@@ -11,10 +11,10 @@ from zarm_executor.machine import Machine
 
 
 class PresentScene:
-    """The revision of the planner's scene, which the machine is told, too. Safe from any thread.
+    """The revision of the planner's scene, passed on to the machine. Thread-safe.
 
-    A client may have edited the scene and ask for a motion before the publication of that is read here. So `ask` asks the
-    planner; it raises Unavailable where none answers, and then what was told last counts.
+    A client may edit the scene and request a motion before the edit's publication is received here. So `ask` asks the
+    planner; it raises Unavailable if none answers, and then the last known revision counts.
     """
 
     def __init__(self, machine: Machine, ask: Callable[[], SceneEdited]) -> None:
@@ -28,21 +28,22 @@ class PresentScene:
             self._machine.scene = scene.revision
 
     def look(self) -> SceneRevision | None:
-        """The present revision; None if nobody answers, nor has ever told one."""
+        """The present revision; None if nobody answers and none was ever published."""
         before = self._machine.scene
         try:
             answer = self._ask().revision
         except Unavailable:
             return self._machine.scene
         with self._telling:
-            if self._machine.scene == before:  # else a publication that came meanwhile may be newer
+            if self._machine.scene == before:  # otherwise a publication that came meanwhile may be newer
                 self._machine.scene = answer
         return answer
 
     def demand(self, what: str, verified_in: SceneRevision | None) -> SceneRevision | None:
-        """The present revision. Raises ExecutionRefused (`stale_plan`) unless it is that in which `what` was verified.
+        """The present revision. Raises ExecutionRefused (`stale_plan`) unless `what` was verified in it.
 
-        Raises Unavailable if nobody has told one. `what` that claims none, None, holds in any.
+        Raises Unavailable if no revision is known. If `verified_in` is None, `what` claims no scene and is accepted in
+        any.
         """
         present = self.look()
         if verified_in in (None, present):

@@ -55,27 +55,29 @@ from zarm_runtime.state_file import StateFile, owned
 log = logging.getLogger(__name__)
 
 COMMAND_BACKLOG = 1024
-"""How many commands may wait on one key: a stop is never answered `busy` because others shout as well."""
+"""Number of commands that may wait on one key: other traffic must never cause a stop to be answered with `busy`."""
 
 PLANNER_PATIENCE = 0.5
-"""Longest wait, s, for the planner to tell its newest plan or the revision of its scene."""
+"""Longest wait (s) for the planner to report its newest plan or its scene revision."""
 
 DRIVER_PATIENCE = 10.0
-"""Longest wait, s, at the start for the driver of the robot to tell the robot's joints."""
+"""Longest wait (s) at startup for the robot's driver to report its joints."""
 
 JOINT_STATES_PERIOD = 0.008
-"""Shortest time, s, between two publications of the joints, 125 Hz: the faster ones of a driver are on its own key."""
+"""Least interval (s) between two publications of the joints, 125 Hz: faster ones of a driver are on its own key."""
 
 SWITCH_INTERVAL = 0.0001
-"""Longest time, s, that a thread reading a message keeps the interpreter from the control loop (Python's own: 0.005)."""
+"""Longest time (s) for which a thread reading a message may hold the interpreter while the control loop waits (Python's
+default: 0.005).
+"""
 
 LARGE = 32 * 1024
-"""Bytes: half of a batch of Zenoh (64 KiB), the pieces in which a large message comes."""
+"""Bytes: half of a Zenoh batch (64 KiB), the fragment size of a large message."""
 _M_MMAP_THRESHOLD = -3
 
 
 class Control:
-    """One period of control: moves the robot on and publishes where it is, `JOINT_STATES_PERIOD` apart at least."""
+    """One control period: moves the robot and publishes its joints, at least `JOINT_STATES_PERIOD` apart."""
 
     def __init__(self, machine: Machine, joints: tuple[str, ...], publisher: Publisher[JointState]) -> None:
         self._machine = machine
@@ -103,7 +105,7 @@ class Control:
 
 @contextmanager
 def start(service: Service) -> Iterator[None]:
-    """The executor, from its first tick until the robot rests after the last."""
+    """The executor, from its first tick until the robot has come to rest after the last."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     _give_back_large_blocks()
     robot, keys, bus = service.robot, service.keys, service.bus
@@ -111,7 +113,7 @@ def start(service: Service) -> Iterator[None]:
     ring = Ring(keys)
     bus.observe(ring.observe)
     period = robot.descriptor.execution.control_period
-    # What a slow reader of the other keys holds up must not hold up the robot: a session of its own.
+    # A slow reader of the other keys must not hold up the robot, so it has a session of its own.
     with (
         owned(service.options.state / keys.robot, service.name) as folder,
         FlightRecorder(folder / "records", keys, ring) as records,
@@ -181,14 +183,14 @@ def start(service: Service) -> Iterator[None]:
 
 
 def _first_speed(robot: RobotDescription, kept: StateFile[Speed]) -> float:
-    """The share of the planned speed to begin with: the descriptor's, or what a client of an earlier process set, if less."""
+    """The initial share of the planned speed: the descriptor's, or a lower one set by a client of an earlier process."""
     speed = kept.load()
     planned = robot.descriptor.execution.speed_scale
     return planned if speed is None else min(speed.speed_scale, planned)
 
 
 def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
-    """Have read what the control loop knows, when somebody does: it itself waits for nobody."""
+    """Register metrics of the control loop, read on demand: the loop itself waits for nobody."""
 
     def age() -> float | None:
         measured = machine.joint_state()
@@ -207,27 +209,27 @@ def _export(metrics: Metrics, machine: Machine, loop: Loop) -> None:
 
 
 def _give_back_large_blocks() -> None:
-    """Have a freed block of `LARGE` bytes or more go back to the system, where the C library is glibc.
+    """Make glibc, if that is the C library, return freed blocks of `LARGE` bytes or more to the system.
 
-    By itself glibc raises its bound from 128 KiB to 32 MiB by and by (mallopt(3)), and keeps what is smaller for the thread that had
-    it: measured, payloads of 8 MB to all keys left 600 MiB in the process, and with this 240 MiB.
+    By default glibc gradually raises its threshold from 128 KiB to 32 MiB (mallopt(3)) and keeps smaller blocks for the
+    thread that had them: measured, payloads of 8 MB to all keys left 600 MiB in the process, and with this 240 MiB.
     """
     with suppress(AttributeError):  # another C library
         ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE)
 
 
 def _exempt_from_collection() -> None:
-    """Have the garbage collector pass over everything that lives as long as the process, which is nearly all there is.
+    """Exempt everything that lives as long as the process, nearly all there is, from garbage collection.
 
-    It holds up every thread while it looks: measured, 21 ms before this and 0.3 ms at most after it. It goes on to free what
-    comes later, so that memory stays flat.
+    The collector stops every thread while it runs: measured, 21 ms before this and 0.3 ms at most after it. It still
+    frees newer objects, so memory stays flat.
     """
     gc.collect()
     gc.freeze()
 
 
 def _wait_for(strategy: Strategy, service: Service) -> None:
-    """Give the robot's driver, which may be starting too, the time to tell its first joints."""
+    """Give the robot's driver, which may be starting too, time to report its first joints."""
     if strategy.obstacle() is None:
         return
     service.starting("waiting for the robot's driver")
@@ -261,7 +263,7 @@ def main() -> int:
     parser.add_argument(
         "--strategy", default=strategy, help="the control strategy at the start (default: as in the descriptor)"
     )
-    # A thread that is put aside while it holds the interpreter holds up the control loop, whatever the priority of that.
+    # A thread descheduled while it holds the interpreter holds up the control loop, whatever the loop's priority.
     ask_for_realtime(PROCESS_PRIORITY)
     return run_service("executor", parser, start)
 

@@ -25,11 +25,11 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 REMEMBERED = 256
-"""So many streams that have begun or been refused are known, so that none begins a second time."""
+"""Number of begun or refused streams remembered, so that none begins a second time."""
 
 
 class Streams:
-    """Reads `executor/stream`. A chunk has no answer: what becomes of it is in the state of its goal."""
+    """Reads `executor/stream`. Chunks are not answered: the state of the goal reports what becomes of them."""
 
     def __init__(self, robot: RobotDescription, machine: Machine, reporter: Reporter, admission: Admission) -> None:
         self._robot = robot
@@ -41,7 +41,7 @@ class Streams:
         self._known: OrderedDict[str, bool] = OrderedDict()
 
     def receive(self, _key: str, chunk: StreamChunk, arrival: int) -> None:
-        """Begin the stream, or lead the robot over to this chunk; one call at a time."""
+        """Begin the stream, or blend over to this chunk; one call at a time."""
         received = time.monotonic()
         sequence = self._machine.sequence(chunk.goal_id)
         if sequence is not None:
@@ -65,7 +65,7 @@ class Streams:
                 planned = executable(chunk.trajectory, self._robot)
                 trajectory, at = placed(planned, self._admission.joint_state(), time.monotonic(), self._robot)
                 self._turns = trajectory.start - planned.start
-                # From where the robot stands, which may be a tolerance away, it is led over as between two chunks.
+                # From the robot's position, which may be a tolerance off, blend over as between two chunks.
                 trajectory = blended(TimedTrajectory.standing(at.position), 0.0, trajectory, 0.0, self._limits)
                 monitor = Monitor(trajectory, self._robot.descriptor)
                 piece = self._chunk(chunk, trajectory, received)
@@ -89,7 +89,7 @@ class Streams:
         )
 
     def _refuse(self, chunk: StreamChunk, error: ZarmError) -> None:
-        """Say under the stream's goal why it has not begun."""
+        """Report under the stream's goal why it has not begun."""
         position = chunk.trajectory.position[0]
         state = GoalState(
             goal_id=chunk.goal_id,
@@ -108,7 +108,7 @@ class Streams:
         self._know(chunk.goal_id, told=True)
 
     def _know(self, goal_id: str, *, told: bool = False) -> None:
-        """Note a stream, and whether it was `told` in the log that a chunk of it was dropped."""
+        """Remember a stream, and whether the log already says (`told`) that a chunk of it was dropped."""
         self._known[goal_id] = told
         if len(self._known) > REMEMBERED:
             self._known.popitem(last=False)

@@ -15,17 +15,18 @@ from zarm_runtime.realtime import CONTROL_PRIORITY, ask_for_realtime
 log = logging.getLogger(__name__)
 
 UNHEALTHY = 0.5
-"""A control loop that has not ticked for so long (s) makes the service unhealthy."""
+"""A control loop that has not ticked for this long (s) makes the service unhealthy."""
 LIMIT = 2.0
-"""One that has not ticked for so long (s) ends the process."""
+"""A control loop that has not ticked for this long (s) ends the process."""
 _PERIOD = 0.25
 
 
 class Watchdog:
-    """Ends the process with code 1 once `loop` has not ticked for `LIMIT` s, and logs what each thread was at; use it in `with`.
+    """Ends the process with code 1 once `loop` has not ticked for `LIMIT` s, and logs what each thread was doing; use
+    it in `with`.
 
-    What supervises the process starts it again, at rest, and the robot's driver runs out of points meanwhile. Time in which the
-    whole process stood still (SIGSTOP, a machine asleep) does not count: the loop goes on then by itself.
+    The supervisor restarts the process at rest; meanwhile the robot's driver runs out of points. Time during which the
+    whole process was suspended (SIGSTOP, a sleeping machine) does not count: the loop then continues by itself.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -35,7 +36,7 @@ class Watchdog:
         self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
 
     def ailment(self) -> str | None:
-        """What is wrong with the control loop, as `Service.ailment` has it."""
+        """What is wrong with the control loop, as in `Service.ailment`."""
         silent = self._missed * _PERIOD
         return f"the control loop has not ticked for {silent:.1f} s" if silent >= UNHEALTHY else None
 
@@ -50,7 +51,7 @@ class Watchdog:
         self._thread.join()
 
     def _run(self) -> None:
-        ask_for_realtime(CONTROL_PRIORITY)  # a loop that spins must not keep it from looking
+        ask_for_realtime(CONTROL_PRIORITY)  # a loop that spins must not keep the watchdog from running
         seen = self._loop.ticks
         while not self._ended.wait(_PERIOD):
             ticks = self._loop.ticks

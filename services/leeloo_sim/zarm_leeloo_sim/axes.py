@@ -11,12 +11,12 @@ import numpy.typing as npt
 from zarm_contract.robot import RobotDescriptor
 
 HUMBLE_ORDER = (0, 1, 3, 4, 2, 5)
-"""The order in which the M1013's joints are told on ROS 2 Humble: 1, 2, 4, 5, 3, 6."""
+"""The order in which ROS 2 Humble reports the M1013's joints: 1, 2, 4, 5, 3, 6."""
 
 
 @dataclass(frozen=True)
 class Axes:
-    """J joints: their `names` by index, and which index is told first, second and so on."""
+    """J joints: their `names` by index, and the order in which their indices are reported."""
 
     names: tuple[str, ...]
     order: tuple[int, ...]
@@ -30,9 +30,9 @@ class Axes:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """The names in the order in which they are told."""
+        """The names in the order in which they are reported."""
         return tuple(self.names[index] for index in self.order)
 
     def as_told(self, values: npt.NDArray[np.float64]) -> tuple[float, ...]:
-        """Values (J,) by index, in the order of `told`."""
+        """Values (J,), given by index, in the order of `told`."""
         return tuple(values[list(self.order)].tolist())

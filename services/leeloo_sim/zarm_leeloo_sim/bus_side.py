@@ -29,7 +29,7 @@ class BusSide:
         self._progress = bus.publisher(keys.driver_progress, DriverProgress, realtime=True, droppable=False)
 
     def listen(self, play: Callable[[Command], None]) -> None:
-        """From now on have the commands that come in time played."""
+        """From now on play the commands that arrive in time."""
         count = len(self._axes.names)
 
         def received(command: DriverCommand, arrived: float) -> None:
@@ -50,7 +50,7 @@ class BusSide:
         self._bus.subscribe_timed(self._keys.driver_command, DriverCommand, received)
 
     def tell_joints(self, position: Array, velocity: Array) -> None:
-        """Tell where the joints are, (J,) rad, and how fast, (J,) rad/s."""
+        """Publish the joint positions (J,) rad and velocities (J,) rad/s."""
         axes, stamp = self._axes, time.time()
         self._expiry.told(stamp, time.monotonic())
         self._joints.put(
@@ -63,5 +63,5 @@ class BusSide:
         )
 
     def tell_progress(self, progress: PlaybackProgress) -> None:
-        """Tell how far the driver is."""
+        """Publish the progress of the driver."""
         self._progress.put(DriverProgress(sequence=progress.sequence, fraction=progress.fraction))

@@ -21,12 +21,12 @@ from zarm_leeloo_sim.player import STEP, Array, Player
 log = logging.getLogger(__name__)
 
 LONGEST_PAUSE = 0.1
-"""An arm that was not simulated for longer (s), as while its process is stopped, has not moved meanwhile."""
+"""An arm that was not simulated for longer than this (s), as when its process is stopped, has not moved meanwhile."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Points to play instead of what is left, as `Player.play` has them; `sequence` is its number."""
+    """Points to play instead of the remaining ones, as in `Player.play`; `sequence` is its number."""
 
     sequence: int
     position: Array
@@ -43,14 +43,14 @@ class PlaybackProgress:
 
     @property
     def fraction(self) -> float:
-        """Points played / points received; 1 where it had none."""
+        """Points played / points received; 1 if it had none."""
         return self.played / self.total if self.total else 1.0
 
 
 class LeelooDriver:
-    """Plays commands on `player`; tells its positions (J,) rad and velocities (J,) rad/s, and progress.
+    """Plays commands on `player`; publishes positions (J,) rad and velocities (J,) rad/s, and progress.
 
-    `trace` gets a line for every step: positions, then velocities, whatever faults keep from the others.
+    `trace` gets a line for every step: positions, then velocities, regardless of faults that hide them from others.
     """
 
     def __init__(
@@ -72,13 +72,13 @@ class LeelooDriver:
         self._lock = threading.Lock()
 
     def play(self, command: Command) -> None:
-        """Play this from the next tick on, or later where a fault delays it."""
+        """Play this from the next tick on, or later if a fault delays it."""
         with self._lock:
             if self._random.random() >= self._fault.drop:
                 self._waiting.append((time.monotonic() + self._fault.delay, command))
 
     def suffer(self, fault: DriverFault) -> Nothing:
-        """Have this fault from now on, and no other. Raises InvalidRequest for a jump of other joints."""
+        """Apply this fault from now on, and no other. Raises InvalidRequest for a jump with the wrong joints."""
         if fault.jump is not None and len(fault.jump) != len(self._player.position):
             raise InvalidRequest(
                 f"{len(fault.jump)} values for {len(self._player.position)} joints; give one for each", field="jump"

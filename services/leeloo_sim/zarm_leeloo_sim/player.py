@@ -1,7 +1,7 @@
 """How the simulated arm plays commands: one point per tick, by index, through a drive with lag and limits.
 
-The model of one axis: the drive's velocity follows the point's with a first-order lag, dv/dt = (target - v) / lag, bounded
-by the acceleration and the velocity that the controller allows. The model knows no bus and no clock.
+The model of one axis: the drive's velocity follows the point's with a first-order lag, dv/dt = (target - v) / lag,
+bounded by the controller's limits of acceleration and velocity. The model knows no bus and no clock.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ Kind = Literal["velocity", "position", "either"]
 class Player:
     """An arm of J joints at `position` (J,) rad with `velocity` (J,) rad/s.
 
-    It plays velocities and ignores positions and times, as the Doosan bridge does, or, with `plays="position"`, positions
-    as a position-controlled arm; with `plays="either"` positions where a command has no velocities at all, as those of the strategy
-    `joint_pose`. Where the points run out it brakes to rest. No joint is ever faster than `ceiling` rad/s,
-    nor changes its velocity faster than `ceiling` rad/s^2: with a high one it does whatever it is commanded. `feed` (J,) is
-    the velocity that it is commanded now, rad/s.
+    It plays velocities and ignores positions and times, as the Doosan bridge does, or, with `plays="position"`,
+    positions as a position-controlled arm; with `plays="either"` positions if a command has no velocities at all, as
+    those of the strategy `joint_pose`. When the points run out it brakes to rest. No joint ever exceeds `ceiling`
+    rad/s, nor changes its velocity faster than `ceiling` rad/s^2: with a high one it follows any command. `feed` (J,)
+    is the present commanded velocity, rad/s.
     """
 
     def __init__(self, position: Array, *, plays: Kind = "velocity", ceiling: float = CEILING) -> None:
@@ -56,14 +56,14 @@ class Player:
 
     @property
     def fraction(self) -> float:
-        """How much of the last command is played; 1 where it was empty."""
+        """The played share of the last command; 1 if it was empty."""
         return self.played / self.total if self.total else 1.0
 
     def play(self, positions: Array, velocities: Array) -> int:
-        """Play these points (N, J) from the next tick on instead of what is left; none: stop.
+        """Play these points (N, J) from the next tick on instead of the remaining ones; none: stop.
 
-        A row of NaN, for a point that lacks what the arm plays, repeats the one before; returned is how many there are.
-        Without velocities, (0, J), every point lacks them.
+        A row of NaN, for a point without the values that the arm plays, repeats the previous one; returns the number of
+        such rows. Without velocities, (0, J), every point lacks them.
         """
         self.total, self.played = len(positions), 0
         if self._plays == "either" and self.total:
@@ -85,7 +85,7 @@ class Player:
         wanted = self.feed
         if self._by_position:
             if self.total == 0 and self.velocity.any():
-                self._target = self.position  # told to stop: it holds where it has come to rest
+                self._target = self.position  # told to stop: it holds its rest position
             wanted = wanted + STIFFNESS * (self._target - self.position)
         wanted = np.clip(wanted, -self._ceiling, self._ceiling)
         change = (wanted - self.velocity) * (1.0 - math.exp(-STEP / LAG))
@@ -108,7 +108,7 @@ class Player:
 
 
 def _filled(rows: Array, before: Array) -> Array:
-    """`rows` (N, J), each that is not all numbers replaced by the one above it, the first by `before` (J,)."""
+    """`rows` (N, J), each with a non-finite value replaced by the row above it, the first by `before` (J,)."""
     filled = rows.copy()
     for row in filled:
         if not np.isfinite(row).all():

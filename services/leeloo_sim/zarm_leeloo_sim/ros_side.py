@@ -25,11 +25,11 @@ from zarm_leeloo_sim.player import Array
 from zarm_runtime import dds
 
 DEPTH = 10
-"""Messages that each topic keeps, as those of the real driver do."""
+"""Queue depth of each topic, as with the real driver."""
 JOINT_STATES = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""As was seen of the real driver on Humble."""
+"""As observed with the real driver on Humble."""
 
 
 class RosSide:
@@ -46,7 +46,7 @@ class RosSide:
         self._progress = None if told is None else node.create_publisher(Float32, told, DEPTH)
 
     def listen(self, play: Callable[[Command], None]) -> None:
-        """From now on have the trajectories that come played; numbered by arrival, as ROS does not number them."""
+        """From now on play arriving trajectories; numbered by arrival, as ROS does not number them."""
         numbers = itertools.count(1)
 
         def received(trajectory: JointTrajectory) -> None:
@@ -62,7 +62,7 @@ class RosSide:
         self._node.create_subscription(JointTrajectory, self._command_topic, received, DEPTH)
 
     def tell_joints(self, position: Array, velocity: Array) -> None:
-        """Tell where the joints are, (J,) rad, and how fast, (J,) rad/s; the effort is not known."""
+        """Publish the joint positions (J,) rad and velocities (J,) rad/s; the effort is unknown."""
         axes = self._axes
         message = JointState(
             name=axes.told,
@@ -74,12 +74,12 @@ class RosSide:
         self._joints.publish(message)
 
     def tell_progress(self, progress: PlaybackProgress) -> None:
-        """Tell points played / points received; nothing of a stop, which has none."""
+        """Publish points played / points received; nothing for a stop, which has none."""
         if self._progress is not None and progress.total:
             self._progress.publish(Float32(data=progress.fraction))
 
     def _rows(self, points: Sequence[Sequence[float]]) -> Array:
-        """(N, J): a row for each point; NaN where the point has fewer values than there are joints."""
+        """(N, J): a row for each point; NaN if the point has fewer values than there are joints."""
         count = len(self._axes.names)
         rows = np.full((len(points), count), np.nan)
         for row, values in zip(rows, points, strict=True):
@@ -90,7 +90,7 @@ class RosSide:
 
 @contextmanager
 def ros_side(name: str, params: StrategyParams, axes: Axes) -> Iterator[RosSide]:
-    """A node `name`, whose commands are taken by a thread of its own until the end."""
+    """A node `name`, whose commands are received by its own thread until the end."""
     with ExitStack() as stack:
         dds.join()
         context = Context()

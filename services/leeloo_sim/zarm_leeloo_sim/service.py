@@ -102,7 +102,7 @@ def main() -> int:
     parser.add_argument(
         "--trace", type=Path, metavar="FILE", help="append the true motion of the arm to this file, whatever it reports"
     )
-    ask_for_realtime(PROCESS_PRIORITY)  # as the executor's: beside busy processes it would play its points late
+    ask_for_realtime(PROCESS_PRIORITY)  # like the executor's: beside busy processes it would play its points late
     return run_service("leeloo_sim", parser, start)
 
 

@@ -18,8 +18,8 @@ from zarm_trajectory.limits import Limits
 class PlanningContext:
     """The scene and the options of one request.
 
-    A search gives up after `max_attempts`, each with the next `seed`, or at the `deadline`. For `optimize_s` (s) after the
-    first trajectory faster ones are looked for. `timer` is told where the time goes.
+    A search gives up after `max_attempts`, each with the next `seed`, or at the `deadline`. For `optimize_s` (s) after
+    the first trajectory, it looks for faster ones. `timer` records the time of each stage.
     """
 
     scene: PlanningScene
@@ -33,12 +33,12 @@ class PlanningContext:
 
     @property
     def model(self) -> RobotModel:
-        """The robot as it is in the scene."""
+        """The robot with what it carries in the scene."""
         return self.scene.model
 
     @property
     def world(self) -> World:
-        """The obstacles, with the margin that is kept to them."""
+        """The obstacles, with the margin kept to them."""
         return self.scene.world
 
     @property
@@ -52,9 +52,9 @@ class PlanningContext:
         return self.model.robot.descriptor.interpolation_dt
 
     def with_seed(self, seed: int) -> PlanningContext:
-        """The same with another seed."""
+        """The same context with another seed."""
         return replace(self, seed=seed)
 
     def for_optimization(self) -> PlanningContext:
-        """The same for the `optimize_s` from now on; the stages of what is tried then are not timed one by one."""
+        """The same context for the next `optimize_s`; the stages of what is tried then are not timed individually."""
         return replace(self, deadline=self.deadline.sooner(self.optimize_s), timer=StageTimer())

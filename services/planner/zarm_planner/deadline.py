@@ -11,13 +11,13 @@ import numpy as np
 from zarm_contract.errors import Cancelled, DeadlineExceeded
 
 GUARANTEED = 0.02
-"""Seconds under a sooner deadline that `give_way` leaves; as long as `optimize_s` is unless a request states it."""
+"""Seconds under a sooner deadline that `give_way` leaves: the default of `optimize_s`."""
 
 
 class Deadline:
     """A deadline `timeout` s from now that other threads may bring forward.
 
-    `at` (1,) is the moment on the monotonic clock (s); kernels look at it all the time.
+    `at` (1,) is the moment on the monotonic clock (s), which kernels poll.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -28,7 +28,7 @@ class Deadline:
         self.at = np.array([self._began + timeout])
 
     def sooner(self, timeout: float) -> Deadline:
-        """A deadline `timeout` s from now and no later than this one's; a cancel of this one is one of that, too."""
+        """A deadline `timeout` s from now, but no later than this one; cancelling this one also cancels it."""
         deadline = Deadline(min(timeout, float(self.at[0]) - time.monotonic()))
         self._sooner.append(deadline)
         if self.cancelled:
@@ -36,13 +36,13 @@ class Deadline:
         return deadline
 
     def cancel(self) -> None:
-        """End whatever runs under this deadline now."""
+        """End any work under this deadline now."""
         self._bring_forward(-math.inf)
         for deadline in self._sooner:
             deadline.cancel()
 
     def give_way(self) -> None:
-        """End what runs under sooner deadlines when it has had GUARANTEED s; this one stays."""
+        """End work under sooner deadlines once it has had GUARANTEED s; this deadline itself stays."""
         for deadline in self._sooner:
             deadline._bring_forward(deadline._began + GUARANTEED)
 

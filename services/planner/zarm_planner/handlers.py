@@ -69,14 +69,15 @@ from zarm_trajectory.quintic import Array
 log = logging.getLogger(__name__)
 
 _BATCH_TIMEOUT = 60.0
-"""Seconds that a batch of kinematics or checks may take."""
+"""Time limit (s) for a batch of kinematics or checks."""
 
 
 class Handlers:
-    """All answers for one robot, for any number of threads, each working for its `requester`. `name` is the robot's on the bus.
+    """All answers for one robot, for any number of threads, each working for its `requester`. `name` is the robot's on
+    the bus.
 
-    `measured` returns the robot's joints (dof,) now, or raises ExecutionRefused (`no_joint_state`). `is_there` tells whether
-    a client that has left has come back. `planners` are those to choose from.
+    `measured` returns the robot's current joints (dof,), or raises ExecutionRefused (`no_joint_state`). `is_there`
+    tells whether a client that had left is back. `planners` are those to choose from.
     """
 
     def __init__(
@@ -97,29 +98,29 @@ class Handlers:
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
         self.moved = MovedObjects(lambda: store.scene)
-        # what it carries, the links that are ignored, and the robot with that
+        # attached objects, ignored links, and the robot with these
         self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model
-        # A scene that is ready for planning with its objects where they are: that of the latest plan, and that of the latest edit.
+        # Scenes ready for planning with their objects in place: those of the latest plan and of the latest edit.
         self._ready: _Ready | None = None
         self._edited: _Ready | None = None
-        self._world: World | None = None  # the newest, which the next one takes over from
+        self._world: World | None = None  # the newest one, whose unchanged parts the next one reuses
 
     def warm_up(self, report: Callable[[str], None]) -> None:
-        """Compile what plans run on, or load it; `report` is told what comes next."""
+        """Compile or load the kernels used by plans; `report` is told what comes next."""
         warm_up(self._model, report)
         report("loading the scene")
         self._prepare(self._store.scene)
         try:
             self._look()
-        except Unavailable as error:  # every plan will say so, until the scene is edited
+        except Unavailable as error:  # every plan will report this until the scene is edited
             log.error("scene cannot be used reason=%s", error)
 
     def close(self) -> None:
-        """End all work in hand; from now on there is only Unavailable."""
+        """End all current work; from now on there is only Unavailable."""
         self._scheduler.close()
 
     def plan(self, request: PlanRequest) -> Plan:
-        """A verified trajectory to the goal. Raises a ZarmError that says why there is none."""
+        """A verified trajectory to the goal. Raises a ZarmError saying why there is none."""
         settings, model = self._settings, self._model
         if self._store.lost is not None:
             raise Unavailable(self._store.lost)
@@ -155,7 +156,7 @@ class Handlers:
             work, requester(), request.timeout or settings.timeout, request.request_id
         )
         trajectory = verified.trajectory
-        return Plan.model_construct(  # of what was just verified
+        return Plan.model_construct(  # from values just verified
             plan_id=f"p-{secrets.token_hex(4)}",
             robot=self._name,
             robot_hash=model.robot.hash,
@@ -172,7 +173,7 @@ class Handlers:
         )
 
     def planner_name(self, request: PlanRequest) -> str:
-        """The name of the planner that takes a request, or would if the request named none. Raises InvalidRequest."""
+        """The name of the planner that takes a request, or would by default. Raises InvalidRequest."""
         try:
             planner = self._choose(request)
         except InvalidRequest:
@@ -185,11 +186,11 @@ class Handlers:
         return choose(name, request.goal, constrains(request.path_constraint), moving, self._planners)
 
     def cancel(self, request: CancelPlan) -> CancelledPlan:
-        """End the planning of a request, or of one that is still on its way here."""
+        """Cancel the planning of a request, even one still on its way here."""
         return CancelledPlan(was_running=self._scheduler.cancel(request.request_id))
 
     def leave(self, client: str) -> None:
-        """End all that is in hand for a client that can no longer be answered."""
+        """End all work for a client that can no longer be answered."""
         self._scheduler.leave(client)
 
     def ik(self, request: IkRequest) -> IkSolutions:
@@ -221,7 +222,7 @@ class Handlers:
         return FkPoses(poses=tuple(pose_of(pose) for pose in poses))
 
     def check(self, request: CheckRequest) -> CheckResults:
-        """Exact distances of configurations. Raises InvalidRequest, or ExecutionRefused where nothing is measured."""
+        """Exact distances of configurations. Raises InvalidRequest, or ExecutionRefused if nothing is measured."""
         model = self._model
         if request.joints is None:
             joints = [self._measured()]
@@ -250,12 +251,12 @@ class Handlers:
         return self._scheduler.run(work, requester(), _BATCH_TIMEOUT)
 
     def occupancy(self, request: OccupancyRequest) -> Occupancy:
-        """Which cells of a grid the scene's objects reach into. Raises InvalidRequest if they are too many."""
+        """The cells of a grid that the scene's objects reach into. Raises InvalidRequest if there are too many."""
 
         def work(deadline: Deadline) -> Occupancy:
             scene = self._look()
             cells = reached_cells(scene.world, request.resolution, deadline.check)
-            return Occupancy.model_construct(  # whose cells were just counted; to validate so many takes longer than to find them
+            return Occupancy.model_construct(  # its cells were just counted, and validation is slower
                 scene_revision=scene.revision,
                 resolution=request.resolution,
                 cells=tuple(map(tuple, cells.tolist())),
@@ -266,8 +267,8 @@ class Handlers:
     def edit(self, request: SceneEdit) -> Scene:
         """Apply an edit of the scene and return the result.
 
-        Raises InvalidRequest for a fault of the edit, ExecutionRefused if it needs joints and nothing is measured, and
-        Unavailable where it cannot be saved; then nothing has changed.
+        Raises InvalidRequest for a faulty edit, ExecutionRefused if it needs joints and nothing is measured, and
+        Unavailable if it cannot be saved; then nothing has changed.
         """
         match request.edit:
             case SetLinkCollision(names=names, enabled=enabled):
@@ -298,7 +299,7 @@ class Handlers:
                 )
 
     def change_settings(self, change: SettingsChange) -> PlannerSettings:
-        """Apply what the change names, all of it at once, and return all settings. Raises InvalidRequest."""
+        """Apply all changes at once, and return all settings. Raises InvalidRequest."""
         if change.planner is not None:
             check_name(change.planner, self._planners)
         with self._lock:
@@ -306,13 +307,14 @@ class Handlers:
             return self._settings
 
     def _prepare(self, scene: Scene) -> None:
-        """Make ready what an edit has brought, before it holds: so that no plan waits for that."""
-        self._with(scene).with_self_margin(0.0)  # measures the room between its links, once for all margins
-        with suppress(Unavailable):  # the file of a mesh is missing, which every plan will say
+        """Prepare for an edited scene before it takes effect, so that no plan waits for it."""
+        self._with(scene).with_self_margin(0.0)  # measures the clearance between its links, once for all margins
+        with suppress(Unavailable):  # a mesh file is missing; every plan will report that
             self._edited = self._made_ready(scene, self.moved.objects_to_be(scene))
 
     def _look(self, margin: float | None = None) -> PlanningScene:
-        """The present scene with a margin (m, left out: that of the settings), made ready once for each revision and poses of moving objects.
+        """The present scene with a margin (m, by default that of the settings), prepared once per revision and poses of
+        moving objects.
 
         Raises Unavailable while the file of one of its meshes is missing.
         """
@@ -326,13 +328,13 @@ class Handlers:
         return ready.scene.with_margin(kept)
 
     def _made_ready(self, scene: Scene, objects: tuple[SceneObject, ...]) -> _Ready:
-        """A scene whose `objects` are where they are. What has not changed is taken from the world before. Raises Unavailable."""
+        """A scene with its `objects` in place, reusing unchanged parts of the last world. Raises Unavailable."""
         model = self._with(scene)
         world = self._world = World(objects, 0.0, self._store.meshes, self._world)
         return _Ready(objects, PlanningScene(scene.revision, model, world, ExactScene(model, world)))
 
     def _with(self, scene: Scene) -> RobotModel:
-        """The robot with what it carries in a scene, made once for each change of that."""
+        """The robot with what it carries in a scene, built once per change of that."""
         kept = scene.attached, scene.ignored_links
         carried, carrier = self._carrier
         if carried != kept:
@@ -349,18 +351,18 @@ class Handlers:
 
 @dataclass(frozen=True)
 class _Ready:
-    """A scene without margin, and its objects where they are."""
+    """A scene without margin, with its objects in place."""
 
     objects: tuple[SceneObject, ...]
     scene: PlanningScene
 
     def holds(self, scene: Scene, objects: tuple[SceneObject, ...]) -> bool:
-        """Whether it is of this scene, with these very objects."""
+        """Whether it belongs to this scene with exactly these objects."""
         same = len(objects) == len(self.objects) and all(map(operator.is_, objects, self.objects))
         return same and scene.revision == self.scene.revision
 
 
 def _two(points: NDArray[np.float64]) -> tuple[Vector3, Vector3]:
-    """Two points (2, 3) as the bus has them."""
+    """Two points (2, 3) in their message form."""
     (ax, ay, az), (bx, by, bz) = points.tolist()
     return (ax, ay, az), (bx, by, bz)

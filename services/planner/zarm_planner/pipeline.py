@@ -23,14 +23,17 @@ from zarm_trajectory.trajectory import TimedTrajectory
 Array = NDArray[np.float64]
 
 _FASTEST_ONLY = 2
-"""Attempts in which a trajectory that is refused gives way to another route, before other ways to time one are tried."""
+"""Attempts in which a refused trajectory is replaced by another route, before other timings of the same route are
+tried.
+"""
 
 
 @dataclass(frozen=True)
 class Verified:
     """A trajectory that may be executed; `clearance` in m, `waypoint_times` in s.
 
-    `goal_pose` says which pose of its goal it reaches, where that has any, and `too_near` which margins it does not keep.
+    `goal_pose` is the index of the goal's pose that it reaches, if any, and `too_near` the margins that it does not
+    keep.
     """
 
     trajectory: TimedTrajectory
@@ -41,12 +44,12 @@ class Verified:
 
 
 def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> Verified:
-    """The trajectory from `start` (dof,) to the goal that `planner` finds. Nothing leaves here that is not verified.
+    """The trajectory that `planner` finds from `start` (dof,) to the goal. Only verified trajectories are returned.
 
-    `motion` (2, dof) are velocity and acceleration at the start, left out where it is at rest.
+    `motion` (2, dof) are velocity and acceleration at the start, or None at rest.
 
-    Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`), InvalidRequest for a goal
-    that does not keep the path constraint, and what the deadline raises.
+    Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`), InvalidRequest for a
+    goal that breaks the path constraint, and the deadline's error.
     """
     with context.timer.stage("ik"):
         problem = PlanningProblem.of(context, start, goal, motion)
@@ -85,7 +88,7 @@ def _first(planner: Planner, context: PlanningContext, problem: PlanningProblem)
 
 
 def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProblem, best: Verified) -> Verified:
-    """The fastest among `best` and the trajectories that are found until the deadline of `context`."""
+    """The fastest of `best` and the trajectories found until the deadline of `context`."""
     least = 0.0
     if problem.lead_in is None:
         least = least_duration(problem.start.asked, problem.goals, context.limits, context.dt)
@@ -97,20 +100,20 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
             best = _verified(context, problem, trajectory)
         except VerificationFailed:
             continue
-        except (DeadlineExceeded, InvalidRequest):  # the second where a trajectory along a detour fits no message
+        except (DeadlineExceeded, InvalidRequest):  # the second: a detour exceeds the message size
             break
     return best
 
 
 def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
-    """The trajectory with its clearance. Raises VerificationFailed and what the deadline raises."""
+    """The trajectory with its clearance. Raises VerificationFailed and the deadline's error."""
     goals, limits, check = problem.goals, context.limits, context.deadline.check
     end = problem.targets[-1][np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
     start, motion = (problem.start.asked, None) if (led := problem.lead_in) is None else (led.state[0], led.state[1:])
     clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
     times: tuple[float, ...] = ()
     if isinstance(problem.goal, WaypointsGoal):
-        # All ends that reach one pose are the same waypoint.
+        # All ends that reach the same pose are the same waypoint.
         waypoints = [np.array([*{end.pose: end.asked for end in ends}.values()]) for ends in problem.targets]
         tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
         times = passing_times(context.model, trajectory, waypoints, *tolerances, check)

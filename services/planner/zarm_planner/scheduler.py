@@ -16,14 +16,14 @@ from zarm_planner.deadline import Deadline
 T = TypeVar("T")
 
 LONG = 1.0
-"""Seconds after which work no longer keeps its slot from other clients, and goes on beside what starts next."""
+"""Seconds after which work no longer blocks its slot for other clients, and continues beside what starts next."""
 WITHDRAWN_S = 10.0
 """Seconds for which a cancel that came before its request is remembered: longer than a request is on its way."""
 WITHDRAWN = 1000
-"""How many of them are remembered, and how many clients that have left."""
+"""Most such cancels, and most clients that have left, to remember."""
 
 _POLL = 0.02
-"""Seconds between looks of what waits for its turn: at its deadline, and at what it waits for."""
+"""Interval (s) at which waiting work checks its deadline and its turn."""
 
 
 @dataclass(eq=False)
@@ -41,10 +41,10 @@ class _Job:
 class Scheduler:
     """Runs as much work at a time as there are `slots`, each in the thread that asks for it.
 
-    The next turn is that of the client with the least work that runs, and among those of the one that has waited longest for
-    a turn; no client runs more than `slots` at a time. What waits for its turn has its deadline and can be cancelled.
+    The next turn goes to the client with the least running work, and among equals to the one that has waited longest;
+    no client runs more than `slots` at a time. Waiting work has its deadline and can be cancelled.
 
-    `is_there` tells whether a client that has left has come back.
+    `is_there` tells whether a client that had left is back.
     """
 
     def __init__(self, slots: int, is_there: Callable[[str], bool]) -> None:
@@ -59,9 +59,9 @@ class Scheduler:
     def run(
         self, work: Callable[[Deadline], T], requester: Requester, timeout: float, request_id: str | None = None
     ) -> T:
-        """The result of `work(deadline)`, which must look at it. Raises Unavailable once the service ends.
+        """The result of `work(deadline)`, which must observe the deadline. Raises Unavailable once the service ends.
 
-        The deadline is `timeout` s from now, or when the requester does not wait any longer.
+        The deadline is `timeout` s from now, or when the requester stops waiting.
         """
         job = _Job(requester.client, request_id, Deadline(min(timeout, requester.timeout)))
         with self._changed:
@@ -75,7 +75,7 @@ class Scheduler:
         try:
             if has_left and self._is_there(job.client):
                 self._left.pop(job.client, None)
-            elif has_left:  # word of its end came before the last of its requests
+            elif has_left:  # the news that the client has left overtook its last requests
                 job.deadline.cancel()
             while not job.turn.wait(_POLL):
                 job.deadline.check()
@@ -93,7 +93,7 @@ class Scheduler:
                 self._changed.notify_all()
 
     def cancel(self, request_id: str) -> bool:
-        """End the work under this id; whether there was any. Where there was none, it is ended when it comes."""
+        """End the work under this id; returns whether there was any. If not, it is ended when it arrives."""
         with self._changed:
             jobs = [job for job in self._jobs if job.request_id == request_id]
             if not jobs:
@@ -103,7 +103,7 @@ class Scheduler:
             return bool(jobs)
 
     def leave(self, client: str) -> None:
-        """End all work for a client, and what comes from it before it is there again."""
+        """End all work for a client, and requests from it that arrive before it is back."""
         with self._changed:
             self._left[client] = None
             if len(self._left) > WITHDRAWN:
@@ -113,7 +113,7 @@ class Scheduler:
                     job.deadline.cancel()
 
     def close(self) -> None:
-        """Refuse new work, end all that is in hand, and wait until it has ended."""
+        """Refuse new work, end all current work, and wait until it has ended."""
         with self._changed:
             self._closed = True
             for job in self._jobs:
@@ -121,7 +121,7 @@ class Scheduler:
             self._changed.wait_for(lambda: not self._jobs)
 
     def _was_withdrawn(self, request_id: str | None) -> bool:
-        """Whether a cancel came before this request; it is used up by that."""
+        """Whether a cancel came before this request; this uses the cancel up."""
         now = time.monotonic()
         while self._withdrawn and self._withdrawn[0][1] < now - WITHDRAWN_S:
             self._withdrawn.popleft()
@@ -131,7 +131,7 @@ class Scheduler:
         return found is not None
 
     def _start_next(self) -> None:
-        """Give a turn to all that may have one now."""
+        """Give a turn to all work that may have one now."""
         now = time.monotonic()
         while True:
             running = [job.began for job in self._jobs if job.began is not None]
@@ -149,9 +149,11 @@ class Scheduler:
                     job.since = now
 
     def _press(self, waiting: _Job) -> None:
-        """Have others look for faster motions no longer while this waits: what its own client runs, and who runs more."""
+        """Make work that only looks for faster motions give way to waiting work: of the same client, and of clients
+        running more.
+        """
         with self._changed:
-            if waiting.began is not None:  # it has just been given its turn
+            if waiting.began is not None:  # it was just given its turn
                 return
             running_of = self._running_by_client()
             for job in self._jobs:
@@ -159,10 +161,10 @@ class Scheduler:
                     job.client == waiting.client or running_of[job.client] > running_of[waiting.client]
                 ):
                     job.deadline.give_way()
-            self._start_next()  # some of what runs may just have become long
+            self._start_next()  # running work may just have become long
 
     def _running_by_client(self) -> Counter[str]:
-        """How much runs of each client."""
+        """The number of running jobs of each client."""
         return Counter(job.client for job in self._jobs if job.began is not None)
 
 

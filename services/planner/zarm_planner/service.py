@@ -45,17 +45,18 @@ log = logging.getLogger(__name__)
 Request = TypeVar("Request", bound=Message)
 
 ROOM = 2 * ((os.cpu_count() or 1) + 16)
-"""Requests that may be in hand on each key, half of them of one client: one for each core, and 16 that wait for their turn.
-Each is in a thread of its own, where it can be cancelled while it waits."""
+"""Requests that may be pending on each key, half of them from one client: one per core, and 16 waiting. Each has its
+own thread, in which it can be cancelled while it waits.
+"""
 
 _NEW_OBJECTS = 50_000
-"""So many objects are made before the garbage collector looks at them. It would look at the points of a cloud again and again, which
-took as long as the rest of the edit."""
+"""Objects allocated between two garbage collections. At Python's 700 the collector looks at the points of a new cloud again and
+again, which takes as long as the rest of the edit."""
 
 
 @contextmanager
 def start(service: Service) -> Iterator[None]:
-    """The planner, from warm-up until the last plan in hand is answered."""
+    """Run the planner, from warm-up until the last pending plan is answered."""
     with owned(service.options.state / service.keys.robot, service.name) as folder:
         store = SceneStore(folder, Meshes(service.options.meshes))
         with _serving(service, store):
@@ -129,7 +130,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         compute(keys.occupancy, OccupancyRequest, handlers.occupancy)
         bus.watch_clients(handlers.leave)
         handlers.warm_up(service.starting)
-        gc.freeze()  # what is loaded stays; looking for garbage in it again and again would delay a plan by 0.1 s at times
+        gc.freeze()  # collecting loaded objects again and again would at times delay a plan by 0.1 s
         gc.set_threshold(_NEW_OBJECTS)
         warm = True
         service.ready()
@@ -150,9 +151,9 @@ def _serve_scene(
     change: Callable[[SceneEdit], Scene],
     notes: Callable[[SceneEdit], tuple[str, ...]],
 ) -> None:
-    """Answer for the scene, which is `now`, and its objects; `change` it where asked to, and publish every change.
+    """Serve the scene, initially `now`, and its objects; apply requested edits with `change`, and publish every change.
 
-    `notes` are said of what an edit has brought.
+    `notes` returns remarks on what an edit has added.
     """
     bus, keys = service.bus, service.keys
     revision = bus.latched(keys.scene_revision, SceneEdited)

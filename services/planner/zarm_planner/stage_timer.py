@@ -15,7 +15,7 @@ Stage = Literal["ik", "search", "shortcut", "timing", "verify", "optimize"]
 
 @dataclass
 class StageTimer:
-    """Seconds per stage, since it was made."""
+    """Seconds per stage, since it was created."""
 
     began: float = field(default_factory=time.perf_counter)
     spent: dict[Stage, float] = field(default_factory=dict)
@@ -30,10 +30,10 @@ class StageTimer:
             self.add(name, time.perf_counter() - began)
 
     def add(self, name: Stage, seconds: float) -> None:
-        """Add time that was measured elsewhere to a stage."""
+        """Add time measured elsewhere to a stage."""
         self.spent[name] = self.spent.get(name, 0.0) + seconds
 
     def timings(self) -> PlanTimings:
-        """What was spent so far."""
+        """The time spent so far."""
         stages = {name: self.spent.get(name, 0.0) for name in get_args(Stage)}
         return PlanTimings(**stages, total=time.perf_counter() - self.began)

@@ -1,6 +1,6 @@
 """Compiles every kernel before the first request, or loads it from the cache.
 
-`python -m zarm_planner.warm_up` does it after an installation, so that no planner has to.
+Run `python -m zarm_planner.warm_up` after an installation, so that no planner has to compile them.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
         break
     begin("the verification of motions")
     exact = ExactScene(model, world)
-    with suppress(VerificationFailed):  # where the robot touches itself beside its home
+    with suppress(VerificationFailed):  # if the robot collides with itself beside its home
         verify(trajectory, home, away, limits, exact, lambda: None)
     begin("ways out of tight places")
     context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)

@@ -17,19 +17,20 @@ Array = NDArray[np.float64]
 
 _POINTS = 12_000
 _BESIDE = 0.005
-"""The points reach so far (m) beyond the surface."""
+"""How far (m) the sample points extend beyond the surface."""
 FAR = 0.008
-"""Volume at a distance d (m) outside of the body costs d^2 (1 + (d / FAR)^2): what stands out far counts more."""
+"""Volume at a distance d (m) outside the body costs d^2 (1 + (d / FAR)^2), so that far protrusions weigh more."""
 _AROUND = 1000
-"""Points outside that are enough to compare shapes by."""
+"""Number of points outside with which shapes are compared."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """The triangles (n, 3, 3) of a link, and points (m, 3) spread over the box around them (Halton's, as those of a grid lie in planes).
+    """The triangles (n, 3, 3) of a link, and points (m, 3) spread over the box around them (Halton points, since those
+    of a grid lie in planes).
 
-    `distance` (m,) of those to the surface, and whether they are `out` (m,) of it; each stands for `cell` (m^3). `surface` holds
-    points on the surface; the link's true one may be `off` (m) from it.
+    For these, `distance` (m,) to the surface, and whether they are `out` (m,) of it; each represents a volume of `cell`
+    (m^3). `surface` holds points on the surface; the link's true one may be `off` (m) from it.
     """
 
     triangles: Array
@@ -42,7 +43,7 @@ class Body:
 
     @classmethod
     def of(cls, triangles: Array, off: float = 0.0) -> Self:
-        """Where the surface is open, what it mostly winds around counts as inside."""
+        """If the surface is open, what it mostly winds around counts as inside."""
         surface = cKDTree(points_on(triangles, 20_000)[0])
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
         points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
@@ -51,8 +52,9 @@ class Body:
         return cls(triangles, points, surface.query(points)[0], out, cell, surface, off)
 
     def around(self, points: Array) -> tuple[Array, Array]:
-        """Points (n, 3) outside of the body in the box around `points` (k, 3) and a little more, and for each what its distance (n,)
-        costs (see FAR) times its volume, the largest first."""
+        """Points (n, 3) outside the body in the box around `points` (k, 3), slightly enlarged, and the cost of each:
+        that of its distance (n,) (see FAR) times its volume, the largest first.
+        """
         low, high = points.min(axis=0), points.max(axis=0)
         more = 0.2 * (high - low).max()
         near = np.flatnonzero(

@@ -19,16 +19,20 @@ from zarm_geometry.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 TOLERANCE = 0.005
-"""Tips that are further apart (m) are not the same: more than an arm's nominal kinematics miss, less than any wrong axis does."""
+"""Tips further apart than this (m) differ: more than an arm's nominal kinematics are off, less than the effect of any
+wrong axis.
+"""
 _ANGLE = 0.02
 """The same for orientations (rad)."""
 _FLIPPED = 3
-"""At most so many joints are taken to turn the other way."""
+"""Most joints assumed to turn the other way."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Joints (rad, m), and where the tip was then: its position (m, base frame) and, if known, orientation `x, y, z, w`."""
+    """Joints (rad, m), and the tip measured there: its position (m, base frame) and, if known, orientation `x, y, z,
+    w`.
+    """
 
     joints: Array
     position: Array
@@ -37,7 +41,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far each measured tip is from where the descriptor has it (m, and rad where measured), and what explains that."""
+    """The distance of each measured tip from the descriptor's (m, and rad if measured), and what explains it."""
 
     distances: list[float]
     angles: list[float | None]
@@ -49,11 +53,11 @@ class Comparison:
         return max(self.distances) <= TOLERANCE and all(angle is None or angle <= _ANGLE for angle in self.angles)
 
     def as_dict(self) -> dict[str, object]:
-        """What JSON shows of it."""
+        """Its JSON form."""
         return {"distances": self.distances, "angles": self.angles, "explanation": self.explanation}
 
     def lines(self) -> Iterator[str]:
-        """A line for each pose, and one that says what to do."""
+        """A line for each pose, and one with the remedy."""
         for number, (distance, angle) in enumerate(zip(self.distances, self.angles, strict=True), 1):
             turned = "" if angle is None else f", {math.degrees(angle):.2f} deg"
             yield f"pose {number}: {1e3 * distance:.1f} mm{turned} from the descriptor's"
@@ -88,7 +92,9 @@ def parse(text: str, dof: int) -> Measured:
 
 
 def compare(robot: RobotDescription, poses: Sequence[str]) -> Comparison:
-    """The descriptor's tips against measured ones, see `parse`, and the simplest explanation with which all of them fit."""
+    """The descriptor's tips compared with measured ones, see `parse`, and the simplest explanation that makes all of
+    them fit.
+    """
     model = RobotModel.of(robot)
     measured = [parse(pose, model.dof) for pose in poses]
     found = _compared(model, measured, "")
@@ -113,7 +119,7 @@ def _compared(model: RobotModel, measured: Sequence[Measured], explanation: str)
 
 
 def _explanations(model: RobotModel, measured: Sequence[Measured]) -> Iterator[tuple[list[Measured], str]]:
-    """What the poses would be, were it so; the simplest first."""
+    """The poses under each possible explanation; the simplest first."""
     yield [replace(one, position=one.position / 1000) for one in measured], "the positions are in mm"
     yield [replace(one, joints=np.radians(one.joints)) for one in measured], "the joints are in degrees"
     yield (
@@ -139,7 +145,7 @@ def _explanations(model: RobotModel, measured: Sequence[Measured]) -> Iterator[t
 
 
 def _tool(model: RobotModel, measured: Sequence[Measured]) -> Array:
-    """The constant offset (3,) in the tip's frame that brings the tips closest to what was measured, by least squares."""
+    """The constant offset (3,) in the tip's frame that brings the tips closest to the measured ones, by least squares."""
     tips = [model.fk_tip(one.joints) for one in measured]
     beside = [tip[:3, :3].T @ (one.position - tip[:3, 3]) for tip, one in zip(tips, measured, strict=True)]
     found: Array = np.mean(beside, axis=0)

@@ -16,14 +16,15 @@ from zarm_robot_import.description import Description, Joint
 Array = NDArray[np.float64]
 
 MOST_JOINTS = 32
-"""As many as a descriptor takes."""
+"""The most that a descriptor takes."""
 _TIPS = ("tool0", "tcp", "ee_link", "tool", "flange", "end_effector")
 """Names of tips, best first."""
 _GRIPPER = re.compile("grip|finger|jaw|hand", re.IGNORECASE)
 _FINGER = re.compile("finger|jaw", re.IGNORECASE)
-"""A single joint of this name, or one that moves a finger, is no joint of the arm; one that turns a whole gripper is."""
+"""A single joint of this name, or one that moves a finger, is not part of the arm; one that turns a whole gripper is.
+"""
 _ARM = 4
-"""With so many joints an arm may end; what branches off before is part of a larger robot."""
+"""Number of joints after which an arm may end; an earlier branch belongs to a larger robot."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,9 @@ class Mounted:
 class Chain:
     """The arm: its moving joints, and every link in the frame of the link that moves with it.
 
-    `carriers` (dof + 1) are the base link and the child of each moving joint. `origins` (dof, 4, 4) are the joints' frames in
-    the carrier before. `fixed` are the joints that move in the URDF and stand still here, with their positions; `free` those
-    that float or move in a plane, and stand at their origins.
+    `carriers` (dof + 1) are the base link and the child of each moving joint. `origins` (dof, 4, 4) are the joints'
+    frames in the preceding carrier. `fixed` are the joints that move in the URDF but stand still here, with their
+    positions; `free` are floating or planar joints, which stay at their origins.
     """
 
     base: str
@@ -54,7 +55,7 @@ class Chain:
     free: tuple[Joint, ...]
 
     def poses(self, q: Array) -> dict[str, Array]:
-        """Of every link (n, 4, 4), in the frame of the base, at positions of the joints (n, dof)."""
+        """The poses (n, 4, 4) of every link in the base frame, at joint positions (n, dof)."""
         carried = [np.tile(np.eye(4), (len(q), 1, 1))]
         for joint, origin, values in zip(self.joints, self.origins, q.T, strict=True):
             carried.append(carried[-1] @ origin @ joint.motions(values))
@@ -66,8 +67,8 @@ def choose_chain(
 ) -> Chain:
     """The chain from `base` (default: the root) to `tip` (default: the only sensible one).
 
-    `positions` of joints beside the chain replace 0, or what is nearest to it within their limits. Raises InvalidRequest:
-    with the choices if there are several, and for what cannot be planned for.
+    `positions` of joints outside the chain replace 0, or the value nearest to it within their limits. Raises
+    InvalidRequest: with the choices if there are several, and for robots that cannot be planned for.
     """
     base = _known(robot, base, "--base") if base else robot.root
     tip = _known(robot, tip, "--tip") if tip else _tip(robot, base)
@@ -80,7 +81,7 @@ def choose_chain(
     if start is not None and start.type not in ("floating", "planar"):
         start = None
     if base == robot.root and start is not None:
-        # A base that floats, as simulators write it: the arm stands on what floats.
+        # A floating base, as simulators define it: the arm stands on the floating link.
         base, path = start.child, path[path.index(start) + 1 :]
     joints = tuple(joint for joint in path if joint.type != "fixed")
     for joint in joints:
@@ -119,7 +120,7 @@ def _known(robot: Description, link: str, option: str) -> str:
 
 
 def _tip(robot: Description, base: str) -> str:
-    """Where the arm ends: at the first link on which two moving parts hang, such as fingers, or at the end."""
+    """The end of the arm: the first link that carries two moving parts, such as fingers, or the last one."""
     link = base
     count = 0
     while True:
@@ -152,7 +153,7 @@ def _tip(robot: Description, base: str) -> str:
 
 
 def _offered(robot: Description, branch: Joint) -> list[str]:
-    """Tips to choose from on a branch: where its arm ends, or else all ends."""
+    """Tips to choose from on a branch: the end of its arm, or otherwise all ends."""
     try:
         return [_tip(robot, branch.child)]
     except InvalidRequest:
@@ -164,12 +165,12 @@ def _grips(joint: Joint) -> bool:
 
 
 def _moving_below(robot: Description, link: str) -> list[Joint]:
-    """The moving joints of what is rigid with a link."""
+    """The moving joints on all links that are rigidly connected with a link."""
     return [joint for one in _rigid(robot, link) for joint in robot.children.get(one, ()) if joint.type != "fixed"]
 
 
 def _rigid(robot: Description, link: str) -> list[str]:
-    """A link and all that fixed joints hang on it."""
+    """A link and all links connected to it by fixed joints."""
     found = [link]
     for joint in robot.children.get(link, ()):
         if joint.type == "fixed":
@@ -178,12 +179,12 @@ def _rigid(robot: Description, link: str) -> list[str]:
 
 
 def _length(robot: Description, joint: Joint) -> int:
-    """The most moving joints in a row from a joint on."""
+    """The greatest number of moving joints in a row, from a joint on."""
     return 1 + max((_length(robot, one) for one in _moving_below(robot, joint.child)), default=0)
 
 
 def _ends(robot: Description, link: str) -> list[str]:
-    """Where the moving branches from a link on end."""
+    """The ends of the moving branches from a link on."""
     below = _moving_below(robot, link)
     return [end for joint in below for end in _ends(robot, joint.child)] or [link]
 
@@ -247,7 +248,7 @@ def _assembled(
 
 
 def _outwards(robot: Description, base: str, order: Sequence[str]) -> list[str]:
-    """Links with the base first, then what hangs on it, then what it stands on."""
+    """Links in the order: the base, then what it carries, then what it stands on."""
     below = set(robot.below(base))
     return [
         base,

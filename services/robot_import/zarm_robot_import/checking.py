@@ -23,22 +23,22 @@ from zarm_robot_import.spheres import depths
 Array = NDArray[np.float64]
 
 SAMPLES = 1000
-"""Random configurations; of what is true in more than 0.5 % of all, one shows it with 99 % confidence."""
+"""Random configurations; a condition true in more than 0.5 % of all is found with 99 % confidence."""
 LARGEST, SMALLEST = 6.0, 0.05
-"""No arm reaches further, and none less far (m): beyond it lengths are most likely in another unit."""
+"""No arm reaches further, or less far (m); otherwise lengths are most likely in another unit."""
 OUTSIDE = 0.004
-"""Exact geometry that stands out of its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
+"""Exact geometry outside its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
 _FINEST = 0.0005
 PROTRUDES = 0.06
-"""A sphere that stands out of its link by more than this (m) most likely belongs elsewhere."""
+"""A sphere that protrudes from its link by more than this (m) most likely belongs elsewhere."""
 APART = 0.1
-"""Neighbouring links that are never nearer than this (m) most likely have a wrong frame, axis or unit."""
+"""Neighbouring links that are never closer than this (m) most likely have a wrong frame, axis or unit."""
 RARELY = 0.02
-"""Where a smaller share of all configurations is free, something is nearly always in contact."""
+"""If a smaller share of all configurations is free, something is nearly always in contact."""
 
 
 def findings(robot: RobotDescription) -> list[str]:
-    """What is most likely wrong, a sentence each with the key to look at and the remedy; nothing where all seems well."""
+    """What is most likely wrong, one sentence each with the key to look at and the remedy; empty if all seems well."""
     model = RobotModel.of(robot)
     q = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, model.dof))
     return [

@@ -16,7 +16,7 @@ from zarm_robot_import.meshes import Surface
 Array = NDArray[np.float64]
 
 SAMPLES = 4000
-"""Configurations: of what none of them shows, less than 3/SAMPLES of all have it, with 95 % confidence."""
+"""Number of configurations: what none of them shows occurs in less than 3/SAMPLES of all, with 95 % confidence."""
 
 
 class Contacts:
@@ -34,15 +34,15 @@ class Contacts:
         }
 
     def drop_visual(self, link: str) -> None:
-        """Take a link by its collision geometry alone from now on."""
+        """From now on represent a link by its collision geometry alone."""
         self._whole[link] = self._collision.pop(link)
 
     def mixed(self, *links: str) -> list[str]:
-        """Those whose visual meshes are taken beside their collision geometry."""
+        """Those whose visual meshes are used beside their collision geometry."""
         return [link for link in links if link in self._collision]
 
     def touch(self, first: str, second: str, k: int, bare: Sequence[str] = ()) -> bool:
-        """Whether two links touch at configuration `k`, those in `bare` by their collision geometry alone."""
+        """Whether two links touch at configuration `k`; those in `bare` with their collision geometry alone."""
         return self._touch(
             self._placed(first, self.poses[first][k], bare), self._placed(second, self.poses[second][k], bare)
         )
@@ -52,7 +52,7 @@ class Contacts:
         return sum(self.touch(first, second, k, bare) for k in range(count)) / count
 
     def distance(self, first: str, second: str, q: Array, bare: Sequence[str] = ()) -> float:
-        """Of two links at joints (dof,), in m; 0 where they touch."""
+        """The distance (m) of two links at joints (dof,); 0 if they touch."""
         poses = self.chain.poses(q[None])
         one, other = (self._placed(link, poses[link][0], bare) for link in (first, second))
         if self._touch(one, other):

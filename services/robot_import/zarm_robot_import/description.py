@@ -42,7 +42,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """One <joint>; `origin` (4, 4) in the parent, limits in rad (m where prismatic), None if they are not given."""
+    """One <joint>; `origin` (4, 4) in the parent, limits in rad (m if prismatic), None if not given."""
 
     name: str
     type: str
@@ -58,11 +58,11 @@ class Joint:
     element: ET.Element
 
     def moved(self, value: float) -> Array:
-        """The child's pose (4, 4) in the parent at a position of the joint."""
+        """The child's pose (4, 4) in the parent at a joint position."""
         return np.asarray(self.origin @ self.motions(np.array([value]))[0])
 
     def motions(self, values: Array) -> Array:
-        """How its positions (n,) move the child (n, 4, 4)."""
+        """The child's motions (n, 4, 4) for joint positions (n,)."""
         found = np.tile(np.eye(4), (len(values), 1, 1))
         if self.type in ("revolute", "continuous"):
             found[:, :3, :3] = Rotation.from_rotvec(self.axis * values[:, None]).as_matrix()
@@ -83,7 +83,7 @@ class Description:
     children: dict[str, list[Joint]] = field(default_factory=dict)
 
     def path(self, base: str, tip: str) -> list[Joint] | None:
-        """The joints from `base` to `tip`, None if `tip` does not hang on `base`."""
+        """The joints from `base` to `tip`, None if `tip` is not below `base`."""
         found: list[Joint] = []
         link = tip
         while link != base:
@@ -94,14 +94,14 @@ class Description:
         return found[::-1]
 
     def below(self, link: str) -> Iterator[str]:
-        """A link and all that hang on it."""
+        """A link and all links below it."""
         yield link
         for joint in self.children.get(link, ()):
             yield from self.below(joint.child)
 
 
 def describe(source: Source) -> Description:
-    """Read what a URDF says. Raises InvalidRequest with file, line and remedy."""
+    """Read a URDF's content. Raises InvalidRequest with file, line and remedy."""
     root = source.root
     links: dict[str, Link] = {}
     for element in root.findall("link"):
@@ -219,7 +219,7 @@ def _joint(source: Source, element: ET.Element) -> Joint:
         for key in ("lower", "upper", "velocity", "effort")
     }
     if limit is not None and kind in ("revolute", "prismatic"):
-        # The specification's default of each is 0.
+        # The specification's default for each is 0.
         bounds |= {key: bounds[key] or 0.0 for key in ("lower", "upper")}
     mimic = element.find("mimic")
     copied = None
@@ -280,5 +280,5 @@ def _pose(source: Source, origin: ET.Element | None, owner: str) -> Array:
     pose = np.eye(4)
     pose[:3, 3] = _numbers(source, origin, "xyz", 3, owner, (0.0, 0.0, 0.0))
     rpy = _numbers(source, origin, "rpy", 3, owner, (0.0, 0.0, 0.0))
-    pose[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()  # about fixed axes, as the specification has it
+    pose[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()  # about fixed axes, as in the specification
     return pose

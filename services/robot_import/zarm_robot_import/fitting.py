@@ -1,4 +1,4 @@
-"""Exact geometry and sphere covers of all links, and how far each stands out of the meshes."""
+"""Exact geometry and sphere covers of all links, and how far each protrudes from the meshes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 class Fitted:
     """The exact geometry of a link, also as rows (n, 17) of `zarm_geometry.rows`, and the balls (k, 4) of its cover.
 
-    The primitives contain the link's surface, and the cover contains them; `exact_out` and `cover_out` say how far they stand out.
+    The primitives contain the link's surface, and the cover contains them; `exact_out` and `cover_out` say how far they
+    protrude.
     """
 
     link: str
@@ -35,8 +36,9 @@ class Fitted:
 def fit(
     surfaces: Sequence[Surface], budget: int, standing: Collection[str], done: Callable[[str], None]
 ) -> list[Fitted]:
-    """Fit all links, with `budget` balls at most in all covers, few of them for the links in `standing`, which do not move; `done`
-    is told each link whose exact geometry is found."""
+    """Fit all links, with at most `budget` balls in all covers, few of them for the links in `standing`, which do not
+    move; `done` is called with each link whose exact geometry is ready.
+    """
     bodies = {surface.link: Body.of(surface.triangles, surface.off) for surface in surfaces}
     primitives: dict[str, list[CollisionPrimitive]] = {}
     for link, body in bodies.items():

@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 
 _STEP = 1e-4
 _APART = 0.002
-"""At home links are at least so far (m) from each other."""
+"""Least distance (m) between links at home."""
 
 
 _LOOKED_AT = 200
-"""Configurations in which it is looked for what is in contact, where none is free."""
+"""Configurations examined for contacts if none is free."""
 
 
 def choose_home(model: RobotModel) -> tuple[float, ...]:
@@ -49,7 +49,7 @@ def choose_home(model: RobotModel) -> tuple[float, ...]:
 
 
 def _score(model: RobotModel, q: Array) -> Array:
-    """The higher, the better, for configurations (n, dof)."""
+    """A score for configurations (n, dof), the higher the better."""
     margin = np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower)
     tip = model.fk_tip(q)
     columns = []
@@ -60,7 +60,7 @@ def _score(model: RobotModel, q: Array) -> Array:
     reach = float(np.linalg.norm(tip[:, :3, 3], axis=1).max())
     jacobian = np.stack(columns, axis=2) / np.array([reach, reach, reach, 1, 1, 1])[:, None]
     smallest = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
-    # The tip in front of the base and above it, and no joint turned further than it needs to.
+    # The tip in front of the base and above it, with no joint turned further than necessary.
     above = tip[:, 2, 3] > 0.1 * reach
     ahead = np.abs(np.arctan2(tip[:, 1, 3], tip[:, 0, 3])) < 1.0
     calm = 1.0 / (1.0 + 0.3 * np.linalg.norm(q - np.clip(0.0, model.lower, model.upper), axis=1))
@@ -69,7 +69,7 @@ def _score(model: RobotModel, q: Array) -> Array:
 
 
 def _twist(one: Array, other: Array) -> Array:
-    """The small motion (n, 6) from poses to poses: translation, rotation vector."""
+    """The small motion (n, 6) between poses: translation, rotation vector."""
     turn = other[:, :3, :3] @ one[:, :3, :3].transpose(0, 2, 1)
     rotation = [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]]
     return np.column_stack([other[:, :3, 3] - one[:, :3, 3], *(half / 2 for half in rotation)])

@@ -33,7 +33,7 @@ from zarm_robot_import.writing import descriptor_text, urdf_text
 
 @dataclass(frozen=True)
 class Options:
-    """What a user may choose; see `zarm robot import --help`."""
+    """The user's options; see `zarm robot import --help`."""
 
     name: str | None = None
     base: str | None = None
@@ -50,8 +50,8 @@ def import_robot(
 ) -> tuple[Path, Report]:
     """Make `<name>.yaml`, `.urdf`, `.md` and `.png` in `folder` from a URDF or xacro; returns the descriptor's path.
 
-    `progress` is told the step and the share that is done. Raises InvalidRequest with what is wrong in the file and what to
-    do, Unavailable if a package is missing; then nothing is written.
+    `progress` is called with the step and the completed share. Raises InvalidRequest with the fault in the file and the
+    remedy, Unavailable if a package is missing; then nothing is written.
     """
     begun = time.process_time()
     progress("reading", 0.0)
@@ -130,7 +130,7 @@ def import_robot(
 
 
 def _name(text: str) -> str:
-    """The robot's name as a descriptor takes it."""
+    """The robot's name in a form that a descriptor accepts."""
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
     plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_")
     return (plain if plain[:1].isalpha() else f"robot_{plain}".rstrip("_"))[:64]

@@ -9,21 +9,23 @@ from dataclasses import dataclass
 from zarm_robot_import.description import Description, Joint
 
 VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.1}
-"""Where the URDF gives none (rad/s, m/s): slow for any arm."""
+"""Default if the URDF gives none (rad/s, m/s): slow for any arm."""
 RAMP = 0.5
 """Assumed time from rest to the highest velocity (s): half of what arms of 5 to 15 kg payload state or more."""
 JERK_RAMP = 0.1
-"""Assumed time from no acceleration to the highest (s)."""
+"""Assumed time (s) from no acceleration to the highest."""
 MOST_ACCELERATION = 5.0
-"""No higher acceleration is assumed (rad/s²): what the driver of the UR arms calls conservative."""
+"""Highest acceleration assumed (rad/s²): what the driver of the UR arms calls conservative."""
 
 WIDEST, FASTEST = 100.0, 30.0
-"""No joint turns so far (rad), or slides so far (m), and none moves so fast (rad/s, m/s): beyond it limits are most likely in degrees."""
+"""No joint turns further (rad), slides further (m), or moves faster (rad/s, m/s); larger limits are most likely in
+degrees.
+"""
 
 
 @dataclass(frozen=True)
 class JointLimits:
-    """The limits of one joint in rad or m, and s; `assumed` names those that the URDF does not give."""
+    """The limits of one joint in rad or m, and s; `assumed` names those missing in the URDF."""
 
     joint: str
     lower: float

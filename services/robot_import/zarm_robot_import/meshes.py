@@ -22,24 +22,24 @@ Array = NDArray[np.float64]
 
 MOST_TRIANGLES = 3_000_000
 MOST_KEPT = 200_000
-"""Triangles of a link that are computed with."""
+"""Most triangles of a link used in computations."""
 SMALLEST = 1e-3
-"""A link smaller than this (m) in all directions is taken for none."""
+"""A link smaller than this (m) in all directions is ignored."""
 LARGEST = 20.0
-"""A link larger than this (m) is in millimetres."""
+"""A link larger than this (m) must be in millimetres."""
 CONTAINED = 0.001
-"""Collision geometry that the visual one sticks out of by no more than this (m) contains it."""
+"""Collision geometry counts as containing the visual one if that protrudes by at most this (m)."""
 _THINNED = 2000
-"""Triangles are enough to tell by what is inside."""
+"""Number of triangles that is enough to decide what is inside."""
 _POINTER = b"version https://git-lfs"
 SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
 
 @dataclass
 class Surface:
-    """The triangles (n, 3, 3) of a link in its own frame, in m; where they come from and why; what is to be said of it.
+    """The triangles (n, 3, 3) of a link in its own frame, in m; their origin and the reason for it; and remarks.
 
-    Where they are of both kinds, `collision` holds those of the collision geometry alone.
+    If they are of both kinds, `collision` holds those of the collision geometry alone.
     """
 
     link: str
@@ -49,11 +49,11 @@ class Surface:
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     off: float = 0.0
-    """How far (m) the link's true surface may be from these triangles, because it has too many to compute with."""
+    """How far (m) the link's true surface may be from these triangles, if it had too many to compute with."""
     collision: Array | None = None
 
     def without_visual(self, why: str) -> Surface:
-        """The same of the collision geometry alone; `why` completes "the visual mesh is left out, because"."""
+        """The same with the collision geometry alone; `why` completes "the visual mesh is left out, because"."""
         if self.collision is None:
             return self
         warning = (
@@ -70,10 +70,10 @@ class Surface:
 
 
 def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | None:
-    """What a link's geometry is, None if it has none.
+    """The surface of a link's geometry, None if it has none.
 
-    `prefer`: `collision`, `visual`, or `auto`: the collision geometry, together with the visual one where that sticks out of it.
-    Raises InvalidRequest for a mesh that cannot be read or is not there.
+    `prefer`: `collision`, `visual`, or `auto`: the collision geometry, together with the visual one if that protrudes
+    from it. Raises InvalidRequest for a mesh that is missing or cannot be read.
     """
     warnings: list[str] = []
     files: list[Path] = []
@@ -95,7 +95,7 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
         if parts:
             found[kind] = _cleaned(np.concatenate(parts))
     for kind, text in missing.items():
-        # Half a link is no link: what is left of this kind is dropped where the other one is whole.
+        # A partial link is useless: drop this kind if the other one is complete.
         other = "visual" if kind == "collision" else "collision"
         if other not in found or other in missing:
             raise InvalidRequest(text)
@@ -125,7 +125,7 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
 
 
 def _chosen(link: Link, found: dict[str, Array], prefer: str) -> Surface:
-    """Which of the kinds of geometry that were found is taken, and why."""
+    """Which of the kinds of geometry found is used, and why."""
     if len(found) == 1:
         ((kind, triangles),) = found.items()
         other = "visual" if kind == "collision" else "collision"
@@ -140,7 +140,9 @@ def _chosen(link: Link, found: dict[str, Array], prefer: str) -> Surface:
 
 
 def gathered(triangles: Array, most: int) -> tuple[Array, float]:
-    """At most `most` triangles instead of these (n, 3, 3), with corners on a grid, and how far (m) a point of these may be from them."""
+    """At most `most` triangles instead of these (n, 3, 3), with vertices on a grid, and the greatest distance (m) to
+    the original.
+    """
     size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 400, 1e-5)
     given, off = triangles, 0.0
     while len(triangles) > most:
@@ -152,7 +154,7 @@ def gathered(triangles: Array, most: int) -> tuple[Array, float]:
 
 
 def thinned(triangles: Array) -> Array:
-    """At most `_THINNED` triangles near to these, whose corners are gathered in cells."""
+    """At most `_THINNED` triangles close to these, whose vertices are merged in cells."""
     size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 200, 1e-5)
     given = triangles
     while len(triangles) > _THINNED:
@@ -177,8 +179,9 @@ def points_on(triangles: Array, count: int, seed: int = 0) -> tuple[Array, NDArr
 
 
 def sticks_out(inner: Array, outer: Array) -> float:
-    """How far (m) the farthest of 2000 points on the triangles `inner` is outside of the surface `outer`, less what sampling
-    adds; 0 where none is."""
+    """How far (m) the farthest of 2000 points on the triangles `inner` is outside the surface `outer`, less the
+    sampling error; 0 if none is.
+    """
     count = 40_000
     beyond = points_on(inner, 2000)[0]
     cloud = points_on(outer, count)[0]
@@ -190,7 +193,7 @@ def sticks_out(inner: Array, outer: Array) -> float:
 
 
 def areas(triangles: Array) -> Array:
-    """Of triangles (n, 3, 3), in m^2."""
+    """Areas of triangles (n, 3, 3), in m^2."""
     found: Array = (
         np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
     )
@@ -206,7 +209,7 @@ def _size(triangles: Array) -> float:
 
 
 def _cleaned(triangles: Array) -> Array:
-    """Without those that are not finite."""
+    """The finite ones."""
     kept: Array = triangles[np.isfinite(triangles).all(axis=(1, 2))]
     return kept
 
@@ -235,7 +238,7 @@ def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Pa
     except _Unreadable as error:
         raise InvalidRequest(f"{place}: link {link}: {error}") from error
     if math.prod(geometry.scale) < 0.0:
-        triangles = triangles[:, ::-1]  # mirrored: the outside stays outside
+        triangles = triangles[:, ::-1]  # mirrored: keep the orientation outwards
     return triangles * geometry.scale, file
 
 
@@ -245,7 +248,7 @@ class _Unreadable(Exception):
 
 @lru_cache(maxsize=64)
 def _load(file: Path) -> Array:
-    """The triangles of a file, in m where the file says its unit."""
+    """The triangles of a file, in m if the file states its unit."""
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     with file.open("rb") as opened:
         if opened.read(len(_POINTER)) == _POINTER:
@@ -259,7 +262,7 @@ def _load(file: Path) -> Array:
         if file.suffix.lower() == ".dae":
             raise Unavailable(f"{file} needs the package pycollada; `pip install zarm[import]`") from error
         raise _Unreadable(f"{file} cannot be read: {error}; export it again") from error
-    except Exception as error:  # parsers of broken files raise whatever they stumble over
+    except Exception as error:  # parsers of broken files raise all kinds of errors
         raise _Unreadable(f"{file} cannot be read: {' '.join(str(error).split())[:200]}; export it again") from error
     parts = [np.asarray(mesh.triangles, np.float64) for mesh in meshes if hasattr(mesh, "triangles")]
     if not parts or not sum(map(len, parts)):
@@ -272,7 +275,7 @@ def _load(file: Path) -> Array:
 
 
 def _unit(file: Path) -> float:
-    """Metres per unit of a COLLADA file, as RViz takes it."""
+    """Metres per unit of a COLLADA file, as RViz interprets it."""
     import collada
 
     unit = collada.Collada(str(file), ignore=[collada.common.DaeError]).assetInfo.unitmeter

@@ -1,9 +1,9 @@
 """Exact geometry of a link: a few tight convex primitives that contain its surface.
 
-A link is cut by planes, as in convex decomposition (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh approximate
-convex decomposition", 2009), and around what is in each cell goes the smallest box, cylinder, capsule or ball. The one that stands
-out the most is cut next, where that leaves the least volume. A convex primitive contains a piece of surface once it contains the
-corners of its triangles, so containment is exact: triangles are cut at the same planes.
+A link is cut by planes, as in convex decomposition (Mamou and Ghorbel, "A simple and efficient approach for 3D mesh
+approximate convex decomposition", 2009), and each cell is enclosed by the smallest box, cylinder, capsule or ball. The
+one that protrudes most is cut next, where that leaves the least volume. A convex primitive contains a piece of surface
+if it contains the corners of its triangles, so containment is exact: triangles are cut at the same planes.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ from zarm_robot_import.meshes import areas, points_on, thinned
 Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
-"""A link whose primitives stand out (m) by no more than this on average, and at most, is cut no further ..."""
+"""A link whose primitives protrude (m) by no more than this on average, and at most, is not cut further ..."""
 COUNT = 130
-"""... nor one of so many primitives."""
+"""... nor one with this many primitives."""
 _POINTS = 250
-"""Points that stand for the surface while planes are looked for."""
+"""Points that represent the surface in the search for planes."""
 _SAMPLES = 400
-"""Points on each primitive from which it is told how far it stands out."""
+"""Points on each primitive used to measure how far it protrudes."""
 _CUTS = 5
-"""Planes that are tried along each axis."""
+"""Planes tried along each axis."""
 _FEWEST = 25
-"""Points on each side of a plane, at least."""
+"""Least number of points on each side of a plane."""
 _SAME = math.cos(math.radians(1.0))
-"""Axes whose angle has a larger cosine are one."""
+"""Axes whose angle has a larger cosine count as the same."""
 _TOUCHING = 0.001
-"""Boxes that are so near (m) to each other touch."""
+"""Boxes this close (m) to each other touch."""
 _ORDERS = ([1, 2, 0], [2, 0, 1], [0, 1, 2])
 _FLAT = 0.002
-"""All volume counts as if it were so far (m) outside: between the body's points there is room for thin shapes."""
+"""All volume counts as if it were at least this far (m) outside, because thin shapes fit between the body's points."""
 
 
 def written(row: Array) -> CollisionPrimitive:
-    """A row (17,) of `zarm_geometry.rows` as the descriptor has it."""
+    """A row (17,) of `zarm_geometry.rows` in the descriptor's form."""
     frame = row[:12].reshape(3, 4)
     turn = frame[:, :3].T
     middle = -turn @ frame[:, 3]
@@ -79,7 +79,7 @@ def written(row: Array) -> CollisionPrimitive:
 
 
 def rows_of(primitives: Sequence[CollisionPrimitive]) -> Array:
-    """Primitives of a link (n, 17) in its frame, see `zarm_geometry.rows`."""
+    """The primitives of a link as rows (n, 17) in its frame, see `zarm_geometry.rows`."""
     found = []
     for shape in (link_shape("", primitive) for primitive in primitives):
         turn = shape.pose[:3, :3].T
@@ -105,10 +105,10 @@ def triangles_of(row: Array) -> Array:
 
 @dataclass(eq=False)
 class _Cell:
-    """What is between planes: triangles (n, 3, 3), the corners (k, 3) of their convex hull, points (m, 3) on them, and the row of what
-    contains them; `out` as in `_tightest`.
+    """The content between planes: triangles (n, 3, 3), the corners (k, 3) of their convex hull, points (m, 3) on them,
+    and the row of the enclosing primitive; `out` as in `_tightest`.
 
-    `axes` (l, 3, 3) are the frames to try here. `final` where no plane makes it tighter.
+    `axes` (l, 3, 3) are the frames to try here. `final` if no plane makes it tighter.
     """
 
     triangles: Array
@@ -147,15 +147,15 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
 
 
 def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> list[_Cell]:
-    """The same with cells made one again where that stands out no more than is wanted, or than what there is."""
+    """The cells, merged where the result protrudes no more than wanted, or than the separate ones."""
     far = body.points[body.out & (body.distance > MOST)]
-    far = far[~within(far, _rows(cells), 0.0)]  # and there it stays
+    far = far[~within(far, _rows(cells), 0.0)]  # and it stays outside
 
     def union_of(a: _Cell, b: _Cell) -> _Cell | None:
         union = _union(a, b, axes, body) if _adjoin(a, b) else None
         return None if union is None or within(far, union.row[None], 0.0).any() else union
 
-    unions: dict[tuple[_Cell, _Cell], _Cell | None] = {}  # None where they had better stay two
+    unions: dict[tuple[_Cell, _Cell], _Cell | None] = {}  # None if they should stay separate
     outs: dict[_Cell, Out] = {}
     while True:
         pairs = list(combinations(cells, 2))
@@ -179,7 +179,7 @@ def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> li
 
 
 def _add_missing(outs: dict[_Cell, Out], cells: list[_Cell], measure: Measure) -> None:
-    """Measure those cells that have not been since something near to them has changed."""
+    """Measure the cells that have not been measured since something near them changed."""
     for i, cell in enumerate(cells):
         if cell not in outs:
             outs[cell] = measure.one(cell.row, _rows(cells[:i] + cells[i + 1 :]))
@@ -191,7 +191,7 @@ def _rows(cells: Sequence[_Cell]) -> Array:
 
 @dataclass(frozen=True)
 class Out:
-    """How far (m) the outside of a primitive is from the body: at most, and in all over its `area` (m^2)."""
+    """How far (m) the outside of a primitive is from the body: at most, and integrated over its `area` (m^2)."""
 
     most: float
     total: float
@@ -199,17 +199,17 @@ class Out:
 
     @property
     def mean(self) -> float:
-        """On average (m)."""
+        """The mean distance (m)."""
         return self.total / self.area if self.area else 0.0
 
     @classmethod
     def together(cls, outs: Sequence[Self]) -> Self:
-        """Of several primitives as one."""
+        """Several primitives combined."""
         return cls(max(out.most for out in outs), sum(out.total for out in outs), sum(out.area for out in outs))
 
 
 class Measure:
-    """How far primitives stand out of a body."""
+    """How far primitives protrude from a body."""
 
     def __init__(self, body: Body) -> None:
         corners = body.triangles.reshape(-1, 3)
@@ -218,11 +218,13 @@ class Measure:
         self._known: dict[bytes, _Skin] = {}
 
     def all(self, rows: Sequence[Array]) -> list[Out]:
-        """Of each primitive (17,), without what is within the body or another one."""
+        """For each primitive (17,), without the parts inside the body or another one."""
         return [self.one(row, np.array([*rows[:i], *rows[i + 1 :]]).reshape(-1, 17)) for i, row in enumerate(rows)]
 
     def one(self, row: Array, others: Array) -> Out:
-        """Of one primitive (17,), without what is within the body or one of `others` (n, 17); sampled, so from above."""
+        """For one primitive (17,), without the parts inside the body or one of `others` (n, 17); sampled, so an upper
+        bound.
+        """
         skin = self._skin(row)
         outer = np.flatnonzero(~within(skin.points, others, 1e-5))
         unsure = outer[skin.unsure[outer]]
@@ -232,8 +234,9 @@ class Measure:
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
 
     def outside(self, row: Array) -> tuple[Array, Array]:
-        """Points (n, 3) on a primitive (17,) that are outside of the body, and for each the integral (n,) of what the distance to
-        the body costs over what lies below it, in m^5: where the body's points are too few for a thin primitive, these are not."""
+        """Points (n, 3) on a primitive (17,) outside the body, and for each the integral (n,) of the distance cost over
+        the volume below it, in m^5: for thin primitives, which contain too few of the body's points.
+        """
         self.one(row, np.empty((0, 17)))
         skin = self._skin(row)
         out = skin.out > 0.0
@@ -251,8 +254,9 @@ class Measure:
 
 @dataclass(frozen=True)
 class _Skin:
-    """Points (n, 3) on a primitive, how far (n,) they are from the body, and of which it is `unsure` (n,) whether they are within;
-    each stands for an area of `each` (m^2)."""
+    """Points (n, 3) on a primitive, their distances (n,) from the body, and a mask `unsure` (n,) of those that may be
+    inside; each represents an area of `each` (m^2).
+    """
 
     points: Array
     out: Array
@@ -261,9 +265,10 @@ class _Skin:
 
 
 def _axes(points: Array, triangles: Array, known: Array) -> Array:
-    """The frames `known` (n, 3, 3) and more with z along the directions in which planes and primitives are tried.
+    """The frames `known` (n, 3, 3) and more, with z along the directions in which planes and primitives are tried.
 
-    They are the axes of the link, the main ones of points (k, 3) on its surface, and those of its largest flat faces.
+    They are the axes of the link, the principal ones of points (k, 3) on its surface, and those of its largest flat
+    faces.
     """
     found = list(known[::3])
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
@@ -275,7 +280,7 @@ def _axes(points: Array, triangles: Array, known: Array) -> Array:
 
 
 def _faces(triangles: Array) -> Array:
-    """Axes (3, 3): the direction that the most area faces, that of the most area across it, and the one across both."""
+    """Axes (3, 3): the direction that most area faces, that of most area perpendicular to it, and their normal."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sizes = np.linalg.norm(normals, axis=1)
     if not sizes.any():
@@ -299,7 +304,7 @@ def _faces(triangles: Array) -> Array:
 
 
 def _piece(triangles: Array, axes: Array, body: Body) -> _Cell:
-    """Some of the triangles as a cell."""
+    """A cell of some of the triangles."""
     corners = _hull(triangles.reshape(-1, 3))
     along = corners @ axes[:, :, 2].T
     furthest = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))
@@ -308,7 +313,7 @@ def _piece(triangles: Array, axes: Array, body: Body) -> _Cell:
 
 
 def _union(a: _Cell, b: _Cell, axes: Array, body: Body) -> _Cell:
-    """Two cells as one."""
+    """Two cells merged."""
     return _cell(
         np.concatenate([a.triangles, b.triangles]),
         np.concatenate([a.corners, b.corners]),
@@ -327,7 +332,7 @@ def _adjoin(a: _Cell, b: _Cell) -> bool:
 
 
 def _hull(points: Array) -> Array:
-    """The corners (k, 3) of the convex hull of points (n, 3); all of them where they are flat."""
+    """The corners (k, 3) of the convex hull of points (n, 3); all points if they are coplanar."""
     found: Array
     try:
         found = points[ConvexHull(points).vertices]
@@ -357,9 +362,9 @@ def _grown(row: Array, by: float) -> Array:
 
 
 def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) -> list[_Cell]:
-    """A cell cut in two by the plane that leaves the least outside of the body; nothing where there is none.
+    """A cell cut in two by the plane that leaves the least outside the body; empty if there is none.
 
-    `outside` is what counts beside the body's points: points (n, 3) on the cell's primitive, and how much (n,) each.
+    `outside` counts beside the body's points: points (n, 3) on the cell's primitive, and the cost (n,) of each.
     """
     best, chosen = np.inf, None
     points, weights = (np.concatenate(each) for each in zip(body.around(cell.points), outside, strict=True))
@@ -395,8 +400,9 @@ def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) 
 
 
 class _Form(NamedTuple):
-    """What is known of primitives before their sizes: frames (n, 3, 3) of round ones with z along them, and of boxes; a point (n, 3) on
-    the axis; the centre (3,) of a ball."""
+    """The known part of primitives, without their sizes: frames (n, 3, 3) of round ones with z along them, and of
+    boxes; a point (n, 3) on the axis; the centre (3,) of a ball.
+    """
 
     turn: Array
     box: Array
@@ -409,9 +415,11 @@ def _form(points: Array, axes: Array) -> _Form:
 
 
 def _tightest(points: Array, form: _Form, outer: tuple[Array, Array], most: float = np.inf) -> tuple[int, float]:
-    """The primitive around points that has the least outside of the body: which, and how much; -1 and `most` where all have more.
+    """The primitive around points with the least cost outside the body: its index and cost; -1 and `most` if all cost
+    more.
 
-    `outer` are points outside, and what each counts. It is the integral over the primitive of what the distance to the body costs, in m^5.
+    `outer` are points outside, and the cost of each. The cost is the integral over the primitive of that of the
+    distance to the body, in m^5.
     """
     rows = around(points, *form)
     return least_outside(rows, _FLAT**2 * _volumes(rows), *outer, most)
@@ -425,7 +433,9 @@ def _volumes(rows: Array) -> Array:
 
 
 def cut(triangles: Array, normal: Array, offset: float) -> tuple[Array, Array]:
-    """The triangles (n, 3, 3) below and above the plane of points x with normal * x = offset, cut where it goes through them."""
+    """The triangles (n, 3, 3) below and above the plane of points x with normal * x = offset, cut where it intersects
+    them.
+    """
     away = triangles @ normal - offset
     above = away > 0.0
     count = above.sum(axis=1)

@@ -15,9 +15,9 @@ from zarm_robot_import.self_collision import Pair
 
 @dataclass(frozen=True)
 class Report:
-    """All that was decided, and why.
+    """All decisions, and their reasons.
 
-    `left_out` says which geometry is not taken; `controller` is the trajectory controller of ros2_control that the URDF names.
+    `left_out` lists the geometry not used; `controller` is the ros2_control trajectory controller that the URDF names.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Report:
 
     @property
     def warnings(self) -> list[str]:
-        """What somebody should look at."""
+        """What should be reviewed."""
         found = [*self.left_out]
         found += [f"{surface.link}: {warning}" for surface in self.surfaces for warning in surface.warnings]
         for limit in self.limits:
@@ -53,7 +53,7 @@ class Report:
 
     @property
     def spheres(self) -> int:
-        """In the cover."""
+        """Spheres in the cover."""
         return sum(len(link.balls) for link in self.fitted)
 
     def markdown(self) -> str:

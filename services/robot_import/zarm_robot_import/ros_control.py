@@ -1,4 +1,4 @@
-"""The trajectory controller of ros2_control that a URDF names: the driver of the arm on ROS."""
+"""The ros2_control trajectory controller that a URDF names: the driver of the arm on ROS."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def controlled(robot: Description, joints: Sequence[str]) -> bool:
 def trajectory_controller(robot: Description, joints: Sequence[str]) -> str | None:
     """The name, with its namespace, of the controller for exactly these joints; None if the URDF names none.
 
-    It is named by a <param> of the <ros2_control> that has the joints, or in the file of parameters that the plugin of a simulator
-    is given. Raises InvalidRequest if that file is no YAML.
+    It is named by a <param> of the <ros2_control> that has the joints, or in the parameter file of a simulator plugin.
+    Raises InvalidRequest if that file is not valid YAML.
     """
     if not controlled(robot, joints):
         return None
@@ -59,7 +59,7 @@ def _configured(robot: Description, joints: Sequence[str]) -> Iterator[str]:
 
 
 def _controllers(parameters: object) -> Iterator[tuple[str, dict[str, object]]]:
-    """Trajectory controllers and their parameters in a ROS 2 file of parameters."""
+    """Trajectory controllers and their parameters in a ROS 2 parameter file."""
     nodes = {name: _section(node, "ros__parameters") for name, node in _mapping(parameters).items()}
     for name, entry in nodes.get("controller_manager", {}).items():
         if _mapping(entry).get("type") == _TYPE:

@@ -17,11 +17,13 @@ from zarm_robot_import.fitting import Fitted
 Array = NDArray[np.float64]
 
 CLEAR = 0.005
-"""Meshes that come no nearer than this (m) in samples and in a search from the nearest of them are taken never to meet."""
+"""Meshes that come no closer than this (m), in samples and in a search from the closest of them, are assumed never to
+meet.
+"""
 MOST_TAKEN = 0.3
-"""Share of all configurations that covers may take from a pair of links before the search leaves it out."""
+"""Largest share of all configurations that covers may block for a pair of links before the search ignores it."""
 _CROWD = 300
-"""Configurations in which the exact geometry is looked at."""
+"""Configurations in which the exact geometry is examined."""
 _SEARCHES = 3
 _STEPS = 40
 
@@ -62,7 +64,7 @@ class Pairs:
         return found
 
     def _marked(self, pair: Pair) -> Pair:
-        """The same, `exact` where its covers take more than MOST_TAKEN of all configurations."""
+        """The same pair, `exact` if its covers block more than MOST_TAKEN of all configurations."""
         taken = 0.0 if pair.ignored else self._taken(pair)
         if taken <= MOST_TAKEN:
             return pair
@@ -72,7 +74,7 @@ class Pairs:
         return replace(pair, exact=True, reason=pair.reason + more)
 
     def _taken(self, pair: Pair) -> float:
-        """The share of configurations in which the covers of two links overlap and their exact geometry does not."""
+        """The share of configurations in which the covers of two links overlap but their exact geometry does not."""
         covers = ((link, self._fitted[link].balls) for link in (pair.first, pair.second))
         near = np.flatnonzero(
             _gaps(*(_placed(balls, self._contacts.poses[link][:_CROWD]) for link, balls in covers)) < 0.0
@@ -84,7 +86,7 @@ class Pairs:
         return np.array([(*shape.pose[:3, 3], shape.radius) for shape in self._parts[link]])
 
     def _overlap(self, first: str, second: str, k: int) -> bool:
-        """Whether the exact geometry of two links does."""
+        """Whether the exact geometry of two links overlaps."""
         poses = [self._contacts.poses[link][k] for link in (first, second)]
         one, other = (
             _placed(self._bounds(link), pose[None])[0] for link, pose in zip((first, second), poses, strict=True)
@@ -122,7 +124,7 @@ class Pairs:
         return len(near) == SAMPLES and all(self._contacts.touch(first, second, k, bare) for k in near[::-1].tolist())
 
     def _never(self, first: str, second: str, near: NDArray[np.intp], what: str, bare: Sequence[str] = ()) -> Pair:
-        """What becomes of two links that touched in none."""
+        """The decision for two links that touched in no configuration."""
         least = self._nearest(first, second, near, bare)
         share = f"their {what} met in none of {SAMPLES} configurations (less than {300 / SAMPLES:.2g} % of all, with 95 % confidence)"
         if least > CLEAR:
@@ -155,7 +157,7 @@ class Pairs:
 
 
 def _gaps(one: Array, other: Array) -> Array:
-    """Distances (n,) of balls (n, k, 4) and (n, l, 4), below 0 where they overlap."""
+    """Distances (n,) of balls (n, k, 4) and (n, l, 4), negative if they overlap."""
     return np.array(
         [(cdist(a[:, :3], b[:, :3]) - a[:, None, 3] - b[:, 3]).min() for a, b in zip(one, other, strict=True)]
     )

@@ -17,16 +17,16 @@ from xml.parsers import expat
 from zarm_contract.errors import InvalidRequest, Unavailable
 
 _ABOVE = 6
-"""Folders above the source in which packages are looked for."""
+"""Number of folders above the source in which packages are searched."""
 _ALIKE = 4
-"""Letters of a folder's name that may begin the name of a package."""
+"""Least length of a folder's name that may match the beginning of a package's name."""
 _PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 _NO_VALUE = re.compile(r"Undefined substitution argument (\w+)")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A robot's XML. `lines` are those of the elements; in an expanded xacro they count in the expanded text."""
+    """A robot's XML. `lines` are those of the elements; for an expanded xacro they count in the expanded text."""
 
     path: Path
     root: ET.Element
@@ -49,7 +49,7 @@ class Source:
         if scheme == "package" or scheme == "model":
             package, _, inside = rest.partition("/")
             folder = find_package(package, self.path, self.packages)
-            # A package that was copied without its folder: what it holds lies beside or above the source.
+            # A package copied without its folder: its content is beside or above the source.
             folders = [folder] if folder else [*self.path.parents][:_ABOVE]
             candidates = [place / inside for place in folders] + [place / rest for place in folders]
         else:
@@ -59,7 +59,9 @@ class Source:
 
 
 def read_source(path: Path, packages: Sequence[Path] = (), arguments: Mapping[str, str] | None = None) -> Source:
-    """Read a URDF, or expand a xacro with `arguments`. Raises InvalidRequest with file and line, Unavailable without the package xacro."""
+    """Read a URDF, or expand a xacro with `arguments`. Raises InvalidRequest with file and line, Unavailable without
+    the package xacro.
+    """
     path = path.resolve()
     packages = tuple(packages)
     try:
@@ -95,7 +97,7 @@ def read_source(path: Path, packages: Sequence[Path] = (), arguments: Mapping[st
 
 
 def fingerprint(path: Path) -> bytes:
-    """Bytes that change with a URDF or xacro, with what it includes and with the files that it names. Raises as `read_source`."""
+    """Bytes that change with a URDF or xacro, its includes and the files that it names. Raises as `read_source`."""
     source = read_source(path)
     named = [mesh.get("filename", "") for mesh in source.root.iter("mesh")]
     named += [(parameters.text or "").strip() for parameters in source.root.iter("parameters")]
@@ -105,7 +107,7 @@ def fingerprint(path: Path) -> bytes:
 
 
 def find_package(name: str, path: Path, packages: Sequence[Path]) -> Path | None:
-    """The folder of a ROS package: in `packages`, in what ROS's environment names, else around the file `path`."""
+    """The folder of a ROS package: in `packages`, in ROS's environment, or around the file `path`."""
     stated = [*packages]
     for variable in _PATHS:
         for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
@@ -122,11 +124,11 @@ def find_package(name: str, path: Path, packages: Sequence[Path]) -> Path | None
             return folder
         if (folder / name).is_dir():
             return folder / name
-    # A package whose folder goes by another name.
+    # A package whose folder has another name.
     for folder in [*path.parents][1:3]:
         if found := _within(folder).get(name):
             return found
-    # One without a package.xml, in a folder that is named alike: kuka_kr6_support in kuka_kr6.
+    # A package without package.xml, in a folder with a similar name: kuka_kr6_support in kuka_kr6.
     for folder in [*path.parents][:_ABOVE]:
         if len(folder.name) >= _ALIKE and (folder.name.startswith(name) or name.startswith(folder.name)):
             return folder
@@ -156,21 +158,21 @@ def _expanded(path: Path, packages: Sequence[Path], arguments: Mapping[str, str]
         raise Unavailable(
             f"{path} is a xacro file, which needs the package xacrodoc; `pip install zarm[import]`, or expand it with xacro"
         ) from error
-    # Where a ROS is installed, xacrodoc asks its index, which fails without this variable; the folder is looked into anyway.
+    # If ROS is installed, xacrodoc asks its index, which fails without this variable; the folder is searched anyway.
     if not os.environ.get("AMENT_PREFIX_PATH"):
         os.environ["AMENT_PREFIX_PATH"] = str(path.parent.resolve())
     finder.reset()
     finder.look_in([str(folder) for folder in packages])
     while True:
-        init_stacks(None)  # after a failure xacro would still look beside the file in which it was
+        init_stacks(None)  # after a failure xacro would still search beside the previous file
         try:
-            # xacro takes an include without a folder to lie in the working directory.
+            # xacro resolves an include without a folder in the working directory.
             with redirect_stdout(StringIO()), redirect_stderr(StringIO()), chdir(path.parent):
                 expanded = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
                 text: str = expanded.to_urdf_string()
             return text.encode()
-        except Exception as error:  # xacro raises whatever its expressions do
-            missing = getattr(error, "exc", error)  # what xacro met in an expression
+        except Exception as error:  # xacro raises whatever its expressions raise
+            missing = getattr(error, "exc", error)  # the error in an xacro expression
             if isinstance(missing, finder.PackageNotFoundError):
                 name = missing.args[0]
                 if (folder := find_package(name, path, packages)) is None:

@@ -1,9 +1,10 @@
 """The sphere cover of a robot: spheres that contain the exact geometry of its links, for the search.
 
-What counts is the space that the balls take outside of the links, what is far from them more. Each link begins as one ball. Again and
-again the ball is split for which that frees the most space, until the balls of the whole robot are as many as they may be; and balls
-are moved and shrunk to what they alone contain. So few balls go where more would change little: along a tube, say, and not into
-the edges of its ends. What they contain is then proven and not sampled: `kernels.balls` grows them until nothing is outside.
+The cost is the space that the balls occupy outside the links, and more the farther it is. Each link begins as one ball.
+The ball whose split frees the most space is split repeatedly, until the whole robot has its budget of balls; and balls
+are moved and shrunk to what they alone contain. So few balls are spent where more would change little, such as along a
+tube or into the edges of its ends. Containment is then proven, not sampled: `kernels.balls` grows the balls until
+nothing is outside.
 """
 
 from __future__ import annotations
@@ -28,30 +29,30 @@ Array = NDArray[np.float64]
 BUDGET = 80
 """Balls in the cover of the whole robot."""
 STANDING = 0.25
-"""Space around what stands on the base counts so much: the scene is not checked against it, only the moving links."""
+"""Weight of the space around what stands on the base: the scene is checked only against the moving links."""
 _POINTS, _INNER = 3000, 700
-"""Points on the boundary of a link and within it that its balls are fitted to, ..."""
+"""Points on the boundary of a link and inside it to which its balls are fitted, ..."""
 _MORE_POINTS, _MORE_INNER = 20_000, 6000
-"""... and those that are looked at in the end: what is missed of them joins the others."""
+"""... and those checked at the end: uncovered ones are added to the others."""
 _OUTSIDE = 3000
 """Points in the space around a link."""
 _FAR = 0.02
-"""Space at a distance d (m) counts as 1 + (d / _FAR)^2."""
+"""Space at a distance d (m) has the weight 1 + (d / _FAR)^2."""
 _CUTS = (0.3, 0.5, 0.7)
-"""Where along its main axes a ball's part of the link is cut, as shares of the length."""
+"""Cuts along the main axes of a ball's part of the link, as shares of the length."""
 _STEPS = (0.016, 0.008, 0.004, 0.002)
-"""How far (m) balls are moved, and in the end by the last of them, and less."""
+"""Step sizes (m) for moving balls; `_LAST_STEPS` are those at the end."""
 _LAST_STEPS = (0.008, 0.004, 0.002, 0.001)
 _ROUNDS = 4
 _AROUND = np.array([(x, y, z) for x in (0, 1, -1) for y in (0, 1, -1) for z in (0, 1, -1)], float)
 _SMALLEST = 0.002
-"""Radius (m) of a ball at least; what is drawn of one that is 0.1 mm small has no surface."""
+"""Least radius (m) of a ball; one of 0.1 mm has no drawable surface."""
 _FINEST = 5e-4
-"""What the proof cuts no further (m)."""
+"""Finest subdivision (m) of the proof."""
 
 
 def fit_covers(rows: Mapping[str, Array], budget: int = BUDGET, standing: Collection[str] = ()) -> dict[str, Array]:
-    """Balls (n, 4) of each link, as the descriptor has them, that contain its exact geometry (m, 17).
+    """Balls (n, 4) of each link, in the descriptor's form, that contain its exact geometry (m, 17).
 
     They are at most `budget` in all, but at least one each. The links in `standing` do not move.
     """
@@ -76,7 +77,7 @@ def ball_rows(balls: Array) -> Array:
 
 
 def depths(points: Array, rows: Array) -> Array:
-    """How far (n,) points are at least below the surface of the union of shapes (m, 17); not above 0 outside."""
+    """Lower bounds (n,) on the depth of points below the surface of the union of shapes (m, 17); not above 0 outside."""
     found: Array = -distances(points, rows).min(axis=1)
     return found
 
@@ -97,7 +98,8 @@ def outer_points(rows: Array, count: int) -> Array:
 
 @dataclass
 class _Link:
-    """Points (n, 3) of a link that its balls are to contain, and the space around it: points `out` (k, 3), which count `cost` (k,).
+    """Points (n, 3) of a link that its balls must contain, and the space around it: points `out` (k, 3) with weights
+    `cost` (k,).
 
     `rows` (m, 17) are its exact geometry.
     """
@@ -119,18 +121,20 @@ class _Link:
         return cls(rows, points, space[away > 0.0], cost[away > 0.0])
 
     def taken(self, balls: Array) -> float:
-        """What the space costs that balls (n, 4) take."""
+        """The cost of the space that balls (n, 4) occupy."""
         return float(self.cost[_within(self.out, balls).any(axis=1)].sum())
 
 
 def _points_of(rows: Array, outer: int, inner: int) -> Array:
-    """Points (n, 3) all over shapes (m, 17)."""
+    """Points (n, 3) throughout shapes (m, 17)."""
     grid = np.concatenate([_grid(row, inner // len(rows)) for row in rows])
     return np.concatenate([outer_points(rows, outer), grid[depths(grid, rows) > 0.0]])
 
 
 def _grid(row: Array, count: int) -> Array:
-    """Some `count` points (n, 3) of a grid over the box around a shape (17,), along its axes: thin ones have some, too."""
+    """About `count` points (n, 3) of a grid over the box around a shape (17,), along its axes; thin shapes get some
+    too.
+    """
     half = row[12:15] + row[16] + (row[15], row[15], 0.0)
     frame = row[:12].reshape(3, 4)
     size = np.maximum(2 * half, 1e-3)
@@ -154,13 +158,13 @@ def _around(points: Array) -> Array:
 
 
 def _nearest(points: Array, balls: Array) -> NDArray[np.intp]:
-    """Of points (n, 3) the ball (n,) that lacks the least of each, or contains it the deepest."""
+    """For points (n, 3) the ball (n,) that is closest to containing each, or contains it the deepest."""
     found: NDArray[np.intp] = np.argmin(cdist(points, balls[:, :3]) - balls[:, 3], axis=1)
     return found
 
 
 def _split(links: Mapping[str, _Link], covers: Mapping[str, Array], count: int) -> dict[str, Array]:
-    """The same balls, with those split for which that frees the most space, until they are `count` in all."""
+    """The balls, with those split whose split frees the most space, until there are `count` in all."""
     covers = dict(covers)
     halves = {link: [_halves(links[link], balls, i) for i in range(len(balls))] for link, balls in covers.items()}
     while sum(map(len, covers.values())) < count:
@@ -175,7 +179,7 @@ def _split(links: Mapping[str, _Link], covers: Mapping[str, Array], count: int) 
 
 
 def _halves(link: _Link, balls: Array, index: int) -> tuple[float, Array]:
-    """Two balls (2, 4) instead of one, and how much less space they take."""
+    """Two balls (2, 4) instead of one, and how much less space they occupy."""
     points = link.points[_nearest(link.points, balls) == index]
     free = ~_within(link.out, np.delete(balls, index, axis=0)).any(axis=1)
     out, cost = link.out[free], link.cost[free]
@@ -197,7 +201,9 @@ def _halves(link: _Link, balls: Array, index: int) -> tuple[float, Array]:
 
 
 def _improved(link: _Link, balls: Array) -> Array:
-    """The best of some rounds in which balls are moved, and points go to the ball that contains them the deepest, as in k-means."""
+    """The best of several rounds in which balls are moved, and points go to the ball that contains them the deepest, as
+    in k-means.
+    """
     best, least = balls, np.inf
     for _ in range(2):
         moved = _moved(link, balls, _STEPS)
@@ -209,9 +215,9 @@ def _improved(link: _Link, balls: Array) -> Array:
 
 
 def _moved(link: _Link, balls: Array, steps: Collection[float]) -> Array:
-    """Balls, each in its turn moved to where what it alone contains costs the least, and no larger than that asks for.
+    """Balls, each in turn moved and shrunk to where containing what it alone contains costs the least.
 
-    What is contained stays so; a ball that contains nothing alone goes.
+    What is contained stays contained; a ball that contains nothing alone is dropped.
     """
     for step in steps:
         balls = balls.copy()

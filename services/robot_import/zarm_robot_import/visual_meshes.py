@@ -9,17 +9,18 @@ from zarm_robot_import.contacts import Contacts
 from zarm_robot_import.meshes import Surface
 
 MOST_TAKEN = 0.3
-"""Share of all configurations that visual meshes may take from a pair of links."""
+"""Largest share of all configurations that visual meshes may block for a pair of links."""
 _CROWD = 300
-"""Configurations that are looked at."""
+"""Number of configurations examined."""
 
 
 def without_contradictions(surfaces: Sequence[Surface], contacts: Contacts) -> list[Surface]:
-    """The surfaces, some by their collision geometry alone.
+    """The surfaces, some with their collision geometry alone.
 
-    Where two links touch with their visual meshes in many more configurations than with their collision geometry alone, the arm
-    could hardly move: the visual mesh that does it is left out, with that reason. Where the collision geometry never touches and what
-    is seen always does, as a cable does that runs along the arm, nothing is lost: the pair is ignored later.
+    If two links touch with their visual meshes in many more configurations than with their collision geometry alone,
+    the arm could hardly move: the visual mesh responsible is left out, with that reason. If the collision geometry
+    never touches but the visual one always does, like a cable along the arm, nothing is lost: the pair is ignored
+    later.
     """
     bare: dict[str, str] = {}
     for first, second in combinations([surface.link for surface in surfaces], 2):

@@ -29,7 +29,7 @@ _WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 
 
 def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], folder: Path) -> str:
-    """The arm as a URDF for a file in `folder`: its links with what the source says of them, and only its joints move."""
+    """The arm as a URDF for a file in `folder`: its links as in the source, and only its joints move."""
     root = ET.Element("robot", name=robot.name)
     root.append(ET.Comment(f" Made by zarm robot import from {robot.source.path.name}. "))
     for mounted in chain.mounted:
@@ -39,7 +39,7 @@ def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], f
                 mesh.set("filename", os.path.relpath(found, folder))
         for visual in link.findall("visual"):
             for material in visual.findall("material"):
-                if not len(material):  # one that the source defines elsewhere
+                if not len(material):  # a material defined elsewhere in the source
                     visual.remove(material)
         link.tail = "\n"
         root.append(link)
@@ -63,7 +63,7 @@ def _joint(name: str, kind: str, parent: str, child: str, origin: Array) -> ET.E
     ET.SubElement(element, "parent", link=parent)
     ET.SubElement(element, "child", link=child)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # at a pitch of 90 degrees the third angle is free: any will do
+        warnings.simplefilter("ignore")  # at a pitch of 90 degrees the third angle is arbitrary
         rpy = Rotation.from_matrix(origin[:3, :3]).as_euler("xyz")
     ET.SubElement(element, "origin", xyz=_numbers(origin[:3, 3]), rpy=_numbers(rpy))
     return element
@@ -83,7 +83,7 @@ def descriptor_text(
     pairs: Sequence[Pair],
     controller: str | None = None,
 ) -> str:
-    """The descriptor. `controller` is the trajectory controller of ros2_control that moves the arm."""
+    """The descriptor. `controller` is the ros2_control trajectory controller that moves the arm."""
     assumed = sorted({what for limit in limits for what in limit.assumed})
     lines = [
         f"# {name}, made by `zarm robot import` from {source.name}; {name}.md says how each number was found.",
@@ -137,7 +137,7 @@ def _driver(controller: str) -> list[str]:
 
 
 def plain(text: str) -> str:
-    """A name as YAML takes it for a text."""
+    """A name that YAML reads as text."""
     return text if _PLAIN.fullmatch(text) and text.lower() not in _WORDS else json.dumps(text)
 
 
@@ -146,7 +146,7 @@ def _list(values: Sequence[float]) -> str:
 
 
 def _primitives(link: str, primitives: Sequence[CollisionPrimitive]) -> list[str]:
-    """As they are given: rounding here would let the surface out."""
+    """Unrounded, because rounding would let the surface out."""
     rows = []
     for primitive in primitives:
         values = primitive.model_dump().items()

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 class Additions:
     """clear_trajectory, clear_voxel_map, attach_object, detach_object and set_collision_spheres_enabled.
 
-    `show_spheres(enabled)` shows the spheres that cover the robot, or no longer.
+    `show_spheres(enabled)` shows or hides the robot's collision spheres.
     """
 
     def __init__(self, ros: Ros, engine: Engine, motions: Motions, show_spheres: Callable[[bool], None]) -> None:
@@ -70,7 +70,7 @@ class Additions:
 
 
 def _attach_object() -> Any | None:
-    """The type of attach_object, where the package is installed and has the fields that are known of it."""
+    """The type of attach_object, if the package is installed and has the expected fields."""
     try:
         from isaac_ros_cumotion_interfaces.srv import AttachObject
     except ImportError:

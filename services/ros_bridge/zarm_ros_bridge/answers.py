@@ -11,15 +11,16 @@ from zarm_contract.errors import InternalError, ZarmError
 log = logging.getLogger(__name__)
 
 MOST = 2000
-"""Characters of a message; what a client sent stands in it, however long that was."""
+"""Most characters of a message; it may quote client input of any length."""
 
 Handler = Callable[[Any, Any], str]
-"""`handler(request, response)` fills in the response and returns the message of a success, or raises ZarmError; what it has
-filled in by then stays."""
+"""`handler(request, response)` fills in the response and returns the success message, or raises ZarmError; what it has
+filled in by then stays.
+"""
 
 
 def with_message(handler: Handler) -> Callable[[Any, Any], Any]:
-    """A service that answers `success` and `message`."""
+    """A service that answers with `success` and `message`."""
 
     def answer(request: Any, response: Any) -> Any:
         response.success, response.message = _outcome(handler, request, response)
@@ -29,7 +30,9 @@ def with_message(handler: Handler) -> Callable[[Any, Any], Any]:
 
 
 def with_error_msg(handler: Handler) -> Callable[[Any, Any], Any]:
-    """A service that answers in `error_msg` what went wrong, and `success` where its type has that; the message is not sent."""
+    """A service that answers with the error in `error_msg`, and with `success` if its type has that; the success
+    message is not sent.
+    """
 
     def answer(request: Any, response: Any) -> Any:
         success, text = _outcome(handler, request, response)
@@ -42,7 +45,7 @@ def with_error_msg(handler: Handler) -> Callable[[Any, Any], Any]:
 
 
 def without_words(handler: Handler) -> Callable[[Any, Any], Any]:
-    """A service whose answer has no room for what went wrong: its response is then empty, and the log has the reason."""
+    """A service whose response has no field for errors: its response is then empty, and the reason is logged."""
 
     def answer(request: Any, response: Any) -> Any:
         success, text = _outcome(handler, request, response)
@@ -58,11 +61,11 @@ def _outcome(handler: Handler, request: Any, response: Any) -> tuple[bool, str]:
         return True, handler(request, response)
     except ZarmError as error:
         return False, shortened(str(error))
-    except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
+    except Exception:  # as on the bus, one request fails and the service continues; in rclpy it would end the thread
         log.exception("handler failed request=%s", type(request).__name__)
         return False, str(InternalError("the ROS bridge failed on this request; its log has the trace"))
 
 
 def shortened(text: str) -> str:
-    """The text, of a longer one than MOST its beginning and its end, where the remedy stands and the field."""
+    """The text; of one longer than MOST, its beginning and its end, which contains the remedy and the field."""
     return text if len(text) <= MOST else f"{text[: MOST // 2]} ... {text[-MOST // 2 :]}"

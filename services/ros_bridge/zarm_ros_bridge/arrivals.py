@@ -14,13 +14,14 @@ _arrivals = itertools.count()
 
 
 class OrderedActionServer(ActionServer):  # type: ignore[misc] # rclpy is not followed
-    """An action server whose goal handles have an `arrival`: the greater, the later their goal came, over all of this process.
+    """An action server whose goal handles have an `arrival`, which increases with each goal that arrives in this
+    process.
 
-    rclpy takes the requests one by one; from then on each has a thread of its own.
+    rclpy receives the requests one by one; from then on each has its own thread.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        self._coming: dict[int, int] = {}  # by the identity of what is asked for, as two clients may give one id
+        self._coming: dict[int, int] = {}  # by the identity of the request, since two clients may use the same id
         super().__init__(*arguments, handle_accepted_callback=self._accepted, **options)
 
     def take_data(self) -> dict[str, Any]:
@@ -39,7 +40,9 @@ class OrderedActionServer(ActionServer):  # type: ignore[misc] # rclpy is not fo
                 del self._coming[id(goal)]
 
     def take_up(self, goal: bytes) -> None:
-        """Go on with a goal that an earlier server of this name had accepted, unless it is known here. Its handle has no request."""
+        """Continue a goal that an earlier server of this name had accepted, unless it is known here. Its handle has no
+        request.
+        """
         if (handle := goal_taken_up(self, goal)) is not None:
             handle.arrival = next(_arrivals)
             handle.execute()

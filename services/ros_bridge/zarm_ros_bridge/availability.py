@@ -11,7 +11,7 @@ from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import AVAILABLE, Parameters
 
 _NEEDED = ("planner", "executor")
-_PERIOD = 0.5  # s between two looks
+_PERIOD = 0.5  # interval (s) of the checks
 
 
 class Availability:

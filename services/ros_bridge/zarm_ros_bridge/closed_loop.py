@@ -27,7 +27,7 @@ from zarm_ros_bridge.predicted_path import PredictedPath
 from zarm_ros_bridge.ros import Ros
 
 CLOSED_LOOP = ("mpc", "retarget")
-"""The planners that close a loop, and make no trajectory."""
+"""The planners that work in closed loop, and make no trajectory."""
 FEEDBACK_UNIT = 0.2
 """Seconds between two feedbacks at a time_dilation_factor of 1."""
 _WARN_SECONDS = 5.0
@@ -35,7 +35,7 @@ _WARN_SECONDS = 5.0
 
 @dataclass(frozen=True)
 class _Steps:
-    """Parameters that a goal is followed with; one reads them when it begins."""
+    """Parameters for following a goal, read when it begins."""
 
     step: float
     horizon: int
@@ -45,7 +45,7 @@ class _Steps:
 
 
 class ClosedLoop:
-    """Follows one goal at a time. `mpc_goal` moves the target of the one that runs."""
+    """Follows one goal at a time. `mpc_goal` moves the target of the current one."""
 
     def __init__(self, ros: Ros, engine: Engine, parameters: Parameters, generation: Generation) -> None:
         self._engine = engine
@@ -57,9 +57,10 @@ class ClosedLoop:
         ros.listen(RosPose, ros.node.resolve_topic_name("~/mpc_goal"), self._retarget, 1)
 
     def execute(self, run: Run, planner: str) -> str:
-        """Carry out a goal of execute_trajectory: follow its target, without one where the tip is, until somebody ends it.
+        """Carry out a goal of execute_trajectory: follow its target, or hold the tip's pose if it has none, until it is
+        ended.
 
-        Raises what it ends with: Cancelled where its client wants that.
+        Raises the error it ends with: Cancelled if its client cancels it.
         """
         generation = self._generation
         asked = generation.goal(run.handle.request, planner, self._engine.joints)
@@ -79,9 +80,9 @@ class ClosedLoop:
             raise
 
     def move(self, run: Run) -> str:
-        """Carry out a goal of mpc_move: follow its target until the robot is there; what to tell the client then.
+        """Carry out a goal of mpc_move: follow its target until the robot is there; returns the message for the client.
 
-        Raises what it ends with, DeadlineExceeded after `max_mpc_iterations` steps.
+        Raises the error it ends with, DeadlineExceeded after `max_mpc_iterations` steps.
         """
         target = run.handle.request.target_pose
         if not is_given(target):
@@ -101,7 +102,7 @@ class ClosedLoop:
         *,
         ends_on_target: bool,
     ) -> str:
-        """Lead the robot, and bring it to rest at the end. Raises what the session ends with, in terms of ROS."""
+        """Lead the robot, and bring it to rest at the end. Raises the session's error, in terms of ROS."""
         steps = self._steps()
         run.go_on()
         try:
@@ -142,7 +143,7 @@ class ClosedLoop:
 
     def _steps(self) -> _Steps:
         value = self._value
-        first = self._generation.letter == "a"  # which knows these two by other names
+        first = self._generation.letter == "a"  # generation A has other names for these two
         step = 1.0 / value("mpc_control_frequency") if first else value("mpc_step_dt")
         return _Steps(
             step=step,
@@ -158,7 +159,7 @@ class ClosedLoop:
         )
 
     def _check(self, tracking: Tracking) -> None:
-        """Raises Unavailable if the bridge ends, and Cancelled where somebody else has ended the session."""
+        """Raises Unavailable if the bridge is ending, and Cancelled if someone else has ended the session."""
         if self._engine.ending.is_set():
             raise Unavailable("the ROS bridge ends, and brings the robot to rest; send the goal again when it is back")
         if not tracking.running:
@@ -200,7 +201,7 @@ def check_plans(planner: str) -> None:
 
 
 def _one_pose(asked: MotionRequest, planner: str) -> Pose:
-    """The target. Raises InvalidRequest if what is asked for is not one pose from where the robot is."""
+    """The target. Raises InvalidRequest unless the request is for one pose from the present robot position."""
     if not is_empty(asked.start):
         raise InvalidRequest(
             f"the planner {planner} starts where the robot is; leave start_pose empty", field="start_pose"

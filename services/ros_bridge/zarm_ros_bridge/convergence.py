@@ -11,7 +11,7 @@ from zarm_contract.messages import ServoSession
 class Convergence:
     """Errors of the measured tip (m, rad), and for how many steps both have been within their thresholds.
 
-    `progress` (0 to 1) is the share of the largest error since the target came that is gone.
+    `progress` (0 to 1) is the share by which the largest error since the target was set has been reduced.
     """
 
     position_error: float = 0.0
@@ -22,12 +22,14 @@ class Convergence:
 
 
 class Approach:
-    """Judges one goal. Errors below `position` (m) and `orientation` (rad) for `hold_steps` steps of `step` s are on target."""
+    """Evaluates one goal. It is on target once the errors are below `position` (m) and `orientation` (rad) for
+    `hold_steps` steps of `step` s.
+    """
 
     def __init__(self, *, position: float, orientation: float, hold_steps: int, step: float) -> None:
         self._position, self._orientation = position, orientation
         self._hold_steps, self._step = hold_steps, step
-        self._since: float | None = None  # when both errors came within their thresholds
+        self._since: float | None = None  # when both errors fell below their thresholds
         self._largest = 0.0
 
     def begin(self) -> None:
@@ -35,7 +37,9 @@ class Approach:
         self._since, self._largest = None, 0.0
 
     def judge(self, state: ServoSession | None, now: float) -> Convergence:
-        """What the servo tells of the present target at `now` (s); None: it has not told of that one yet."""
+        """The convergence from the servo's report on the present target at `now` (s); None: no report on that target
+        yet.
+        """
         if state is None or state.position_error is None or state.orientation_error is None:
             return Convergence()
         error = max(state.position_error / self._position, state.orientation_error / self._orientation)

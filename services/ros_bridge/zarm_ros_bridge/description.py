@@ -1,4 +1,4 @@
-"""The URDF for ROS: the robot's own, with a shape for each link that has none."""
+"""The URDF for ROS: the robot's own, with a shape added to each link without one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from zarm_contract.robot import (
 
 
 def shown_description(robot: RobotDescription) -> str:
-    """The robot's URDF; a link without a `<visual>` is shown as its exact collision geometry in the descriptor."""
+    """The robot's URDF; a link without a `<visual>` gets its exact collision geometry from the descriptor."""
     tree = ET.fromstring(robot.urdf_path.read_text())  # noqa: S314  the file that the robot was loaded from
     for link in tree.iter("link"):
         if link.find("visual") is None:
@@ -32,7 +32,7 @@ def shown_description(robot: RobotDescription) -> str:
 
 
 def _shapes(primitive: CollisionPrimitive) -> Iterator[tuple[Vector3, Vector3, ET.Element]]:
-    """Position (m), roll, pitch and yaw (rad), and the element; URDF has no capsule, so that one is three."""
+    """Position (m), roll, pitch and yaw (rad), and the element; a capsule becomes three, since URDF has none."""
     match primitive:
         case CollisionSphere():
             yield primitive.center, (0.0, 0.0, 0.0), _sphere(primitive.radius)
@@ -42,7 +42,7 @@ def _shapes(primitive: CollisionPrimitive) -> Iterator[tuple[Vector3, Vector3, E
             a, b = primitive.a, primitive.b
             x, y, z = (end - start for start, end in zip(a, b, strict=True))
             middle = ((a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2)
-            turn = (0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x))  # takes z to the axis
+            turn = (0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x))  # rotates z to the axis
             length = math.hypot(x, y, z)
             yield middle, turn, ET.Element("cylinder", radius=repr(primitive.radius), length=repr(length))
             if isinstance(primitive, CollisionCapsule):

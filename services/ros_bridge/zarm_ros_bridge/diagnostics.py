@@ -17,15 +17,15 @@ from zarm_ros_bridge.ros import Ros
 
 DEPTH = 10
 PERIOD = 1.0
-"""How often (s) it is told where nothing changes, as `diagnostic_updater` does."""
+"""Interval (s) of the status while nothing changes, as for `diagnostic_updater`."""
 _LOOK = 0.1
-"""How often (s) a goal that runs is looked at: its executor tells of it as often."""
+"""Interval (s) at which a running goal is checked, the same as that of the executor's reports."""
 
 
 class Diagnostics:
-    """Publishes one status, `<robot>: motion`, when it changes and every `PERIOD` s. Use it in `with`.
+    """Publishes one status, `<robot>: motion`, on change and every `PERIOD` s. Use it in `with`.
 
-    ERROR is a fault. WARN is a goal that is held, or that no servo watches; OK is all else. While no executor runs nothing is
+    ERROR is a fault, WARN a held goal or one without a guarding servo, OK anything else. Without an executor nothing is
     published, which tools show as stale.
     """
 

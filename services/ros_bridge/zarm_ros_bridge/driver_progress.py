@@ -5,29 +5,32 @@ from __future__ import annotations
 from zarm_contract.messages import DriverProgress
 
 _WHOLE = 1e-3
-"""A number of points is whole within this: progress comes in single precision, and shares of 1,000 points differ by as much."""
+"""Tolerance for a whole number of points: progress comes in single precision, and shares of 1,000 points differ by as
+much.
+"""
 
 
 class ProgressReader:
-    """Reads the share of points that a driver says it has played.
+    """Reads the share of points that a driver reports as played.
 
-    Most drivers count anew with every command. The Doosan bridge counts on where a command replaces one that is still
-    played: its number is then of all points since it last stood, by those of the first of these commands, and above 1 in the
-    end. Which of the two a driver does shows, because it plays whole points; until it does, what is reported is the less.
+    Most drivers restart the count with every command. The Doosan bridge keeps counting when a command replaces one that
+    is still being played: it then divides all points since it last stood by those of the first of these commands, which
+    ends above 1. Which of the two applies becomes clear, because drivers play whole points; until then, the smaller
+    value is reported.
     """
 
     def __init__(self) -> None:
         self._sequence = 0
         self._points = 0
         self._told = 0.0
-        self._base = 0  # what a driver that counts on divides by; 0 where this one does not, or stood
-        self._counts_on = False  # whether that has shown since it stood
-        self._before = 0.0  # points that such a one had counted when the last command came
+        self._base = 0  # divisor of a driver that keeps counting; 0 if this one does not, or stood
+        self._counts_on = False  # whether that is certain since it last stood
+        self._before = 0.0  # points it had counted when the last command came
 
     def sent(self, sequence: int, points: int) -> None:
-        """The command `sequence` of so many points goes to the driver; none: it is to stop."""
+        """The command `sequence` with this number of points goes to the driver; 0 points: a stop."""
         base = self._base or self._points
-        end = (self._before if self._base else 0.0) + self._points  # what it has counted when it has played all
+        end = (self._before if self._base else 0.0) + self._points  # its count when all is played
         self._before = self._told * base
         self._base = base if 0.5 < self._before < end - 0.5 else 0
         self._sequence, self._points = sequence, points
@@ -35,9 +38,9 @@ class ProgressReader:
             self._told, self._counts_on = 0.0, False
 
     def read(self, told: float) -> DriverProgress | None:
-        """How far the driver is with the last command; None if that was to stop, or nothing was sent."""
+        """Progress of the driver in the last command; None if that was a stop, or nothing was sent."""
         if self._base and (told <= self._told or abs(told * self._base - round(told * self._base)) > _WHOLE):
-            self._base, self._counts_on = 0, False  # it counts anew
+            self._base, self._counts_on = 0, False  # it restarts the count
         self._told = told
         if not self._points:
             return None

@@ -33,13 +33,14 @@ COMMAND_DEPTH = 10
 
 
 class Drivers:
-    """Carries commands out (reliable) unless they are late, joint states and progress in; topics are those of `params`.
+    """Carries commands out (reliable) unless they are late, and joint states and progress in; topics are those of
+    `params`.
 
-    Of a robot that stands, joint states go on at the rate of `Standing`.
+    While a robot stands, joint states are forwarded at the rate of `Standing`.
 
-    What a driver says that cannot be read goes no further; each kind of fault is logged once. Then the executor hears
-    nothing, and stops the robot. A driver may come late, go, and come again. DDS finds each direction by itself: joint states
-    may come before commands can go, so that who listens to commands is logged whenever that changes.
+    Unreadable driver messages are dropped; each kind of fault is logged once. The executor then hears nothing, and
+    stops the robot. A driver may start late, leave, and return. DDS discovers each direction separately: joint states
+    may arrive before commands can be sent, so every change in who listens to commands is logged.
     """
 
     def __init__(self, ros: Ros, engine: Engine, params: StrategyParams) -> None:
@@ -80,7 +81,7 @@ class Drivers:
         log.info("a driver has %s topic=%s listeners=%d", change, self._commands.topic_name, listeners.current_count)
 
     def _joint_states(self, message: bytes) -> float | None:
-        """For how long (s) the next ones may wait."""
+        """How long (s) the next ones may wait."""
         try:
             state = self._told.read(message)
         except InvalidRequest as error:

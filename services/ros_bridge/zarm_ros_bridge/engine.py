@@ -14,9 +14,9 @@ from zarm_runtime.bus import Bus
 
 
 class Engine:
-    """One robot's planner and executor. Everything here is safe from any thread, and raises what the services answer, in `terms`.
+    """One robot's planner and executor. Everything here is thread-safe, and raises the services' errors, in `terms`.
 
-    Where one is absent that is Unavailable, after the timeout at most.
+    If a service is absent, the error is Unavailable, at the latest after the timeout.
     """
 
     def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription, terms: Terms) -> None:
@@ -27,8 +27,8 @@ class Engine:
         self.joints = robot.descriptor.joints
         self.client = Robot(Connection.of(bus, keys, Translated(terms)))
         self.ending = threading.Event()
-        """Set when the bridge ends: whoever waits for what the executor tells gives up."""
+        """Set when the bridge ends: anything that waits for the executor gives up."""
 
     def goal(self, state: ExecutorState) -> GoalState | None:
-        """The goal that has not ended in this state, as its executor told of it last."""
+        """The goal that has not ended in this state, as last reported by its executor."""
         return None if state.goal_id is None else self.client.connection.goals.known(state.goal_id)

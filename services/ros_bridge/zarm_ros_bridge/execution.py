@@ -33,15 +33,17 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 REST_SECONDS = 15.0
-"""Longest wait for the rest of a robot whose goal is preempted."""
+"""Longest wait (s) for the robot to come to rest when its goal is preempted."""
 RESULT_SECONDS = 60
-"""How long a result can be asked for."""
+"""How long (s) a result can be requested."""
 _END_SECONDS = 3.0
-_JITTER = 0.05  # s by which a state of the executor may be early
+_JITTER = 0.05  # seconds by which a state of the executor may be early
 
 
 class ExecutionActions:
-    """The actions of one robot. Use it in `with`: the end aborts what runs, and the executor goes on with it alone."""
+    """The actions of one robot. Use it in `with`: leaving aborts the running goals, and the executor continues its goal
+    alone.
+    """
 
     def __init__(
         self, ros: Ros, engine: Engine, parameters: Parameters, motions: Motions, generation: Generation
@@ -73,7 +75,9 @@ class ExecutionActions:
             run.ended.wait(_END_SECONDS)
 
     def take_up_goals(self) -> None:
-        """From now on go on with a goal of a bridge that was killed: its client hears of it again, and can cancel it."""
+        """From now on continue the goals of a bridge that was killed: their clients hear of them again, and can cancel
+        them.
+        """
         self._engine.bus.watch(self._engine.keys.executor_state, ExecutorState, self._take_up)
 
     def _take_up(self, _: str, state: ExecutorState) -> None:
@@ -82,7 +86,7 @@ class ExecutionActions:
             server.take_up(bytes.fromhex(found["id"]))
 
     def _serve(self, kind: str, name: str, move: Callable[[Run], str]) -> None:
-        """`move` moves the robot for a goal of this action; it returns the message of a success."""
+        """`move` moves the robot for a goal of this action; it returns the success message."""
         if (action := self._generation.types.get(f"action/{kind}")) is None:
             return
         self._servers[name] = OrderedActionServer(
@@ -100,7 +104,7 @@ class ExecutionActions:
         )
 
     def _admit(self, _: SendTrajectory.Goal) -> GoalResponse:
-        """A rejection carries no reason: /rosout does."""
+        """A rejection carries no reason; /rosout has it."""
         if self._running is None or self._parameters.value("preempt"):
             return GoalResponse.ACCEPT
         self._ros.node.get_logger().warning(f"A goal was rejected: {_busy()}.")
@@ -120,7 +124,7 @@ class ExecutionActions:
             message = move(run)
         except ZarmError as error:
             return result(success=False, message=self._failed(run, error))
-        except Exception:  # as on the bus: one goal fails, and the service goes on
+        except Exception:  # as on the bus, one goal fails and the service continues
             log.exception("goal failed")
             fault = InternalError("the ROS bridge failed on this goal; its log has the trace")
             return result(success=False, message=self._failed(run, fault))
@@ -132,7 +136,7 @@ class ExecutionActions:
             run.ended.set()
 
     def _failed(self, run: Run, error: ZarmError) -> str:
-        """What to tell the client of a goal that ends with this error."""
+        """The message to the client of a goal that ends with this error."""
         level = logging.INFO if error.code == "cancelled" else logging.WARNING
         log.log(level, "goal not reached reason=%s: %s", error.code, error)
         if error.code == "cancelled" and run.cancelled():
@@ -144,9 +148,9 @@ class ExecutionActions:
         return str(error)
 
     def _take_turn(self, run: Run) -> None:
-        """Wait for the goal that runs where this one preempts it; whichever came last has the turn.
+        """Wait for the running goal to end if this one preempts it; the newest goal has the turn.
 
-        Raises Busy if it does not preempt, or if the robot does not come to rest, and Cancelled for a goal that came later.
+        Raises Busy if it does not preempt, or if the robot does not come to rest, and Cancelled if a later goal came.
         """
         preempt = self._parameters.value("preempt")
         with self._turn:
@@ -184,7 +188,9 @@ class ExecutionActions:
                 self._turn.notify_all()
 
     def _move(self, run: Run) -> str:
-        """Plan where there is a target, and execute; or follow it, as the active planner does. Raises what the services answer."""
+        """Plan if there is a target, and execute; or follow it, as the active planner does. Raises the services'
+        errors.
+        """
         if (planner := self._motions.planner) in CLOSED_LOOP and not run.taken_up:
             return self._closed_loop.execute(run, planner)
         feedback = _Feedback(
@@ -197,7 +203,7 @@ class ExecutionActions:
         return "Trajectory executed successfully"
 
     def _start(self, run: Run, feedback: _Feedback) -> str:
-        """The goal of the executor that a client's goal becomes; where it has a target, that is planned to."""
+        """Start the executor goal for a client's goal, after planning if it has a target."""
         if run.taken_up:
             return run.name
         goal, motions = run.handle.request, self._motions
@@ -224,7 +230,7 @@ class ExecutionActions:
 
 
 class _Feedback:
-    """Tells a client how its goal is doing: every change, and in motion as often as the cadence allows."""
+    """Reports the state of a goal to its client: every change, and during motion at the set cadence."""
 
     def __init__(
         self, handle: ServerGoalHandle, joints: tuple[str, ...], factor: float, generation: Generation
@@ -237,11 +243,11 @@ class _Feedback:
         self._when = 0.0
 
     def planning(self) -> None:
-        """Before there is anything to tell."""
+        """Report that the goal is being planned."""
         self._tell("planning", 0.0, JointState())
 
     def show(self, state: GoalState) -> None:
-        """A state of the executor's goal, new or again."""
+        """Report a new or repeated state of the executor's goal."""
         before, now = self._shown, time.monotonic()
         if state is before or (before and state.status == before.status and now - self._when < self._period):
             return

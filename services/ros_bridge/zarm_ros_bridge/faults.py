@@ -10,10 +10,10 @@ from zarm_ros_bridge.ros import Ros
 
 
 class Faults:
-    """reset_fault, which the reference does not have: it knows no faults.
+    """reset_fault, which the reference lacks because it has no faults.
 
-    Nothing else that is called on ROS leaves a fault, a switch of the strategy neither: a script that switches before every goal
-    would move a robot that somebody has yet to look at.
+    No other ROS call leaves a fault, not even a switch of the strategy: a script that switches before every goal would
+    otherwise move a robot that still has to be inspected.
     """
 
     def __init__(self, ros: Ros, engine: Engine) -> None:

@@ -19,25 +19,25 @@ from zarm_ros_bridge.engine import Engine
 log = logging.getLogger(__name__)
 
 SILENCE = 5.0
-"""Seconds without a word about a goal after which its executor is taken for gone."""
+"""Seconds without news of a goal after which its executor counts as gone."""
 ASK_SECONDS = 1.0
 """Longest wait for the answer to a cancel."""
 GOAL = re.compile("(?P<action>[a-z_]+)-(?P<id>[0-9a-f]{32})")
-"""The goal of the executor that a goal of this action becomes, which has this id on ROS."""
-_AGAIN = 1.0  # s after which a cancel that has had no effect is sent again
-_NOTED = 5.0  # s from being told of a cancel to rclpy's note of it, at most: two questions are asked in between
+"""The name of the executor goal for a goal of this action, with its id on ROS."""
+_AGAIN = 1.0  # seconds after which a cancel without effect is sent again
+_NOTED = 5.0  # most seconds from a cancel request until rclpy records it: it answers two requests in between
 
 
 def states_of(engine: Engine, goal_id: str) -> Iterator[GoalState]:
-    """A goal's states up to its last one; where there is no new one, the same again ten times a second.
+    """A goal's states up to its last one; if there is no new one, the same again ten times a second.
 
-    Raises Unavailable if the executor has not been heard of for SILENCE s, and where this process ends.
+    Raises Unavailable if the executor has been silent for SILENCE s, or if this process ends.
     """
     return engine.client.connection.goals.states(goal_id, _Ending(engine, goal_id), silence=SILENCE)
 
 
 class _Ending(CtrlC):
-    """Interrupts who follows a goal when the bridge ends."""
+    """Interrupts those that follow a goal when the bridge ends."""
 
     def __init__(self, engine: Engine, goal_id: str) -> None:
         self._engine = engine
@@ -52,10 +52,11 @@ class _Ending(CtrlC):
 
 
 class Run:
-    """One goal of a client, from its turn to its result. Safe from any thread.
+    """One goal of a client, from its turn to its result. Thread-safe.
 
-    `ended` is set when its outcome is certain; `preempted` says that another goal ended it. By its `name` for
-    the executor, as `GOAL` has it, the next bridge takes it up where this one is killed: then it was `taken_up`.
+    `ended` is set when its outcome is certain; `preempted` means that another goal ended it. If this bridge is killed,
+    the next one recognises the goal by its `name` in the executor, as in `GOAL`, and continues it: it was then
+    `taken_up`.
     """
 
     def __init__(self, handle: ServerGoalHandle, engine: Engine, action: str) -> None:
@@ -69,10 +70,10 @@ class Run:
         self._planning = False
         self._goal_id: str | None = None
         self._cancelled = False
-        self._stopped: float | None = None  # when it was told to last
+        self._stopped: float | None = None  # when it was last told to stop
 
     def cancel(self) -> None:
-        """Its client wants it to end."""
+        """Its client cancels it."""
         self._cancelled = True
         self._stop()
 
@@ -82,29 +83,29 @@ class Run:
         self._stop()
 
     def overtaken(self) -> Cancelled:
-        """What ends it where another goal came before it had its turn."""
+        """The error of a goal replaced by another one before its turn."""
         self.preempted = True
         return Cancelled("another goal came before this one had begun")
 
     def leave(self) -> None:
-        """This process ends: a planning is of no use any more, a motion goes on."""
+        """This process is ending: stop planning, but let a motion continue."""
         if self._goal_id is None:
             self._stop()
 
     def cancelled(self) -> bool:
-        """Whether its client wanted it to end; if so, rclpy has noted it by the time that this returns."""
+        """Whether its client cancelled it; if so, rclpy has recorded that when this returns."""
         deadline = time.monotonic() + _NOTED
         while self._cancelled and not self.handle.is_cancel_requested and time.monotonic() < deadline:
             time.sleep(0.005)
         return bool(self.handle.is_cancel_requested)
 
     def go_on(self) -> None:
-        """Raises Cancelled if somebody wants it to end."""
+        """Raises Cancelled if the goal is to end."""
         if self._stopped is not None or self.handle.is_cancel_requested:
             raise Cancelled("the goal was cancelled before the robot moved")
 
     def plan(self, request: PlanRequest) -> Plan:
-        """The planner's answer. Raises what it answers, Cancelled where somebody wants the goal to end."""
+        """The planner's answer. Raises its error, and Cancelled if the goal is to end."""
         self._planning = True
         try:
             self.go_on()
@@ -113,13 +114,13 @@ class Run:
             self._planning = False
 
     def becomes(self, goal_id: str) -> None:
-        """From now on it is this goal of the executor, which ends with it."""
+        """From now on it corresponds to this goal of the executor, and ends with it."""
         self._goal_id = goal_id
         if self._stopped is not None:
             self._stop()
 
     def follow(self, goal_id: str) -> Iterator[GoalState]:
-        """The states of the executor's goal that it has become. Raises Unavailable as `states_of` does."""
+        """The states of its executor goal. Raises Unavailable as `states_of` does."""
         self.becomes(goal_id)
         for state in states_of(self._engine, goal_id):
             if self._stopped is not None and not state.done and time.monotonic() - self._stopped > _AGAIN:
@@ -136,6 +137,6 @@ class Run:
             log.warning("not cancelled goal_id=%s reason=%s", self._goal_id, error)
 
     def _end_planning(self) -> None:
-        """Also where the request to plan is still on its way: the planner remembers that it was cancelled."""
+        """Works even if the plan request is still on its way: the planner remembers the cancel."""
         if self._planning:
             self._engine.client.cancel_plan(self._request_id, timeout=ASK_SECONDS)

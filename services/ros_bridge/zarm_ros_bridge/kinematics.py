@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from curobo_msgs.srv import Fk, Ik, IkBatch, WarmupFK, WarmupIK
 
 MOST = 1000
-"""Poses or joint states in one request."""
+"""Most poses or joint states in one request."""
 _SECONDS = 65.0
-"""Longest wait for a batch: the planner gives one 60 s."""
+"""Longest wait (s) for a batch, for which the planner allows 60 s."""
 
 
 class Kinematics:
@@ -55,7 +55,7 @@ class Kinematics:
         return ""
 
     def _solved(self, poses: Sequence[Pose]) -> tuple[list[RosJointState], list[Bool]]:
-        """For each pose joints near the present ones, and whether there are any; else an empty joint state."""
+        """For each pose joints near the present ones, or an empty joint state, and whether there is a solution."""
         joints, request = self._engine.joints, IkRequest(poses=tuple(poses))
         found = self._engine.client.request_ik(request).solutions
         states = [ros_positions(joints, rows[0]) if rows else RosJointState() for rows in found]

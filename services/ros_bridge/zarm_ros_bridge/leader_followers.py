@@ -1,4 +1,4 @@
-"""The rclpy executor for callbacks that may wait, by the pattern Leader/Followers."""
+"""The rclpy executor for callbacks that may wait, using the Leader/Followers pattern."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from rclpy.executors import Executor, ExternalShutdownException, ShutdownExcepti
 class LeaderFollowersExecutor(Executor):  # type: ignore[misc] # rclpy is not followed
     """`spin` it in as many threads as callbacks may run at once.
 
-    One thread, the leader, waits for work; when there is some it does that itself, and one of the followers leads on. rclpy's
-    MultiThreadedExecutor looks at every entity again before the thread of its pool, to which it gave a request, may begin with
-    it, and without end while every thread of the pool has work.
+    One thread, the leader, waits for work; when there is some it does that itself, and a follower becomes the leader.
+    rclpy's MultiThreadedExecutor checks every entity again before the pool thread that was given a request can begin,
+    and busy-waits while all threads of the pool are working.
     """
 
     def __init__(self, context: Context) -> None:

@@ -8,15 +8,15 @@ from zarm.servoing import PERIOD, Tracking
 from zarm_contract.messages import Pose, ServoSession
 
 _PAUSE = 0.08
-"""A stream of poses without a new one for so long (s) has paused: a target that is older than 0.1 s brakes the robot."""
+"""A stream of poses without a new one for this long (s) has paused: the robot brakes for a target older than 0.1 s."""
 _STILL = (0.0, 0.0, 0.0)
 
 
 class LiveTarget:
-    """`pose` of the tip in the base frame, until `put` moves it. Safe from any thread.
+    """The tip's target `pose` in the base frame, until `put` moves it. Thread-safe.
 
-    With `timed`, poses that come at least every 0.08 s are a stream: how they move from one to the next counts as their velocity.
-    Otherwise each is where the tip is to rest.
+    With `timed`, poses at least every 0.08 s are a stream: their differences determine a velocity. Otherwise the tip is
+    to rest at each.
     """
 
     def __init__(self, pose: Pose, *, timed: bool) -> None:
@@ -35,9 +35,10 @@ class LiveTarget:
             self._changed.notify_all()
 
     def lead(self, tracking: Tracking) -> bool:
-        """Tell the servo as soon as it has moved, or must be repeated; whether it has moved to where the robot is to rest.
+        """Send the target to the servo when it moves or must be repeated; returns whether it has moved to a place of
+        rest.
 
-        Raises what ends the session.
+        Raises the session's error.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._new, _PAUSE if self._streaming else PERIOD)
@@ -53,5 +54,5 @@ class LiveTarget:
         return moved
 
     def told_of(self, state: ServoSession | None) -> ServoSession | None:
-        """What the servo tells, where that is of this pose, or of one before it in its stream."""
+        """The servo's report, if it is about this pose, or an earlier one of its stream."""
         return state if state is not None and state.sequence >= self._first else None

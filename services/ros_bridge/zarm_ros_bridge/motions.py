@@ -19,20 +19,20 @@ from zarm_runtime.publications import deliver
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _READS = ("planner_type", "max_attempts", "collision_activation_distance")
-"""Parameters that a plan depends on."""
+"""Parameters that affect a plan."""
 _FIELDS = {"start": "start_pose", "path_constraint": "trajectory_constraints"}
-"""Fields of a plan's request beside its goal, and what they are on ROS."""
+"""Other fields of a plan request, and their names on ROS."""
 
 
 class Motions:
-    """Plans as the parameters say, and remembers the last plan. Safe from any thread."""
+    """Plans according to the parameters, and remembers the last plan. Thread-safe."""
 
     def __init__(self, engine: Engine, parameters: Parameters) -> None:
         self._engine = engine
         self._parameters = parameters
         self._turn = threading.Lock()
         self._last: tuple[Any, Plan] | None = None
-        self._cleared: str | None = None  # the id of a plan that is not to be executed, or "" where that is not known
+        self._cleared: str | None = None  # the id of a plan that must not be executed, or "" if it is unknown
         engine.bus.listen(engine.keys.plans, self._published)
 
     @property
@@ -42,7 +42,7 @@ class Motions:
         return name
 
     def plan(self, asked: MotionRequest, request_plan: Callable[[PlanRequest], Plan]) -> Plan:
-        """The plan that `request_plan` brings. Raises what that raises, in terms of the client's request."""
+        """The plan that `request_plan` returns. Raises its errors, in terms of the client's request."""
         value = self._parameters.value
         start = None if is_empty(asked.start) else positions_of(asked.start, self._engine.joints, "start_pose")
         request = PlanRequest(
@@ -63,13 +63,15 @@ class Motions:
         return plan
 
     def made(self, asked: MotionRequest) -> Plan | None:
-        """The last plan, where it was made for the same request and by the same parameters. The executor knows whether it holds."""
+        """The last plan, if it was made for the same request and parameters. The executor checks whether it is still
+        valid.
+        """
         with self._turn:
             last = self._last
         return last[1] if last is not None and last[0] == self._key(asked) else None
 
     def clear(self) -> None:
-        """The last plan, whoever asked for it, is not to be executed any more."""
+        """The last plan, whoever requested it, must not be executed any more."""
         with self._turn:
             self._cleared = self._last[1].plan_id if self._last is not None else ""
             self._last = None
@@ -85,13 +87,13 @@ class Motions:
             deliver(key, payload, Plan, self._planned)
 
     def _planned(self, _: str, plan: Plan) -> None:
-        """Somebody has a plan, unless it is the cleared one, which comes late."""
+        """A plan was published; ignored if it is the cleared one, arriving late."""
         with self._turn:
             if plan.plan_id != self._cleared:
                 self._cleared = None
 
     def passed(self, asked: MotionRequest, plan: Plan) -> list[int]:
-        """The place of the pose that is passed in each goal set before the last one: the nearest to where the tip is then."""
+        """The index of the pose passed in each goal set before the last one: the one closest to the tip at that time."""
         sets = asked.sets[:-1]
         if asked.any_set or all(len(poses) == 1 for poses in sets):
             return [0] * len(sets)
@@ -112,6 +114,6 @@ class Motions:
 
 
 def _apart(one: Pose, other: Pose) -> float:
-    """Distance (m) and half of the turn (rad) between two poses, together."""
+    """Sum of the distance (m) and half the rotation (rad) between two poses."""
     turn = min(1.0, abs(float(np.dot(one.orientation, other.orientation))))
     return float(np.linalg.norm(np.subtract(one.position, other.position)) + np.arccos(turn))

@@ -26,7 +26,7 @@ AVAILABLE = "node_is_available"
 
 @dataclass(frozen=True)
 class _Declared:
-    """One parameter. `range` is inclusive; without `writable` nobody changes it while the bridge runs."""
+    """One parameter. `range` is inclusive; without `writable` it cannot be changed while the bridge runs."""
 
     name: str
     value: bool | int | float | str
@@ -52,13 +52,15 @@ class _Declared:
 
 
 def robot_type(engine: Engine, strategy: str) -> str:
-    """The value of `robot_type` for a control strategy: the robot's own type means whole trajectories to its controller."""
+    """The value of `robot_type` for a control strategy: the robot's own type means whole trajectories to its
+    controller.
+    """
     return engine.robot.descriptor.name if strategy == "joint_trajectory" else strategy
 
 
 def _declared(engine: Engine) -> Iterator[_Declared]:
     descriptor = engine.robot.descriptor
-    # What a running robot is
+    # What robot is running
     yield _Declared("robot", engine.keys.robot, "The robot's name on the bus.", writable=False)
     yield _Declared("robot_config_file", str(engine.robot.path), "The robot's descriptor.", writable=False)
     yield _Declared("base_link", descriptor.base_link, "The frame of all poses.", writable=False)
@@ -80,7 +82,7 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     yield _Declared(
         "time_dilation_factor", 0.5, "Time between two feedbacks, in units of 0.2 s; 0.1 s at least.", (0.01, 10.0)
     )
-    # What plans are asked for with
+    # Options of plan requests
     yield _Declared("planner_type", PLANNERS[0], "The planner of the next plans.", choices=PLANNERS)
     yield _Declared("max_attempts", 1, "Searches after which planning gives up.", (1, 1000))
     yield _Declared("timeout", 5.0, "Deadline of planning (s).", (0.01, 60.0))
@@ -105,14 +107,14 @@ def _declared(engine: Engine) -> Iterator[_Declared]:
     yield _Declared("mpc_horizon_steps", 30, "Steps that mpc_predicted_path shows at most, in B and C.", (1, 1000))
     yield _Declared("mpc_control_frequency", 50.0, "Steps in a second (Hz), in generation A.", (1.0, 500.0))
     yield _Declared("mpc_horizon", 30, "As mpc_horizon_steps, in generation A.", (1, 1000))
-    # What is told
+    # What is reported
     yield _Declared(AVAILABLE, False, "Whether planner and executor have been ready; nobody else sets it.")
 
 
 class Parameters:
-    """Declares every parameter on `node`. A value that cannot be is refused with the reason, and nothing changes.
+    """Declares every parameter on `node`. An invalid value is refused with the reason, and nothing changes.
 
-    Safe from any thread.
+    Thread-safe.
     """
 
     def __init__(self, node: Node, engine: Engine) -> None:
@@ -133,7 +135,7 @@ class Parameters:
         return self._node.get_parameter(name).value
 
     def set(self, name: str, value: Any) -> None:
-        """Show what has become of it in the engine; has no effect there. Raises InvalidRequest for what cannot be."""
+        """Show the engine's present state, without an effect on it. Raises InvalidRequest for an invalid value."""
         self._mine.showing = True
         try:
             result = self._node.set_parameters_atomically([Parameter(name, value=value)])
@@ -143,13 +145,15 @@ class Parameters:
             raise InvalidRequest(result.reason, field=name)
 
     def on_change(self, name: str, effect: Callable[[Any], None], settled: Callable[[], None] | None = None) -> None:
-        """Call `effect(value)` before a client's change of `name` is taken, whose ZarmError refuses it; `settled()` after."""
+        """Call `effect(value)` before a client's change of `name` is accepted; its ZarmError refuses the change. Call
+        `settled()` after.
+        """
         self._effects[name] = effect
         if settled is not None:
             self._settled[name] = settled
 
     def _admit(self, changes: list[Parameter]) -> SetParametersResult:
-        # Types, ranges and read-only parameters have been looked at by rclpy.
+        # rclpy has already checked types, ranges and read-only parameters.
         try:
             for change in changes:
                 self._check(change)
@@ -157,7 +161,7 @@ class Parameters:
                 self._apply(changes)
         except ZarmError as error:
             return SetParametersResult(successful=False, reason=shortened(str(error)))
-        except Exception:  # as on the bus: one request fails, and the service goes on; in rclpy it would end the thread
+        except Exception:  # as on the bus, one request fails and the service continues; rclpy would end the thread
             log.exception("parameters failed names=%s", ",".join(change.name for change in changes))
             reason = "the ROS bridge failed on this change; its log has the trace"
             return SetParametersResult(successful=False, reason=reason)

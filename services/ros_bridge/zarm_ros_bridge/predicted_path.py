@@ -27,7 +27,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 _PERIOD = 0.2
-"""s between two looks at what is to be shown."""
+"""Interval (s) of the updates."""
 _ANSWER_SECONDS = 1.0
 _ARROW = 0.1
 """Length (m) of the arrow along the z axis of the target."""
@@ -35,7 +35,7 @@ _COLOUR = ColorRGBA(r=0.2, g=0.8, b=0.4, a=0.9)
 
 
 class PredictedPath:
-    """Publishes `mpc_goal_marker`, and `mpc_predicted_path` as long as somebody listens there."""
+    """Publishes `mpc_goal_marker`, and `mpc_predicted_path` while it has subscribers."""
 
     def __init__(self, ros: Ros, engine: Engine) -> None:
         self._engine = engine
@@ -45,7 +45,7 @@ class PredictedPath:
 
     @contextmanager
     def shown(self, live: LiveTarget, steps: int, step: float) -> Iterator[None]:
-        """A block in which the target is shown, and the path for so many steps of `step` s."""
+        """A block in which the target is shown, and the path for `steps` steps of `step` s."""
         ended = threading.Event()
         times = step * np.arange(steps + 1)
         thread = threading.Thread(target=self._show, args=(live, times, ended), name="mpc_predicted_path")
@@ -63,7 +63,7 @@ class PredictedPath:
             if self._path.get_subscription_count():
                 try:
                     self._path.publish(self._predicted(times))
-                except ZarmError as error:  # the robot is led all the same
+                except ZarmError as error:  # the robot is led regardless
                     log.info("no predicted path reason=%s", error)
             if ended.wait(_PERIOD):
                 return
@@ -82,7 +82,7 @@ class PredictedPath:
         return Path(header=header, poses=[PoseStamped(header=header, pose=ros_pose(tip)) for tip in tips])
 
     def _arrow(self, pose: Pose) -> Marker:
-        """Along the z axis of the target. A stamp of 0: RViz shows it where the frame is now."""
+        """An arrow along the z axis of the target. With stamp 0, RViz shows it at the frame's present place."""
         marker = Marker(ns="mpc_goal", type=Marker.ARROW, action=Marker.ADD, pose=ros_pose(pose), color=_COLOUR)
         marker.header = Header(frame_id=self._frame, stamp=Time())
         marker.points = [Point(), Point(z=_ARROW)]

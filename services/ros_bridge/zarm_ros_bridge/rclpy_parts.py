@@ -1,6 +1,6 @@
 """Private parts of rclpy that any version may change; only this module uses them.
 
-Tried with rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy). tests/ros/test_rclpy_parts.py says what a new version has changed.
+Tested with rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy). tests/ros/test_rclpy_parts.py shows what a new version has changed.
 """
 
 from __future__ import annotations
@@ -28,22 +28,24 @@ SENDERS = (
     (rclpy_implementation.ActionServer, "send_cancel_response"),
     (rclpy_implementation.ActionServer, "send_result_response"),
 )
-"""Where rclpy sends replies: class and name of the method. Where there is no way yet to the client it warns `UNSENT`."""
+"""Where rclpy sends replies: class and name of the method. If the client cannot be reached yet, it warns `UNSENT`."""
 UNSENT = "failed to send response"
 
 MOST = 16
-"""So many messages of one topic are taken before it is looked at the others."""
+"""Most messages taken from one topic before the others get their turn."""
 CALM = 1.0
-"""For so long (s) nothing but what may wait has come to a `Reception` before anything waits."""
+"""How long (s) a `Reception` must receive only deferrable messages before any are deferred."""
 
 
 def goal_asked_for(taken: dict[str, Any]) -> Any | None:
-    """The goal among what `ActionServer.take_data` has taken, if there is one; the goal's handle has the same as `request`."""
+    """The goal in the result of `ActionServer.take_data`, if any; the same object as `request` of the goal's handle."""
     return taken["goal"][1].goal if "goal" in taken else None
 
 
 def goal_taken_up(server: ActionServer, goal: bytes) -> ServerGoalHandle | None:
-    """The handle of a goal that an earlier server had accepted, without its request; None if this server knows it already."""
+    """The handle of a goal that an earlier server had accepted, without its request; None if this server already knows
+    it.
+    """
     info = GoalInfo()
     info.goal_id.uuid = list(goal)
     with server._lock:
@@ -57,10 +59,10 @@ def goal_taken_up(server: ActionServer, goal: bytes) -> ServerGoalHandle | None:
 
 
 class Reception:
-    """Takes what comes on the subscriptions of a node that has nothing else, in one thread.
+    """Receives the subscriptions of a node that has nothing else, in one thread.
 
-    It waits as `rclpy.wait_for_message` does, with one wait set. An executor of rclpy makes three of them for each message, out of every
-    entity of its nodes: at 100 Hz that took 7 % of a core, this takes 2 %.
+    It waits as `rclpy.wait_for_message` does, with one wait set. An rclpy executor builds three of them for each
+    message, out of every entity of its nodes: at 100 Hz that took 7 % of a core, this takes 2 %.
     """
 
     def __init__(self, node: Node) -> None:
@@ -71,10 +73,11 @@ class Reception:
         self._calm_at = 0.0
 
     def run(self) -> None:
-        """Call the callback of each message, and of each event of a subscription, until `end`. Raises what a callback raises.
+        """Call the callback of each message, and of each subscription event, until `end`. Raises what a callback
+        raises.
 
-        Where all of them return seconds, and have for `CALM` s, nothing is taken for so long, or until `hurry`; then what has come
-        meanwhile is.
+        If all callbacks return a number of seconds, and have for `CALM` s, nothing is received for that long, or until
+        `hurry`; then whatever has arrived is.
         """
         subscriptions = list(self._node.subscriptions)
         events = [event for subscription in subscriptions for event in subscription.event_handlers]
@@ -106,18 +109,18 @@ class Reception:
             self._hurried.wait(seconds)
 
     def hurry(self) -> None:
-        """End a pause, and have none for `CALM` s, from any thread."""
+        """End a pause, and allow none for `CALM` s; may be called from any thread."""
         self._hurried.set()
 
     def end(self) -> None:
-        """Have `run` return, from any thread."""
+        """Make `run` return; may be called from any thread."""
         self._ended = True
         self._hurried.set()
         self._end.trigger()
 
 
 def _taken(subscription: Subscription) -> Iterator[Any]:
-    """What has come on a subscription, `MOST` messages of it."""
+    """The messages waiting on a subscription, at most `MOST`."""
     for _ in range(MOST):
         if (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is None:
             return
@@ -125,7 +128,7 @@ def _taken(subscription: Subscription) -> Iterator[Any]:
 
 
 class CheckedParameterService(ParameterService):  # type: ignore[misc] # rclpy is not followed
-    """Those of rclpy, which raise where a type of a parameter is none, and leave the client without an answer."""
+    """rclpy's parameter services, which raise for an invalid parameter type and leave the client without an answer."""
 
     def _set_parameters_callback(self, request: Any, response: Any) -> Any:
         if (fault := _fault(request.parameters)) is None:

@@ -1,4 +1,4 @@
-"""Relays a key of the bus to ROS topics while somebody subscribes to them."""
+"""Relays a key of the bus to ROS topics while they have subscribers."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ M = TypeVar("M", bound=Message)
 
 
 class Relay(Generic[M]):
-    """Publishes what comes on `key`, as `convert` makes it, on each of `topics` that is listened to and whose condition holds.
+    """Publishes the messages on `key`, converted by `convert`, on each of `topics` that has subscribers and whose
+    condition holds.
 
-    What nobody listens to is not received: joints come at a high rate. Close it before the bus.
+    Without subscribers the key is not received, since joints come at a high rate. Close it before the bus.
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class Relay(Generic[M]):
         }
 
     def close(self) -> None:
-        """Receive no more."""
+        """Stop receiving."""
         self._closed = True
         self._follow()
 

@@ -10,18 +10,19 @@ from zarm_contract.robot import load_robot
 from zarm_ros_bridge.engine import Engine
 
 RESTART_SECONDS = 60.0
-"""Longest wait for a service that starts anew; a planner takes some seconds, and half a minute where it has to compile."""
+"""Longest wait (s) for a restarting service; a planner takes some seconds, and half a minute if it has to compile."""
 
-_SERVICES = ("executor", "planner")  # the executor first: it is the one that may refuse, and then nothing has changed
+_SERVICES = ("executor", "planner")  # the executor first: only it may refuse, and then nothing has changed
 _WHERE_THERE = ("servo",)
 _FIXED = ("name", "base_link", "tip_link", "joints", "strategy_params")
 
 
 def reread_robot(engine: Engine) -> str:
-    """Have the robot's file read again, and what starts anew with it be ready; what was done, empty where nothing has changed.
+    """Have the robot's file read again, and wait until the restarted services are ready; returns what was done, empty
+    if nothing has changed.
 
-    The strategy that was active is active again. Raises InvalidRequest for a file with faults, Busy while the robot moves, and
-    Unavailable if a service does not come back in time, or where the file has changed in what the bridge is built on.
+    The active strategy is restored. Raises InvalidRequest for a faulty file, Busy while the robot moves, and
+    Unavailable if a service does not return in time, or if what the bridge depends on has changed in the file.
     """
     robot = load_robot(str(engine.robot.path))
     changed = [name for name in _FIXED if getattr(robot.descriptor, name) != getattr(engine.robot.descriptor, name)]

@@ -28,19 +28,21 @@ REQUESTS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Requests that may wait for a service. The default of ROS is 10 for all clients together: what comes on top is lost, and its
-client waits for ever."""
+"""Requests that may wait for a service. The default of ROS is 10 for all clients together: further ones are lost, and
+their clients wait for ever.
+"""
 
 
 class Ros:
     """The node `name` under `namespace`, in a context of its own, served by `workers` threads from `spin` on.
 
-    With `parameters` it has the services of parameters, and tells its log on /rosout. Other nodes have names that begin with `_`, so
-    that tools pass over them: `ros2 param list` waits for each node that it sees.
+    With `parameters` it has the parameter services, and logs to /rosout. Other nodes have names that begin with `_`, so
+    that tools skip them: `ros2 param list` waits for each node that it sees.
 
-    Use it in `with`. Services and actions of `node` in `group` may wait, each in a thread. What arrives at a high rate goes to `listen`:
-    a second node, which has nothing else, with a thread of its own, whose callbacks must return quickly. DDS refuses two types under
-    one name in one participant; a second `Ros` is a second participant. It reaches whom `zarm_runtime.dds` says.
+    Use it in `with`. Services and actions of `node` in `group` may wait, each in its own thread. High-rate topics go to
+    `listen`: a second node, for these alone, with its own thread, whose callbacks must return quickly. DDS refuses two
+    types under one name in one participant; a second `Ros` is a second participant. `zarm_runtime.dds` decides whom it
+    reaches.
     """
 
     def __init__(self, name: str, namespace: str = "", *, workers: int, parameters: bool = False) -> None:
@@ -59,7 +61,7 @@ class Ros:
         ]
 
     def serve(self, kind: type[Any], name: str, answer: Callable[[Any, Any], Any]) -> None:
-        """The service `name`: `answer(request, response)` returns the response, and may wait. Before `spin`."""
+        """The service `name`: `answer(request, response)` returns the response, and may wait. Call before `spin`."""
         self.node.create_service(kind, name, answer, qos_profile=REQUESTS, callback_group=self.group)
 
     def listen(
@@ -71,14 +73,15 @@ class Ros:
         *,
         raw: bool = False,
     ) -> None:
-        """Call `callback(message)` for each message on `topic`, as bytes if `raw`, one at a time. Before `spin`.
+        """Call `callback(message)` for each message on `topic`, as bytes if `raw`, one at a time. Call before `spin`.
 
-        Where it returns seconds, and nothing else comes, what comes on any of these topics may wait for so long, until `hurry`.
+        If it returns a number of seconds, and nothing else arrives, messages on any of these topics may wait that long,
+        or until `hurry`.
         """
         self._listener.create_subscription(kind, topic, callback, qos, raw=raw)
 
     def hurry(self) -> None:
-        """What comes to who listens may not wait any more."""
+        """Messages to listeners must not wait any more."""
         self._reception.hurry()
 
     def spin(self) -> None:
@@ -88,7 +91,7 @@ class Ros:
             thread.start()
 
     def stop_listening(self) -> None:
-        """Call no callback of `listen` any more, once the one that runs is at its end."""
+        """Call no callback of `listen` any more, once the current one has returned."""
         self._reception.end()
         if self._listening.is_alive():
             self._listening.join()
@@ -119,12 +122,12 @@ class Ros:
             enable_rosout=parameters,
         )
         if parameters:
-            CheckedParameterService(node)  # which the node keeps
+            CheckedParameterService(node)  # kept alive by the node
         return node
 
 
 def _run(work: Callable[[], None]) -> None:
-    """Until it returns: rclpy ends with the first callback that raises, and a node would be deaf from then on."""
+    """Repeat until it returns: rclpy ends at the first callback that raises, and the node would then be deaf."""
     while True:
         try:
             work()

@@ -29,14 +29,15 @@ if TYPE_CHECKING:
     )
 
 _SECONDS = 65.0
-"""Longest wait for what the planner gives 60 s."""
+"""Longest wait (s) for work that the planner limits to 60 s."""
 _MOST_COUNTED = 127
 """The greatest int8."""
 
 
 class SceneServices:
-    """add_object, remove_object, remove_all_objects, get_obstacles, get_voxel_grid, get_collision_distance, set_collision_cache
-    and set_link_collision. `colours` are those of objects by name, for whoever shows them; the scene knows none.
+    """add_object, remove_object, remove_all_objects, get_obstacles, get_voxel_grid, get_collision_distance,
+    set_collision_cache and set_link_collision. `colours` holds the colours of objects by name for display; the scene
+    has none.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class SceneServices:
     def _add(self, request: AddObject.Request, _: AddObject.Response) -> str:
         item = object_of(request)
         colour, before = colour_of(request), self._colours.get(item.name)
-        if colour is not None:  # known by the time that the scene is published with the object
+        if colour is not None:  # known before the scene is published with the object
             self._colours[item.name] = colour
         try:
             edited = self._scene.add(item)

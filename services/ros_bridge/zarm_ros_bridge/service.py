@@ -34,20 +34,20 @@ from zarm_runtime.service import Service, run_service, service_parser
 NODE = "unified_planner"
 """The name of the node, as clients of the reference know it."""
 WORKERS = 16
-"""How many requests are worked on at once; what comes on top waits."""
+"""Number of requests handled at once; further ones wait."""
 
 
 @contextmanager
 def start(service: Service) -> Iterator[None]:
-    """The node of one robot, and beside it the one that serves `set_robot_strategy` by its first type."""
+    """The node of one robot, and the second one that serves `set_robot_strategy` by its first type."""
     namespace = _namespace(service)
     generation = installed()
     service.note = str(generation)
     with (
         Ros(NODE, namespace, workers=WORKERS, parameters=True) as ros,
         Ros(f"_{NODE}_v1", namespace, workers=2) as first,
-        service.open_bus() as bus,  # closed before the nodes go: nothing comes from it for nodes that are gone
-        ExitStack() as listening,  # nor from a driver for a bus that is closed
+        service.open_bus() as bus,  # closed before the nodes, which its messages need
+        ExitStack() as listening,  # likewise, before the bus that the driver's messages need
     ):
         listening.callback(ros.stop_listening)
         params = service.robot.descriptor.strategy_params
@@ -86,7 +86,7 @@ def start(service: Service) -> Iterator[None]:
 
 
 def _namespace(service: Service) -> str:
-    """Names are those of the reference while there is one robot, and under the robot's name where there are several."""
+    """The reference's names for a single robot, or names under the robot's own if there are several."""
     given: str | None = service.options.namespace
     several = len(service.options.robot) > 1
     if given is not None and several:

@@ -36,23 +36,23 @@ from zarm_ros_bridge.ros import Ros
 log = logging.getLogger(__name__)
 
 COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""The newest command counts. Publishers that are reliable are heard as well."""
+"""Only the newest command counts. Reliable publishers are heard as well."""
 STALE = 0.1
-"""s; a command counts for so long, and one that came so much later than others of its topic does not count."""
+"""s; how long a command counts, and how much later than others of its topic it may arrive."""
 SESSION_SECONDS = 1.0
-"""A session ends after so long (s) without a command."""
+"""A session ends after this long (s) without a command."""
 RELEASE_SECONDS = 0.5
-"""After a session that somebody else has ended, or that could not begin, commands must pause for so long (s)."""
+"""After a session that someone else has ended, or that could not begin, commands must pause for this long (s)."""
 _TELL_SECONDS = 0.1
 _FORGOTTEN = 10.0
-_DRIFT = 1e-3  # two clocks drift by less (s per s)
+_DRIFT = 1e-3  # two clocks drift by less than this (s per s)
 
 Opens = Callable[..., AbstractContextManager[Tracking] | AbstractContextManager[Jogging]]
 
 
 @dataclass(frozen=True)
 class _Command:
-    """What came on `topic` at `time` (s, monotonic)."""
+    """A message on `topic` at `time` (s, monotonic)."""
 
     topic: str
     time: float
@@ -60,14 +60,14 @@ class _Command:
 
 
 class Punctuality:
-    """Sees by the stamps of a topic which of its messages come late, whatever clock they are stamped by."""
+    """Detects late messages of a topic by their stamps, whatever clock these come from."""
 
     def __init__(self) -> None:
-        self._least: float | None = None  # from stamp to arrival (s), of the quickest
+        self._least: float | None = None  # least delay (s) from stamp to arrival
         self._heard = 0.0
 
     def late(self, stamp: float, now: float) -> bool:
-        """Whether a message came STALE s later than others; never one with a stamp of 0, which is none."""
+        """Whether a message came STALE s later than others; never for a stamp of 0, which means none."""
         if not stamp:
             return False
         offset, passed = now - stamp, now - self._heard
@@ -79,7 +79,7 @@ class Punctuality:
 
 
 class ServoCommands:
-    """Jogs and tracks by what comes on three topics, in one session of the servo at a time. Use it in `with`.
+    """Jogs and tracks by commands on three topics, in one servo session at a time. Use it in `with`.
 
     The first command on a topic opens a session, which belongs to that topic until it pauses.
     """
@@ -154,9 +154,9 @@ class ServoCommands:
                 self._tell(NO_WARNING, "no commands")
 
     def _follow(self, session: Tracking | Jogging, command: _Command) -> None:
-        """Pass the commands of one topic on, until they pause and others come, or none have come for SESSION_SECONDS.
+        """Pass on the commands of one topic until they pause and others come, or none have come for SESSION_SECONDS.
 
-        Raises what the session ends with.
+        Raises the session's error.
         """
         topic, last = command.topic, command.time
         newest: _Command | None = command
@@ -200,7 +200,7 @@ class ServoCommands:
             self._tell(STATUS[state.limiting], limited(state))
 
     def _tell(self, code: int, text: str) -> None:
-        """Each change, and ten times a second while there are commands."""
+        """Publish each change, and ten times a second while there are commands."""
         now = time.monotonic()
         if (code, text) == self._told and now - self._told_at < _TELL_SECONDS:
             return
@@ -210,7 +210,7 @@ class ServoCommands:
 
 
 def _joint_jog() -> Any:
-    """The type of delta_joint_cmds: that of MoveIt Servo where it is installed, which PyPI does not have."""
+    """The type of delta_joint_cmds, if MoveIt Servo's is installed, which PyPI lacks."""
     try:
         from control_msgs.msg import JointJog
     except ImportError:

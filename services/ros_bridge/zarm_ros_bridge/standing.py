@@ -5,31 +5,32 @@ from __future__ import annotations
 from zarm_contract.messages import JointState
 
 _OF_TIMEOUT = 0.6
-"""Two that are passed on while the robot stands are so much of the descriptor's `joint_state_timeout` apart: 17 Hz for 0.1 s. Who
-hears where a robot stands learns nothing new from more, and each costs the executor some 0.3 ms of CPU."""
+"""Interval of those passed on at rest, as a share of the descriptor's `joint_state_timeout`: 17 Hz for 0.1 s. More
+would be of no use to anyone, and each costs the executor some 0.3 ms of CPU.
+"""
 _LONGEST = 0.1
-"""And never further apart (s), however long the executor waits: a planner takes joints for old after half a second."""
+"""Longest interval (s), however long the executor waits: a planner rejects joints older than half a second."""
 _TOLERANCE = 1.1
-"""So many times as far apart they may be where the driver is not quite regular."""
+"""Factor by which the interval may grow if the driver is slightly irregular."""
 _PAUSE = 0.03
-"""The next ones may wait for so long (s) while the robot stands: to wake up for each took half of what they cost."""
+"""How long (s) the next ones may wait at rest: waking up for each took half of what they cost."""
 _MOVED = 1e-4
 _MOVING = 1e-3
-"""A robot moves that is this far (rad) from where it was last told to be, or this fast (rad/s)."""
+"""A robot moves if it is this far (rad) from its last reported position, or this fast (rad/s)."""
 
 
 class Standing:
-    """Tells which joint states are to be passed on to an executor that waits for them for `timeout` (s)."""
+    """Decides which joint states are passed on to an executor that waits for them for `timeout` (s)."""
 
     def __init__(self, timeout: float) -> None:
         self._period = min(_OF_TIMEOUT * timeout, _LONGEST)
         self._passed: JointState | None = None
         self._passed_at = self._came_at = 0.0
         self.pause: float | None = None
-        """For how long (s) the next joint states may wait; None while the robot moves."""
+        """How long (s) the next joint states may wait; None while the robot moves."""
 
     def passes(self, state: JointState, now: float) -> bool:
-        """Whether this one is, which came at the moment `now` (s) of a monotonic clock."""
+        """Whether this one is passed on, received at `now` (s) of a monotonic clock."""
         before, since = self._passed, now - self._came_at
         self._came_at = now
         moves = before is None or _moves(before, state)

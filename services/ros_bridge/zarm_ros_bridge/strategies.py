@@ -29,7 +29,7 @@ class StrategyServices:
     """set_robot_strategy by both of its types, get_robot_strategy, get_robot_strategies. Use it in `with`.
 
     `first` is the participant of version 1. The parameters control_strategy and robot_type follow the executor, whoever
-    switches: after every change it is read anew, so that what is written last is what is.
+    switches: they are read again after every change, so that the last value written is the true one.
     """
 
     def __init__(self, ros: Ros, first: Ros, engine: Engine, parameters: Parameters, generation: Generation) -> None:
@@ -70,7 +70,7 @@ class StrategyServices:
         return _switched(before, strategy) + self._condition()
 
     def _set_chosen(self, _: Any, __: Any) -> str:
-        """Version 1: apply what robot_type says. Where that fails, robot_type goes back to what is active."""
+        """Version 1: apply what robot_type says. If that fails, robot_type returns to the active one."""
         chosen = self._parameters.value("robot_type")
         try:
             before = self._type(self._engine.client.strategy().active)
@@ -85,7 +85,7 @@ class StrategyServices:
         return self._generation.active(active, self._type(active)) + self._condition()
 
     def _condition(self) -> str:
-        """What is to be said beside the strategy: of a fault, or of a goal that is held."""
+        """What to add to the strategy: a fault, or a held goal."""
         state = self._engine.client.state()
         if state.problem is not None:
             return f"; the robot is in fault: {self._engine.terms.of(state.problem.message)}"
@@ -93,7 +93,9 @@ class StrategyServices:
         return f"; {held}" if held else ""
 
     def _list(self, _: Any, response: GetRobotStrategies.Response) -> GetRobotStrategies.Response:
-        """All of them, those too that cannot be switched to now: a client that asked before the driver came has them."""
+        """All of them, including those that cannot be switched to now: a client that asks before the driver starts sees
+        them.
+        """
         try:
             strategies = self._engine.client.strategy()
         except ZarmError as error:
@@ -107,7 +109,7 @@ class StrategyServices:
         return response
 
     def _switch(self, strategy: str) -> None:
-        """Switch. Raises the ZarmError that says why not; then the one before is active."""
+        """Switch. Raises the ZarmError with the reason if that fails; the previous one then stays active."""
         try:
             request = StrategyRequest(strategy=strategy)
         except ValidationError:
@@ -125,7 +127,9 @@ class StrategyServices:
                 log.info("strategy unknown reason=%s", error)
 
     def _show(self) -> None:
-        """Make the parameters what the executor says. A robot_type that was chosen and not applied yet stays till a switch."""
+        """Set the parameters to the executor's state. A robot_type that was chosen but not applied yet stays until a
+        switch.
+        """
         with self._showing:
             active = self._engine.client.strategy().active
             if self._parameters.value("control_strategy") != active:
@@ -135,7 +139,7 @@ class StrategyServices:
                 self._parameters.set("robot_type", self._type(active))
 
     def _check_type(self, chosen: str) -> None:
-        """Raises InvalidRequest for a robot_type that stands for no strategy of the executor; where that is away, applying it does."""
+        """Raises InvalidRequest for a robot_type without a strategy in the executor; if that is away, applying it does."""
         try:
             known = [self._type(one.name) for one in self._engine.client.strategy().strategies]
         except Unavailable:

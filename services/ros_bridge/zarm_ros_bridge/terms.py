@@ -51,7 +51,7 @@ class Terms:
         self._words = re.compile(rf"(?<![\w/])(?:{words})(?![\w/])")
 
     def of(self, text: str) -> str:
-        """The text with a name on ROS for each key that has one."""
+        """The text with each key replaced by its name on ROS, if it has one."""
         text = _SILENT.sub(self._silent, text)
         for said, told in _FIELDS.items():
             text = text.replace(said, told)
@@ -67,7 +67,7 @@ class Terms:
 
 
 class Translated(CtrlC):
-    """Calls of a client of the bus, whose errors are in the terms of ROS."""
+    """Calls of a bus client, whose errors are translated into terms of ROS."""
 
     def __init__(self, terms: Terms) -> None:
         self._terms = terms

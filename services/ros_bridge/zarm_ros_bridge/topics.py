@@ -23,15 +23,15 @@ from zarm_ros_bridge.ros import Ros
 from zarm_runtime.publications import deliver
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""The last message is there for whoever comes late."""
+"""Late subscribers receive the last message."""
 
 
 class Topics:
-    """Publishes under the names of the reference, the scene as `obstacles`. `colours` (red, green, blue, alpha) are those of
-    objects by name.
+    """Publishes under the names of the reference, with the scene as `obstacles`. `colours` (red, green, blue, alpha)
+    are those of objects by name.
 
-    Where the robot's own driver tells its joints on `joint_states`, the bridge does not: it would hear itself, and take an
-    emulated robot for the real one. Use it in `with`.
+    If the robot's own driver publishes its joints on `joint_states`, the bridge does not: it would hear itself, and
+    take an emulated robot for the real one. Use it in `with`.
     """
 
     def __init__(self, ros: Ros, engine: Engine, colours: dict[str, Colour], *, obstacles: Sequence[str]) -> None:
@@ -55,7 +55,7 @@ class Topics:
             publisher.publish(description)
         bus.watch(keys.executor_state, ExecutorState, self._state)
         bus.watch(keys.scene, Scene, self._scene)
-        # Plans are rare, and one that is published before its subscriber on the bus is known would not come again.
+        # Plans are rare, and one published before its bus subscriber is known would not be sent again.
         bus.listen(keys.plans, self._plan)
         robot = {"emulator/joint_states": lambda: self._emulated} | ({} if told else {own: lambda: True})
         self._relays = [
@@ -90,7 +90,7 @@ class Topics:
             publisher.publish(markers)
 
     def show_spheres(self, shown: bool) -> None:
-        """Publish the spheres that cover the robot, or take them away."""
+        """Show or hide the robot's collision spheres."""
         robot = self._engine.robot.descriptor
         self._spheres.publish(
             sphere_markers(robot) if shown else MarkerArray(markers=[Marker(action=Marker.DELETEALL)])

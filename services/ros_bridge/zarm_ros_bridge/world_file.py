@@ -19,7 +19,7 @@ _KINDS = ("cuboid", "sphere", "cylinder", "mesh")
 
 
 class WorldFile:
-    """Loads the file when world_file changes, in place of the objects in the scene; an empty name leaves the scene alone."""
+    """Loads the file when world_file changes, replacing the objects in the scene; an empty name leaves the scene alone."""
 
     def __init__(self, engine: Engine, parameters: Parameters) -> None:
         self._engine = engine
@@ -44,7 +44,7 @@ class WorldFile:
 def _read(path: Path) -> Mapping[str, Any]:
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # a null character in the path, too
+    except (OSError, ValueError) as error:  # also for a null character in the path
         raise InvalidRequest(f"cannot be read: {error}") from error
     except yaml.YAMLError as error:
         raise InvalidRequest(f"is not valid YAML: {' '.join(str(error).split())}") from error
@@ -56,7 +56,7 @@ def _read(path: Path) -> Mapping[str, Any]:
 
 
 def _objects(data: Mapping[str, Any]) -> Iterator[Any]:
-    """The objects of a scene as `zarm scene save` writes it, or of a world of cuRobo."""
+    """The objects of a scene saved by `zarm scene save`, or of a cuRobo world."""
     if set(data) == {"objects"}:
         if not isinstance(data["objects"], list):
             raise InvalidRequest("is no list", field="objects")
@@ -79,7 +79,7 @@ def _objects(data: Mapping[str, Any]) -> Iterator[Any]:
 
 
 def _obstacle(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """cuRobo's fields in zarm's names; there a pose is x, y, z and then the quaternion w, x, y, z."""
+    """cuRobo's fields in zarm's names; a cuRobo pose is x, y, z and then the quaternion w, x, y, z."""
     if kind == "sphere":
         return {"position": (given.get("pose") or given["position"])[:3], "radius": given["radius"]}
     x, y, z, qw, qx, qy, qz = given["pose"]

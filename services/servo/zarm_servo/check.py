@@ -1,4 +1,6 @@
-"""How far a trajectory is free in a scene: the path time up to which the robot may go, and the obstacle after it."""
+"""Checks how far a trajectory is free in a scene: the path time up to which the robot may go, and the obstacle after
+it.
+"""
 
 from __future__ import annotations
 
@@ -19,33 +21,35 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 CONTACT = 0.002
-"""What comes closer than this (m) counts as a contact: what a robot may be beside its trajectory."""
+"""Anything closer than this (m) counts as a contact; the robot may deviate from its trajectory by as much."""
 DISTANCE = 0.02
-"""The robot rests so far (m) from what is in its way, where it can."""
+"""The robot stops this far (m) from an obstacle if it can."""
 _SAMPLE = 0.01
-"""The trajectory is looked at this often (s)."""
+"""Interval (s) at which the trajectory is sampled."""
 _LONG = 1e3
-"""An object that may have moved for so long (s) at a small speed is larger on all sides."""
+"""Time (s) that a growing obstacle is given: at a small speed over this time it is inflated evenly on all sides."""
 AHEAD = 3.0
-"""So far (s of the path) ahead of the robot it is looked for what moves."""
+"""Look-ahead (s of path time) when checking against moving objects."""
 _FINENESS = 0.02
-"""What moves on a straight line is looked at as objects up to twice this (m) apart."""
+"""The sweep of a moving object is approximated by copies of it at most twice this (m) apart."""
 _GRAIN = 0.02
-"""An authority before what moves ends at a multiple of this (s), so that it does not change with every pose."""
+"""An authority that ends before a moving object is rounded to a multiple of this (s), so that it does not change with
+every pose.
+"""
 _UPDATES = 100
-"""After so many changed objects a new world is quicker than to keep them beside the old one."""
+"""After this many object updates, building a new world is faster than keeping the changes beside the old one."""
 
 
 @dataclass(frozen=True)
 class PathValidity:
-    """A robot may go up to the path time `until` (s); None: to the end. `obstruction` is what comes then."""
+    """The robot may go up to the path time `until` (s), or to the end if None. `obstruction` is what lies after it."""
 
     until: float | None = None
     obstruction: Obstruction | None = None
 
 
 class SceneCheck:
-    """A check of motions, `motions`, in a world that is kept as the scene is. One `load` at a time."""
+    """A motion check, `motions`, whose world follows the scene. One `load` at a time."""
 
     def __init__(self, model: RobotModel, meshes: Meshes) -> None:
         self.model, self._meshes = model, meshes
@@ -54,8 +58,8 @@ class SceneCheck:
         self._updates = 0
 
     def load(self, objects: Mapping[str, SceneObject], without: Collection[str] = ()) -> None:
-        """Have these objects in the world, by their names, less some of them, and no others. Raises Unavailable if a mesh cannot
-        be read.
+        """Make these objects, minus those named in `without`, the whole world. Raises Unavailable if a mesh cannot be
+        read.
         """
         objects = {name: item for name, item in objects.items() if name not in without} if without else objects
         known = self._objects
@@ -85,10 +89,12 @@ class Checker:
         verified: SceneSnapshot | None,
         without: Collection[str] = (),
     ) -> PathValidity:
-        """How far `trajectory` is free in the scene, from the path time `begin` (s) on, `without` some objects.
+        """How far `trajectory` is free in the scene, from the path time `begin` (s) on, ignoring the objects in
+        `without`.
 
-        In the scene `verified` it was checked as a whole, so what has not changed since then need not be looked at: other objects, and
-        the robot's own links, which may pass one another closely. The robot brakes along the trajectory, so its braking is free where the trajectory is. Raises Unavailable if a mesh cannot be read.
+        The whole trajectory was checked in the scene `verified`, so only what has changed since is checked: not the
+        other objects, nor the robot's own links, which may pass close to each other. The robot brakes along the
+        trajectory, so its braking is free wherever the trajectory is. Raises Unavailable if a mesh cannot be read.
         """
         same = verified is not None and (verified.attached, verified.ignored_links) == (
             scene.attached,
@@ -120,7 +126,7 @@ class Checker:
         if time is None:
             return PathValidity()
         until = time
-        if what in objects:  # the distance is kept to it alone: much else may be nearer to the trajectory all the time
+        if what in objects:  # keep the distance to this object only: others may be closer to the trajectory all along
             grown = MovingObject(objects[what], speed=DISTANCE / _LONG, time=begin - _LONG)
             until = first(grown).contact_time or time
         return PathValidity(until, Obstruction(object=what, link=contact.link or "", time=time))
@@ -134,11 +140,11 @@ class Checker:
         now: float,
         stopping: float,
     ) -> PathValidity:
-        """How far `trajectory` is free of what moves, from the path time `begin` (s) on.
+        """How far `trajectory` is free of moving objects, from the path time `begin` (s) on.
 
-        It is free where nothing can be at the moment `now` (s, monotonic) or in the `stopping` s after it, in which the robot comes
-        to rest from there. The first AHEAD s are looked at. The obstruction's time is that of the contact with the object where it
-        is now, or the end of the trajectory. Raises Unavailable if a mesh cannot be read.
+        A point counts as free if no object can be there at `now` (s, monotonic) or in the following `stopping` s, in
+        which the robot comes to rest. Only the first AHEAD s are checked. The obstruction's time is that of the contact
+        with the object at its current place, or the end of the trajectory. Raises Unavailable if a mesh cannot be read.
         """
         if begin >= trajectory.duration:
             return PathValidity()
@@ -168,6 +174,6 @@ class Checker:
 
 
 def _times(begin: float, end: float) -> Array:
-    """The times (N,) s at which a trajectory is looked at."""
+    """The sample times (N,) in s of a trajectory."""
     times = np.append(np.arange(begin, end, _SAMPLE), end)
     return np.asarray(times[np.append(np.diff(times) > 1e-6, True)])

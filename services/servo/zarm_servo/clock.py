@@ -1,4 +1,4 @@
-"""Estimates how far the executor has commanded a stream, from a state published some ten times a second."""
+"""Estimates how far the executor has commanded a stream, from a state published about ten times a second."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import threading
 from zarm_contract.messages import GoalState
 
 _AGE, _OLDEST = 0.02, 0.12
-"""What a goal tells of itself is usually so old (s) when it is heard, and at most."""
+"""Usual and greatest age (s) of a goal state when it arrives."""
 _NEARER = 0.1
-"""So much of the difference to what is told is taken back at every word: an executor that was held up is found again."""
+"""Share of the deviation corrected with each state, so that the clock recovers after the executor was delayed."""
 
 
 class StreamClock:
-    """The time of a stream, which runs as the robot moves. `now` is on the monotonic clock. Safe from any thread.
+    """The stream's time, which runs as the robot moves. `now` is on the monotonic clock. Thread-safe.
 
-    `delay` (s): so far behind what is commanded a robot is expected, and told.
+    `delay` (s): how far the robot is expected, and reported, behind the command.
     """
 
     def __init__(self, delay: float) -> None:
@@ -26,16 +26,16 @@ class StreamClock:
 
     @property
     def scale(self) -> float:
-        """The share of the planned speed at which the robot moves."""
+        """The robot's current speed as a share of the planned speed."""
         return self._scale
 
     def time(self, now: float) -> float:
-        """How far (s) the stream is commanded."""
+        """The stream time (s) that is being commanded."""
         with self._lock:
             return self._time + self._rate * (now - self._at)
 
     def set_speed(self, scale: float, now: float) -> None:
-        """The robot moves at this share of the planned speed from now on."""
+        """From `now` on the robot moves at this share of the planned speed."""
         with self._lock:
             self._advance(now)
             self._scale = scale
@@ -43,7 +43,7 @@ class StreamClock:
                 self._rate = scale
 
     def hear(self, goal: GoalState, now: float) -> None:
-        """What the executor tells of the stream."""
+        """Take a state of the stream from the executor."""
         with self._lock:
             self._advance(now)
             told, behind = goal.progress * goal.duration, self._scale * self._delay

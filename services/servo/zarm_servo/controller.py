@@ -19,38 +19,40 @@ from zarm_trajectory.speed_change import SpeedChange
 PERIOD = 0.004
 """Seconds from one step to the next."""
 STALE = 0.1
-"""A target that is older (s) is none: the robot brakes."""
+"""A target older than this (s) no longer counts: the robot brakes."""
 RANGE = 0.15
-"""What is further away (m) slows nothing."""
+"""Obstacles further away than this (m) do not slow the robot."""
 _NEARING = 4.0
-"""Speed towards something per distance that is left, 1/s."""
+"""Approach speed per remaining distance, 1/s."""
 _BRAKING = 0.3
-"""Share of the joints' acceleration that the speed towards something is bounded by."""
+"""Share of the joint acceleration used to bound the approach speed."""
 _KEPT = 0.0003
-"""So much more (m) than the margin is kept where a step ends, for what the check is too careful."""
+"""A step keeps this much more (m) than the margin, because the check is conservative."""
 _SAMPLE = 0.01
-"""A braking is checked at times so far apart (s)."""
+"""Interval (s) at which a braking motion is checked."""
 _ROUNDS = 20
-"""Of the projection onto the bounds; what is not exact then is caught by the check."""
+"""Iterations of the projection onto the bounds; the check catches any remaining error."""
 _EXACT = 1e-5
-"""A projection ends once no bound is missed by more (m/s)."""
+"""The projection ends once no bound is violated by more than this (m/s)."""
 _PARTS = (1.0, 0.5, 0.2)
-"""Of the step that is wanted the first that is free is taken."""
+"""Shares of the wanted step to try; the first that is free is taken."""
 _LEAVING = 0.03
-"""Speed (m/s) away from what a robot finds itself too near to."""
+"""Speed (m/s) away from anything the robot is already too close to."""
 _CREEPING = 0.1
-"""Largest joint speed (rad/s) there: between two samples of a braking no part moves by more than a millimetre or two."""
+"""Largest joint speed (rad/s) while doing so: no part moves more than 1 or 2 mm between two samples of a braking
+motion.
+"""
 _CROSSING = 0.02
-"""The smallest singular value may fall so fast (1/s) all the way: a singularity is crossed slowly."""
+"""The smallest singular value may always fall at this rate (1/s): the robot crosses a singularity slowly."""
 _STEADY = 1e-6
-"""A distance that falls by less (m) from one sample to the next does not fall."""
+"""A distance that falls by less than this (m) between two samples counts as constant."""
 
 Limiting = Literal["free", "slowing", "blocked", "singularity", "joint_limit", "target_stale"]
 
 
 @dataclass(frozen=True)
 class Limitation:
-    """What limits a step, and the pair that does so with its distance (m) where it is one: `slowing` or `blocked`."""
+    """What limits a step; for `slowing` or `blocked` also the pair responsible, with its distance (m)."""
 
     kind: Limiting
     pair: tuple[str, str] | None = None
@@ -59,7 +61,7 @@ class Limitation:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What else the checks are told: as in `MotionCheck.check`."""
+    """Further arguments of the checks, as in `MotionCheck.check`."""
 
     attached: Sequence[Attached] = ()
     ignored_links: Sequence[str] = ()
@@ -68,9 +70,9 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Step:
-    """Where the robot is to be a period later, `state` (3, J): position, velocity, acceleration.
+    """The robot's commanded state one period later, `state` (3, J): position, velocity, acceleration.
 
-    From there `braking` leads to rest, `braked` (s) of which have passed there.
+    `braking` brings it to rest from there; `braked` (s) of it have already passed.
     """
 
     state: Array
@@ -80,11 +82,12 @@ class Step:
 
 
 class Controller:
-    """Steers one robot from rest at `position` (J,), inside `limits`, and `margin` (m) away from all that `check` knows.
+    """Steers one robot from rest at `position` (J,), inside `limits` and `margin` (m) away from everything `check`
+    knows.
 
-    What it commands is always part of a motion to rest that was found free as a whole. In a world that does not change it never
-    comes nearer than the margin. Where it finds itself nearer to something, at the start or after an edit, it creeps outwards as
-    soon as there is a target: none of the distances below the margin falls, until all of them are above it.
+    Each command is part of a motion to rest that was verified free as a whole. In a static world the robot never comes
+    closer than the margin. If it is already too close to something, at the start or after an edit, it creeps away as
+    soon as it has a target: until all distances reach the margin, none that is below may fall further.
     """
 
     def __init__(
@@ -97,17 +100,17 @@ class Controller:
 
     @property
     def braking(self) -> SpeedChange:
-        """From its state to rest, where it has just begun or started again."""
+        """The braking from the current state to rest; valid right after construction or `restart`."""
         return self._braking
 
     def restart(self, state: Array) -> None:
-        """Go on from another state (3, J), in which the robot is led by something else."""
+        """Continue from another state (3, J), in which something else leads the robot."""
         self.state = state.copy()
         self.state[2] = np.clip(state[2], -self._limits.acceleration, self._limits.acceleration)
         self._braking, self._braked = self._to_rest(self.state), 0.0
 
     def step(self, target: Target | None, age: float, around: Surroundings = Surroundings()) -> Step:
-        """The next step towards `target`, which was said `age` s ago; None, or one that is STALE: to rest."""
+        """The next step towards `target`, which is `age` s old; with None or a STALE target, towards rest."""
         position = self.state[0]
         speed, acceleration = self._limits.velocity, self._limits.acceleration
         limitation = Limitation("free")
@@ -136,7 +139,7 @@ class Controller:
         return SpeedChange.to(np.zeros(state.shape[1]), state, self._limits.acceleration, self._limits.jerk)
 
     def _obstruction(self, braking: SpeedChange, around: Surroundings) -> Limitation | None:
-        """Why the way to where `braking` begins and the braking are not free, if they are not."""
+        """Why the way to the start of `braking`, or the braking itself, is not free; None if it is."""
         times = np.append(np.arange(0.0, braking.duration, _SAMPLE), braking.duration + 1e-6)
         positions = np.vstack((self.state[0], braking.sample(times)[0]))
         if np.any(positions < self._limits.lower) or np.any(positions > self._limits.upper):
@@ -157,7 +160,7 @@ class Controller:
         return Limitation("blocked", (verdict.link, verdict.object), self._margin)
 
     def _approached(self, positions: Array, around: Surroundings) -> Limitation | None:
-        """The first pair that is nearer than it is to be and comes nearer still on a way through `positions` (N, J), if any."""
+        """The first pair that is too close and comes closer still on the way through `positions` (N, J), if any."""
         before: dict[tuple[str, str], float] | None = None
         for position in positions:
             near = self._nearby(position, self._margin, around)
@@ -178,9 +181,9 @@ class Controller:
         )
 
     def _bounded(self, asked: Wish, limitation: Limitation, around: Surroundings) -> tuple[Array, Limitation]:
-        """Of the joint speeds that slow down in time before limits and obstacles, those nearest to what is `asked`: so it slides
-        along walls. (Faverjon and Tournassoud, "A local based approach for path planning of manipulators", 1987; projected by Hildreth's
-        method, 1957.)
+        """The joint speeds nearest to those `asked` that still slow down in time before limits and obstacles: the robot
+        slides along walls. (Faverjon and Tournassoud, "A local based approach for path planning of manipulators", 1987;
+        projected by Hildreth's method, 1957.)
         """
         position, acceleration = self.state[0], self._limits.acceleration
         lowest = -_towards(position - self._limits.lower, acceleration)
@@ -190,7 +193,7 @@ class Controller:
             limitation = Limitation("joint_limit")
         pairs = self._nearby(position, RANGE, around)
         least_left = min((self._left(pair) for pair in pairs), default=RANGE)
-        # What is too near is left slowly, by a check that knows no time; so not while something moves.
+        # Move away slowly from what is too close. This check ignores time, so it is not used while anything moves.
         too_near = least_left < (_KEPT / 2 if self._leaving else 0.0)
         self._leaving = too_near and not around.moving
         bounds = [(pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9]
@@ -216,15 +219,15 @@ class Controller:
         return slowest, limitation
 
     def _kept(self, pair: NearPair) -> float:
-        """What a pair is to keep (m): the margin, or less where two links are always near to one another."""
+        """The distance (m) a pair has to keep: the margin, or less for two links that are always close to each other."""
         return min(self._margin, pair.room)
 
     def _left(self, pair: NearPair) -> float:
-        """By how much (m) a pair may come nearer."""
+        """How much closer (m) a pair may come."""
         return pair.distance - self._kept(pair)
 
     def _least(self, pair: NearPair, acceleration: Array) -> float:
-        """The least speed (m/s) at which the distance of a pair may grow: below 0 it may fall."""
+        """The least rate (m/s) at which the distance of a pair has to grow; it may fall if this is negative."""
         left = self._left(pair) - _KEPT
         if self._leaving and left < 0.0:
             return min(_LEAVING, -_NEARING * left)
@@ -232,13 +235,13 @@ class Controller:
 
 
 def _towards(left: Array, acceleration: Array) -> Array:
-    """How fast one may go towards something that is `left` away, and brake in time; below 0 away from it, where it is too near."""
+    """The highest speed towards something `left` away that still allows braking in time; 0 if nothing is left."""
     braking = np.sqrt(2 * _BRAKING * acceleration * np.maximum(left, 0.0))
     return np.where(left > 0.0, np.minimum(_NEARING * left, braking), 0.0)
 
 
 def _projected(wanted: Array, metric: Array, bounds: Sequence[tuple[Array, float]]) -> Array:
-    """The speeds nearest to `wanted` in the metric (J, J) whose product with each gradient (J,) is not below its bound."""
+    """The speeds nearest to `wanted` in the metric (J, J) whose product with each gradient (J,) is at least its bound."""
     if all(float(gradient @ wanted) >= least for gradient, least in bounds):
         return wanted
     found, inverse = wanted, np.linalg.inv(metric)

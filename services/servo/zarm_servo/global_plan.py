@@ -15,21 +15,21 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 PlanFor = Callable[[PlanRequest], Plan]
-"""Asks the planner. Raises what it refuses with, and Unavailable if there is none."""
+"""Asks the planner. Raises the planner's error, and Unavailable if there is no planner."""
 
 TIMEOUT = 0.5
-"""The planner may take so long (s)."""
+"""Time limit (s) for the planner."""
 _ROOM = 0.005
-"""A plan keeps so much more (m) than the margin where it can, so that following it never sticks."""
+"""Extra clearance (m) of a plan beyond the margin, where possible, so that following it never gets stuck."""
 _RINGS = (0.02, 0.05, 0.1, 0.2, 0.4)
-"""Distances (m) from a pose that cannot be reached at which the planner looks for others."""
+"""Distances (m) from an unreachable pose at which the planner tries others."""
 _SAMPLE = 0.02
-"""Seconds of the plan from one of its positions to the next."""
+"""Seconds between two positions of the plan."""
 
 
 class GlobalPlan:
-    """A path through `positions` (N, J) that leads to where `target` was; with a `refusal`, to a
-    place near it, because the planner refused the target itself with that.
+    """A path through `positions` (N, J) to where `target` was. With a `refusal`, the planner's error for the target
+    itself, the path leads to a place near it.
     """
 
     def __init__(self, positions: Array, target: PoseTarget | JointTarget, refusal: ZarmError | None = None) -> None:
@@ -41,17 +41,19 @@ class GlobalPlan:
 
     @property
     def left(self) -> float:
-        """How long the path still is (rad), each step as long as that of the joint that moves most."""
+        """Remaining length of the path (rad); each step counts as far as the joint that moves most."""
         return float(self._lengths[-1] - self._lengths[self._passed])
 
     def advance(self, position: Array, within: float) -> None:
-        """The robot is at `position` (J,): on the path that is where it is nearest, at most `within` (rad) further than before."""
+        """The robot is at `position` (J,): move on to the nearest path position, at most `within` (rad) ahead of the
+        last one.
+        """
         end = int(np.searchsorted(self._lengths, self._lengths[self._passed] + within, side="right"))
         away = np.abs(self._positions[self._passed : end] - position).max(axis=1)
         self._passed += int(np.argmin(away))
 
     def ahead(self, length: float) -> Array:
-        """The position (J,) on the path so far (rad) ahead of the robot, or at its end."""
+        """The position (J,) on the path `length` (rad) ahead of the robot, or its end."""
         wanted = self._lengths[self._passed] + length
         return np.array([np.interp(wanted, self._lengths, joint) for joint in self._positions.T])
 
@@ -66,8 +68,8 @@ def find_global_plan(
 ) -> GlobalPlan:
     """A plan from rest at `start` (J,) to a target, `margin` (m) away from everything.
 
-    Where a pose, which is `distance` (m) away, cannot be reached: to one that is nearer to it than the robot, turned in the same
-    way. Raises what the planner refuses the target with.
+    If a pose, `distance` (m) away, cannot be reached, the plan leads to a pose with the same orientation that is closer
+    to it than the robot. Raises the planner's error for the target.
     """
 
     def plan(goal: PoseGoal | JointGoal, margin: float) -> Array:
@@ -105,14 +107,14 @@ def _goal(target: PoseTarget | JointTarget) -> PoseGoal | JointGoal:
 
 
 def _poses(target: PoseTarget, places: Array) -> PoseGoal:
-    """A goal set: the pose of the target at each of these places (N, 3)."""
+    """A goal set: the orientation of the target at each of these places (N, 3)."""
     turn = pose_of(target.pose).orientation
     first, *others = (Pose(position=tuple(place.tolist()), orientation=turn) for place in places)
     return PoseGoal(kind="pose", position=first.position, orientation=first.orientation, alternatives=tuple(others))
 
 
 def _nearer(target: PoseTarget | JointTarget, distance: float) -> Iterator[PoseGoal]:
-    """Goal sets around a pose, the nearest first, that are nearer to it than `distance` (m)."""
+    """Goal sets around a pose, closest first, that are closer to it than `distance` (m)."""
     if isinstance(target, JointTarget):
         return
     ways = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])

@@ -1,4 +1,4 @@
-"""The goal that the executor follows: its trajectory, and how far the robot is on it."""
+"""The goal that the executor follows: its trajectory, and how far the robot has come on it."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 _STARTED = 2.0
-"""A goal whose trajectory was told so long (s) ago runs, or was refused after all."""
+"""A goal whose trajectory arrived this long (s) ago is running by now, or was refused."""
 _BEHIND = 0.3
-"""How far (s of the path) the robot may be behind what was commanded last."""
+"""The robot may lag the last command by at most this (s of path time)."""
 _AHEAD = 0.05
-"""How much (s) older than its arrival what a goal tells of itself may be."""
+"""Greatest age (s) of a goal state when it arrives."""
 
 
 @dataclass(frozen=True)
 class FollowedGoal:
-    """The trajectory of a goal, which was there first at the moment `since` (s, monotonic); at the moment `told` the executor
-    commanded the path time `commanded` (s)."""
+    """The trajectory of a goal, first known at `since` (s, monotonic). At `told` (s, monotonic) the executor commanded
+    the path time `commanded` (s).
+    """
 
     message: GoalTrajectory
     trajectory: TimedTrajectory
@@ -37,7 +38,7 @@ class FollowedGoal:
 
 
 class GoalMonitor:
-    """Knows the goal with these joints from what the executor tells. Moments `now` are in s, monotonic. Safe from any thread."""
+    """Follows the current goal for these joints from the executor's messages. `now` is in s, monotonic. Thread-safe."""
 
     def __init__(self, joints: tuple[str, ...], measured: Latest[JointState]) -> None:
         self._joints, self._measured = joints, measured
@@ -63,7 +64,7 @@ class GoalMonitor:
                 self._followed = FollowedGoal(message, trajectory, since=now, commanded=message.start, told=now)
 
     def hear_goal(self, goal: GoalState, now: float) -> bool:
-        """How far a goal is, or how it ended; whether the goal that was followed has ended."""
+        """Take a goal's progress or result; returns whether the followed goal has ended."""
         with self._lock:
             if goal.done:
                 self._ended.append(goal.goal_id)
@@ -74,16 +75,16 @@ class GoalMonitor:
             return goal.done
 
     def hear_state(self, state: ExecutorState) -> None:
-        """Which goal runs."""
+        """Note which goal runs."""
         self._running = state.goal_id
 
     @property
     def newest(self) -> FollowedGoal | None:
-        """The goal that was told last, unless it has ended."""
+        """The last goal announced, unless it has ended."""
         return self._followed
 
     def current(self, now: float) -> FollowedGoal | None:
-        """The goal that is followed or about to start."""
+        """The goal that is running or about to start."""
         with self._lock:
             followed = self._followed
             if followed is not None and self._running != followed.message.goal_id and now - followed.since > _STARTED:
@@ -91,7 +92,7 @@ class GoalMonitor:
             return self._followed
 
     def reached(self, followed: FollowedGoal, now: float) -> float:
-        """The path time (s) at which the robot is, or somewhat earlier."""
+        """The path time (s) that the robot has reached, or slightly less."""
         trajectory, measured = followed.trajectory, self._measured.get(max_age=_BEHIND)
         first = max(followed.commanded - _BEHIND, float(trajectory.time[0]))
         last = min(followed.commanded + now - followed.told + _AHEAD, trajectory.duration)

@@ -35,18 +35,18 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 PERIOD = 0.1
-"""How often (s) an authority is repeated."""
+"""Interval (s) at which an authority is repeated."""
 _PACE = 0.008
-"""A goal is checked against what moves no sooner than so long (s) after the last time."""
+"""Least time (s) between two checks of a goal against moving objects."""
 _RECHECKED = 0.012
-"""Where no pose comes, it is checked again so long (s) after that."""
+"""After that, the goal is checked again this much later (s) even if no pose arrives."""
 
 
 class Guard:
-    """Gives authority, in a thread of its own while it is used in `with`. `instance` is that of the service.
+    """Issues authorities, in its own thread while used in `with`. `instance` is that of the service.
 
-    A `session` that is open checks its own steps: where no other goal runs, its goal has all authority.
-    A `replanner` hears of every goal that is to be replanned.
+    An open `session` checks its own steps: while no other goal runs, its goal has full authority. The `replanner` is
+    told of every goal that may be replanned.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Guard:
             self.wake()
 
     def wake(self) -> None:
-        """Look again at once."""
+        """Run the next check at once."""
         self._news.set()
 
     def hear_trajectory(self, _key: str, message: GoalTrajectory) -> None:
@@ -114,16 +114,16 @@ class Guard:
         self.wake()
 
     def hear_goal(self, _key: str, goal: GoalState) -> None:
-        """How far a goal is, or how it ended."""
+        """Take a goal's progress or result."""
         if self._goals.hear_goal(goal, time.monotonic()):
             self.wake()
 
     def hear_state(self, _key: str, state: ExecutorState) -> None:
-        """Which goal runs."""
+        """Note which goal runs."""
         self._goals.hear_state(state)
 
     def hear_planner(self, *, gone: bool) -> None:
-        """Whether there is a planner."""
+        """Note whether the planner is gone."""
         self._planner_gone = gone
 
     # -- the thread --
@@ -132,7 +132,7 @@ class Guard:
         while not self._closing:
             try:
                 self._look()
-            except Exception:  # a guard that ends would leave every goal without one, and say nothing
+            except Exception:  # if the guard ended, every goal would silently be unguarded
                 log.exception("the guard failed; it goes on")
             if self._goals.newest is not None and self.moving:
                 time.sleep(_PACE)
@@ -159,7 +159,7 @@ class Guard:
         if problem is None:
             number = 1 if followed is None else followed.message.number
             self._authorize(goal_id, number, scene.revision, found)
-        if self.replanner is not None:  # which has no time to lose
+        if self.replanner is not None:  # first, because it has no time to lose
             if followed is not None and followed.message.replan and problem is None:
                 self.replanner.see(followed.message, followed.trajectory, found.until)
             else:
@@ -167,7 +167,7 @@ class Guard:
         self._tell(goal_id, session, scene, found, problem)
 
     def _authorize(self, goal_id: str | None, number: int, revision: SceneRevision | None, found: PathValidity) -> None:
-        """Say how far the goal may go; what was just said is not repeated."""
+        """Publish how far the goal may go, unless the same was just published."""
         authority = Authority(
             servo=self._instance,
             sequence=self._sequence + 1,
@@ -189,7 +189,7 @@ class Guard:
     def _validity_of(
         self, followed: FollowedGoal, scene: SceneSnapshot, movers: tuple[Mover, ...]
     ) -> PathValidity | ZarmError:
-        """How far it may go: what stands is looked at again where the trajectory or the scene is another than the last time."""
+        """How far the goal may go. Static objects are checked again only if the trajectory or the scene has changed."""
         moving = frozenset(mover.item.name for mover in movers)
         done = self._done
         if done is None or done[0].message is not followed.message or done[1] is not scene or done[2] != moving:
@@ -213,7 +213,7 @@ class Guard:
     def _standing_validity_of(
         self, followed: FollowedGoal, scene: SceneSnapshot, moving: frozenset[str]
     ) -> PathValidity | ZarmError:
-        """How far it may go for all but what is `moving`."""
+        """How far the goal may go if the objects in `moving` are ignored."""
         before = time.perf_counter()
         try:
             verified = self.monitor.at(followed.message.scene_revision)

@@ -16,15 +16,19 @@ from zarm_servo.targets import JointSpeedTarget, JointTarget, PoseTarget, Target
 from zarm_trajectory.quintic import Array
 
 _DRIFT = 1e-3
-"""Two clocks drift by less (s per s): NTP slews by 0.5e-3 at most."""
+"""Two clocks drift by less than this (s per s): NTP slews by 0.5e-3 at most."""
 _JUMP = 2.0, 6.0
-"""A pose that moves faster (m/s, rad/s) from one target to the next has jumped."""
+"""A pose that moves faster than this (m/s, rad/s) from one target to the next has jumped."""
 _MOST = 1000.0
-"""A larger number (m, rad, m/s, rad/s) is no target: it is in another unit, or comes of a division by zero."""
+"""A larger number (m, rad, m/s, rad/s) is not a valid target: it is in another unit, or the result of a division by
+zero.
+"""
 
 
 class Inbox:
-    """Takes the targets of one session of a robot with `joints` joints. `now` is on the monotonic clock. Safe from any thread."""
+    """Receives the targets of one session of a robot with `joints` joints. `now` is on the monotonic clock.
+    Thread-safe.
+    """
 
     def __init__(self, joints: int) -> None:
         self._joints = joints
@@ -37,12 +41,12 @@ class Inbox:
 
     @property
     def refused(self) -> Problem | None:
-        """Why a target was not taken."""
+        """Why a target was refused."""
         return self._refusal.problem
 
     @property
     def sequence(self) -> int:
-        """That of the newest target, 0 before the first."""
+        """The sequence number of the newest target, 0 before the first."""
         return 0 if self._message is None else self._message.sequence
 
     def newest(self, now: float) -> tuple[Target | None, float | None]:
@@ -63,7 +67,7 @@ class Inbox:
                 self._refusal.taken(now)
 
     def refuse(self, problem: Problem, now: float) -> None:
-        """Note why something that came was no target."""
+        """Record why a message was refused as a target."""
         self._refusal.refused(problem, now)
 
     def _take(self, message: m.ServoTarget, now: float) -> None:
@@ -131,5 +135,5 @@ def _moving(before: Target | None, target: PoseTarget, passed: float | None) -> 
 
 
 def ahead(target: Target, seconds: float) -> Target:
-    """What a target is so much later."""
+    """The target `seconds` later."""
     return replace(target, pose=target.after(seconds)) if isinstance(target, PoseTarget) else target

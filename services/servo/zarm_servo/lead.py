@@ -7,28 +7,28 @@ from collections import deque
 SHORTEST, LONGEST = 0.04, 0.4
 """Bounds of the lead (s)."""
 _SPARE = 1.25
-"""The lead is so many times the longest of the last times."""
+"""Factor on the longest of the recent times that gives the lead."""
 _LATER = 1.5
-"""What came too late would have taken so many times as long as it was given, at a guess."""
+"""A trajectory that came too late is assumed to have needed this many times the lead it was given."""
 _REMEMBERED = 4
-"""So many times are remembered."""
+"""Number of recent times remembered."""
 
 
 class Lead:
-    """Learns from how long it took to plan and hand over a trajectory."""
+    """Learns from the time it takes to plan and hand over a trajectory."""
 
     def __init__(self) -> None:
         self._took: deque[float] = deque(maxlen=_REMEMBERED)
 
     @property
     def seconds(self) -> float:
-        """A new trajectory takes over so long (s) after it was asked for."""
+        """The lead: how long (s) after the request a new trajectory takes over."""
         return min(max(_SPARE * max(self._took, default=0.0), SHORTEST), LONGEST)
 
     def in_time(self, took: float) -> None:
-        """A trajectory was there after so long (s)."""
+        """A trajectory was ready after this time (s)."""
         self._took.append(took)
 
     def too_late(self) -> None:
-        """A trajectory was not there in time."""
+        """A trajectory was not ready in time."""
         self._took.append(_LATER * self.seconds)

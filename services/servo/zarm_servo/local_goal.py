@@ -16,38 +16,43 @@ from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
 from zarm_trajectory.quintic import Array
 
 Find = Callable[[PoseTarget | JointTarget, Array, float], GlobalPlan]
-"""Finds a plan to a target from a position (J,) that is `distance` (m) away from it. Raises ZarmError if there is none."""
+"""Finds a plan to a target from a position (J,) that is the given distance (m) away from it. Raises ZarmError if there
+is none.
+"""
 Free = Callable[[Array, Array], bool]
 """Whether the straight line between two positions (J,) keeps the margin."""
 
 _STUCK = 0.4
-"""A robot is stuck where it has moved by less than `_MOVED` for so long (s)."""
+"""A robot is stuck if it has moved by less than `_MOVED` for this long (s)."""
 _MOVED = 0.01
-"""rad, the joint that moves most."""
+"""rad, of the joint that moves most."""
 _RATE_OVER = 1.0
-"""The rate at which it comes nearer to a target is that of the last so many s."""
+"""Window (s) over which the rate of approach to a target is measured."""
 _CRAWLS = 3.0
-"""A robot that would take longer (s) at that rate to a target that rests is stuck too, as beside a singularity."""
+"""A robot also counts as stuck if it needs longer than this (s) at that rate to reach a static target, as near a
+singularity.
+"""
 _PER_RAD = 0.2
-"""m of distance that one rad of turning counts as."""
+"""Distance in m that counts as much as one rad of rotation."""
 _REACHED = 0.0005, 0.005, 0.001
-"""m, rad, rad of a joint: so near, nothing has to be planned."""
+"""m, rad, rad of a joint: closer than this, no plan is needed."""
 _REFRESHED = 0.2
-"""A plan to a target that moves is asked for so often (s)."""
+"""Interval (s) at which a plan to a moving target is requested."""
 _SAME = 0.001, 0.01, 0.001
-"""m, rad, rad of a joint: a target that has moved by less is where it was."""
+"""m, rad, rad of a joint: a target that has moved by less than this counts as unmoved."""
 _FAR = 0.1, 0.5, 0.3
-"""The same: a target that is further from the end of a plan has jumped, and the plan leads elsewhere."""
+"""m, rad, rad of a joint: a target further than this from the end of a plan has jumped, and the plan is obsolete."""
 _ARRIVED = 0.1
-"""rad before the end of a plan to a target that moves, it is followed directly again."""
+"""This close (rad) to the end of a plan to a moving target, the robot follows the target directly again."""
 _AHEAD = 0.8, 0.4, 0.2, 0.1, 0.05
-"""The point that is steered for lies so far (rad) ahead on the plan: the first to which the straight line is free."""
+"""Distances (rad) ahead on the plan of the point to steer for: the first one reached by a free straight line is used.
+"""
 _LOOKS = 5
-"""Steps after which the point is chosen anew."""
+"""Steps after which the point is chosen again."""
 _ATTEMPTS = 4
-"""So many plans to one target in one scene; where the robot is stuck on all of them, it rests there."""
+"""Plans tried per target and scene; if the robot gets stuck on all of them, it stays at rest."""
 _RETRIES = 1.0
-"""A planner that had no time, or gave no answer, is asked again after so long (s)."""
+"""A planner that timed out or did not answer is asked again after this time (s)."""
 
 
 class LocalGoal:
@@ -73,7 +78,7 @@ class LocalGoal:
         return self._plan is not None
 
     def target(self, wanted: Target | None, position: Array, revision: SceneRevision | None) -> Target | None:
-        """What is to be steered for on the way to `wanted`, from `position` (J,), in the scene of this revision."""
+        """What to steer for on the way to `wanted`, from `position` (J,), in the scene of this revision."""
         self._steps += 1
         self._watch(position)
         if not isinstance(wanted, PoseTarget | JointTarget):
@@ -100,13 +105,13 @@ class LocalGoal:
             self._anchor, self._anchored = position.copy(), self._steps
 
     def _compare(self, wanted: PoseTarget | JointTarget, revision: SceneRevision | None) -> None:
-        """Where the target or the scene is another one, everything may be tried again."""
+        """If the target or the scene has changed, allow all attempts again."""
         if self._asked_for is None or revision != self._revision or _apart(wanted, self._asked_for, _SAME):
             self._attempts = 0
             self.problem = None
 
     def _take(self) -> None:
-        """The plan that was asked for, once it is there."""
+        """Take the requested plan once it is ready."""
         asked = self._asked
         if asked is None or not asked.done():
             return
@@ -139,7 +144,7 @@ class LocalGoal:
         return bool(np.any(np.greater(self._errors(wanted, position), _REACHED)))
 
     def _crawls(self, wanted: PoseTarget | JointTarget, position: Array) -> bool:
-        """Whether a target that rests would not be reached for long at the present rate; told once for each `_RATE_OVER`."""
+        """Whether a static target is too long away at the present rate of approach; reported once per `_RATE_OVER`."""
         since, before, left_before = self._before
         if (self._steps - since) * PERIOD < _RATE_OVER:
             return False
@@ -171,14 +176,14 @@ class LocalGoal:
 
 
 def _led(plan: GlobalPlan, wanted: PoseTarget | JointTarget) -> bool:
-    """Whether a plan is of no more use: it leads elsewhere, or has led near to where the target can be followed directly."""
+    """Whether a plan has served its purpose: it leads elsewhere, or the target can be followed directly from here."""
     if _apart(wanted, plan.target, _FAR):
         return True
     return plan.left < _ARRIVED and (plan.refusal is not None or _apart(wanted, plan.target, _SAME))
 
 
 def _between(a: Array, b: Array) -> tuple[float, float]:
-    """How far apart two poses (4, 4) are: m, rad."""
+    """Distance between two poses (4, 4): m, rad."""
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.linalg.norm(rotation_vector(a[:3, :3] @ b[:3, :3].T)))
 
 

@@ -1,4 +1,4 @@
-"""Moving objects: their last published poses, and how far they can be from there."""
+"""Moving objects: their last published poses, and how far they may have moved since."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from zarm_servo.refusal import Refusal
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
 
 AGREE = 0.02
-"""The clocks of those who tell poses agree with that of the servo within so much (s)."""
+"""Greatest difference (s) between the clocks of the pose publishers and that of the servo."""
 LOST = 1.0
-"""An object of which no pose has come for so long (s) is lost: it can be anywhere that it reached within that time."""
+"""An object without a pose for this long (s) is lost: it may be anywhere it could reach within that time."""
 _SHAPES = 500
-"""A mesh of more convex shapes cannot move."""
+"""A mesh of more convex shapes than this cannot move."""
 _FARTHEST, _FASTEST = 1000.0, 100.0
-"""m; m/s or rad/s. Larger numbers are in another unit, or come of a division by zero."""
+"""m; m/s or rad/s. Larger numbers are in another unit, or the result of a division by zero."""
 _PIECES = 50
-"""What an object sweeps is at most so many objects."""
+"""Most copies of an object used to cover what it sweeps."""
 
 
 @dataclass(frozen=True)
 class Mover:
-    """`item` of the scene was told to be where `placed` is at the moment `seen` (s, monotonic; rather earlier than later).
+    """The scene's `item`, reported at the pose of `placed` at the moment `seen` (s, monotonic; early rather than late).
 
-    From there it moves with `velocity` (m/s, base frame), and each of its points with at most `speed` (m/s) besides. `stamp` is that
-    of the pose.
+    From there it moves with `velocity` (m/s, base frame), and each of its points by up to `speed` (m/s) more. `stamp`
+    is that of the pose.
     """
 
     item: SceneObject
@@ -48,19 +48,24 @@ class Mover:
     stamp: float
 
     def age(self, now: float) -> float:
-        """For how long (s) it has moved at the moment `now` (s, monotonic), at most LOST."""
+        """How long (s) it has been moving at `now` (s, monotonic), at most LOST."""
         return min(now - self.seen, LOST)
 
     def moving(self, now: float, ahead: float = 0.0, scale: float = 1.0) -> MovingObject:
-        """For the check of a motion that begins `ahead` s after `now` (s, monotonic), and is followed at `scale` times its speed."""
+        """The object for checking a motion that begins `ahead` s after `now` (s, monotonic) and runs at `scale` times
+        its speed.
+        """
         x, y, z = self.velocity
         return MovingObject(
             self.placed, (x / scale, y / scale, z / scale), self.speed / scale, -scale * (self.age(now) + ahead)
         )
 
     def swept(self, now: float, ahead: float, fineness: float) -> list[tuple[SceneObject, float]]:
-        """Where it can be at any time from `now` (s, monotonic) until `ahead` s later: within so much (m) of one of these objects, which
-        are up to twice the `fineness` (m) apart, further where it is so fast that they would be too many.
+        """What it may occupy from `now` (s, monotonic) until `ahead` s later: copies of it, each to be inflated by a
+        distance (m).
+
+        The copies are at most twice the `fineness` (m) apart, or further if the object is so fast that there would be
+        too many.
         """
         first, fast = self.age(now), math.sqrt(sum(v * v for v in self.velocity))
         count = min(max(1, math.ceil(fast * ahead / (2 * fineness))), _PIECES)
@@ -75,7 +80,7 @@ class Mover:
 
 
 class MovingObjects:
-    """Takes the poses of objects of the scene that `monitor` knows; `changed` is called after each. Safe from any thread."""
+    """Takes the poses of objects in the scene of `monitor`, and calls `changed` after each. Thread-safe."""
 
     def __init__(self, monitor: SceneMonitor, meshes: Meshes, changed: Callable[[], None]) -> None:
         self._monitor, self._meshes, self._changed = monitor, meshes, changed
@@ -87,19 +92,19 @@ class MovingObjects:
 
     @property
     def refused(self) -> Problem | None:
-        """Why a pose was not taken."""
+        """Why a pose was refused."""
         return self._refusal.problem
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Whether any object moves."""
         return bool(self._movers)
 
     def hear(self, key: str, payload: bytes) -> None:
-        """A message on the key of an object's pose."""
+        """Take a message on the key of an object's pose."""
         self.tell(key.split("/")[-2], payload, time.monotonic(), time.time())
 
     def tell(self, name: str, payload: bytes, now: float, wall: float) -> None:
-        """Take a pose of the object `name`, unless it is refused, at the moment `now` (s, monotonic), in Unix time `wall` (s)."""
+        """Take a pose of the object `name`, unless it is refused, at `now` (s, monotonic) or `wall` (s, Unix time)."""
         try:
             self._take(name, decode(ObjectPose, payload), now, wall)
         except ZarmError as error:
@@ -109,7 +114,7 @@ class MovingObjects:
         self._changed()
 
     def of(self, scene: SceneSnapshot) -> tuple[Mover, ...]:
-        """What moves in this scene: an object that was edited after its last pose stands where the edit has put it."""
+        """The moving objects of this scene. An object edited after its last pose stays where the edit has put it."""
         with self._lock:
             if scene is not self._scene:
                 self._scene = scene
@@ -120,7 +125,7 @@ class MovingObjects:
             return self._all
 
     def lost(self, now: float) -> tuple[str, ...]:
-        """The names of the lost objects at the moment `now` (s, monotonic)."""
+        """The names of the lost objects at `now` (s, monotonic)."""
         with self._lock:
             return tuple(name for name, mover in self._movers.items() if now - mover.seen > LOST)
 
@@ -154,7 +159,7 @@ class MovingObjects:
             self._all = tuple(self._movers.values())
 
     def _placed(self, item: SceneObject, message: ObjectPose) -> tuple[SceneObject, float]:
-        """The object at the pose that was told, and how far (m) its points are from its origin."""
+        """The object at the reported pose, and the greatest distance (m) of its points from its origin."""
         if isinstance(item, Voxels):
             raise InvalidRequest(
                 f"{item.name} consists of voxels, which cannot move; add it as a primitive or a mesh", field="name"

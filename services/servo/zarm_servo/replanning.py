@@ -37,24 +37,26 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 _LEAST_TIME = 0.001
-"""The planner is given so long (s) at least."""
+"""Least time (s) given to the planner."""
 _ATTEMPTS = 4
-"""So often a blocked trajectory is planned anew in motion; then the robot stops first."""
+"""Attempts to replan a blocked trajectory in motion before the robot stops."""
 REST_DEADLINE = 1.0
-"""How long (s) the planner may take for a robot that rests."""
+"""Time limit (s) for a plan from rest."""
 REST_PERIOD = 0.5
-"""How often (s) it is asked for one."""
+"""Interval (s) of the attempts to plan from rest."""
 _FRESH = 0.2
-"""Measured joints count for so long (s)."""
+"""Greatest age (s) of measured joints."""
 _PACE = 1.05
-"""A new trajectory may use so many times the velocity and acceleration of the one that it replaces: a start between samples."""
+"""A new trajectory may use this many times the velocity and acceleration of the old one, because it may start between
+samples.
+"""
 _LEAST_PACE = 0.05
-"""Least share of the limits that is asked for."""
+"""Least share of the limits to request."""
 
 
 @dataclass(frozen=True)
 class Blocked:
-    """A goal that is blocked: what it follows, free up to the path time `until` (s)."""
+    """A blocked goal and the trajectory it follows, which is free up to the path time `until` (s)."""
 
     message: GoalTrajectory
     trajectory: TimedTrajectory
@@ -62,9 +64,10 @@ class Blocked:
 
 
 class Replanner:
-    """Replans blocked goals, in a thread of its own while it is used in `with`.
+    """Replans blocked goals, in its own thread while used in `with`.
 
-    `ask` has a request planned within so many seconds, and `replace` the trajectory replaced; both raise the ZarmError that is the answer.
+    `ask` plans a request within the given time (s), and `replace` replaces the trajectory; both raise the ZarmError of
+    the answer.
     """
 
     def __init__(
@@ -94,8 +97,8 @@ class Replanner:
         self._speed_scale = 1.0
         self._pace: tuple[str, float, float] = ("", 1.0, 1.0)
         self._lead = Lead()
-        self._stops: GoalTrajectory | None = None  # of which there is no plan in motion
-        self._replaced: GoalTrajectory | None = None  # which the executor follows no longer
+        self._stops: GoalTrajectory | None = None  # cannot be replanned in motion
+        self._replaced: GoalTrajectory | None = None  # already replaced at the executor
         self._asked_at_rest = -np.inf
         self._news = threading.Event()
         self._closing = False
@@ -113,16 +116,16 @@ class Replanner:
     # -- what is heard, from any thread --
 
     def hear_state(self, _key: str, state: ExecutorState) -> None:
-        """At which share of the planned speed the robot moves, and how far (s) ahead of what it tells it is commanded."""
+        """Take the robot's share of the planned speed, and how far (s) the command is ahead of the reported progress."""
         self._speed_scale, params = state.speed_scale, self._strategy_params
         self._ahead = 0.0 if params is None or state.strategy == "emulator" else params.delay + params.point_dt
 
     def hear_goal(self, _key: str, goal: GoalState) -> None:
-        """How far a goal is."""
+        """Take a goal's progress."""
         self._goal = None if goal.done else (goal, time.monotonic())
 
     def see(self, message: GoalTrajectory, trajectory: TimedTrajectory, until: float | None) -> None:
-        """A goal that is to be replanned may go up to the path time `until` (s), None: to its end."""
+        """A goal that may be replanned may go up to the path time `until` (s), or to its end if None."""
         if message.goal_id != self._pace[0]:
             self._pace = (message.goal_id, *self._used(trajectory))
         if until is None:
@@ -131,7 +134,7 @@ class Replanner:
         self._news.set()
 
     def forget(self) -> None:
-        """There is no goal to be replanned."""
+        """No goal is to be replanned."""
         self._blocked = None
 
     # -- the thread --
@@ -153,11 +156,11 @@ class Replanner:
                     self._replan_at_rest(blocked)
             except ZarmError as error:
                 log.info("not replanned goal_id=%s reason=%s", blocked.message.goal_id, error)
-            except Exception:  # the goal is held as without replanning
+            except Exception:  # the goal stays held, as without replanning
                 log.exception("replanning failed")
 
     def _replan_in_motion(self, blocked: Blocked) -> None:
-        """Plan from a state ahead. Raises the ZarmError for which there is no plan in motion."""
+        """Plan from a state ahead. Raises the ZarmError that prevents a plan in motion."""
         for _ in range(_ATTEMPTS):
             asked, lead = time.monotonic(), self._lead.seconds
             at = self._commanded(asked) + (lead + self._ahead) * self._speed_scale
@@ -187,7 +190,7 @@ class Replanner:
             plan = self._plan(blocked, asked + REST_DEADLINE)
             if self._follow(blocked, plan, None):
                 self._note(blocked, "rest", time.monotonic() - asked)
-        except Busy:  # it has not quite come to rest
+        except Busy:  # not quite at rest yet
             raise
         except ZarmError:
             self._asked_at_rest = asked
@@ -198,9 +201,9 @@ class Replanner:
         return measured is not None and max(map(abs, measured.velocity)) <= self._stopped
 
     def _plan(self, blocked: Blocked, deadline: float, start: StartState | None = None) -> Plan:
-        """To the end of the trajectory before the moment `deadline` (s, monotonic), from where the robot is, or from `start`.
+        """A plan to the end of the trajectory, by the deadline (s, monotonic), from the current state or from `start`.
 
-        Where something stands at those joints and the goal is a pose, to any joints that bring the tip there.
+        If those joints are in collision and the goal is a pose, a plan to any joints that bring the tip there.
         """
         joints, tip = JointGoal(kind="joints", position=tuple(blocked.trajectory.end.tolist())), blocked.message.tip
         try:
@@ -211,7 +214,7 @@ class Replanner:
         return self._ask_for(PoseGoal(kind="pose", position=tip.position, orientation=tip.orientation), deadline, start)
 
     def _ask_for(self, goal: JointGoal | PoseGoal, deadline: float, start: StartState | None) -> Plan:
-        """A plan that is no faster than the goal was at first. Raises DeadlineExceeded at the moment `deadline` (s, monotonic)."""
+        """A plan no faster than the goal was at first. Raises DeadlineExceeded at `deadline` (s, monotonic)."""
         _, velocity, acceleration = self._pace
         left = max(deadline - time.monotonic(), _LEAST_TIME)
         return self._ask(
@@ -228,7 +231,9 @@ class Replanner:
         )
 
     def _follow(self, blocked: Blocked, plan: Plan, at: float | None) -> bool:
-        """Have the executor follow a plan that is free in the scene as it is known here by now, and of what moves; whether it is."""
+        """Make the executor follow a plan if it is still free in the latest known scene and of moving objects; returns
+        whether it does.
+        """
         now = time.monotonic()
         scene, verified = self._monitor.snapshot(now), self._monitor.at(plan.scene_revision)
         trajectory, movers = TimedTrajectory.of(plan.trajectory, self._joints), self._moving.of(scene)
@@ -256,7 +261,7 @@ class Replanner:
         return True
 
     def _commanded(self, now: float) -> float:
-        """The path time (s) that is commanded at the moment `now`, or somewhat later. Raises Unavailable if the goal has ended."""
+        """The path time (s) commanded at `now`, or slightly more. Raises Unavailable if the goal has ended."""
         heard = self._goal
         if heard is None:
             raise Unavailable("the goal has ended")
@@ -264,7 +269,7 @@ class Replanner:
         return goal.progress * goal.duration + (now - told) * self._speed_scale
 
     def _used(self, trajectory: TimedTrajectory) -> tuple[float, float]:
-        """The shares of the velocity and acceleration limits that a trajectory may take that replaces this one."""
+        """The shares of the velocity and acceleration limits allowed for the trajectory that replaces this one."""
         velocity = float((np.abs(trajectory.velocity) / self._velocity).max())
         acceleration = float((np.abs(trajectory.acceleration) / self._limits.acceleration).max())
         return min(max(_PACE * velocity, _LEAST_PACE), 1.0), min(max(_PACE * acceleration, _LEAST_PACE), 1.0)

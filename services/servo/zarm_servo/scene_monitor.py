@@ -10,17 +10,17 @@ from dataclasses import dataclass, field, replace
 from zarm_contract.messages import Attached, Scene, SceneObject, SceneRevision
 
 REMEMBERED = 4
-"""So many scenes are kept, in which a goal may have been verified."""
+"""Number of past scenes kept, in which a goal may have been verified."""
 EARLY = 2.0
-"""An object counts for so long (s) before the scene that it belongs to has come."""
+"""How long (s) an object counts before its scene has arrived."""
 
 
 @dataclass(frozen=True)
 class SceneSnapshot:
-    """What is known of the scene. `revision`: None before the first one.
+    """The known scene. `revision` is None before the first scene.
 
-    `objects` by their names. They may be newer than the scene: an object is told before the scene that it belongs to. Where
-    `lost`, the planner has come back without its scene, and what was known before still counts.
+    `objects` are by name. They may be newer than the scene, because an object is published before its scene. If `lost`,
+    the planner has restarted without its scene, and the last known one still counts.
     """
 
     revision: SceneRevision | None = None
@@ -31,7 +31,7 @@ class SceneSnapshot:
 
 
 class SceneMonitor:
-    """Keeps `SceneSnapshot` up to date; `changed` is called after every change. Safe from any thread."""
+    """Keeps a `SceneSnapshot` up to date, and calls `changed` after every change. Thread-safe."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
@@ -41,19 +41,19 @@ class SceneMonitor:
         self._past: OrderedDict[SceneRevision, SceneSnapshot] = OrderedDict()
 
     def snapshot(self, now: float) -> SceneSnapshot:
-        """What is known at the moment `now` (s, monotonic); it never changes."""
+        """The scene known at `now` (s, monotonic), as an immutable snapshot."""
         with self._lock:
             if now > self._early_until:
                 self._latest = self._scene
             return self._latest
 
     def at(self, revision: SceneRevision | None) -> SceneSnapshot | None:
-        """The scene of this revision, where it was seen and is not long gone."""
+        """The scene of this revision, if it was seen and is among those kept."""
         with self._lock:
             return None if revision is None else self._past.get(revision)
 
     def hear_object(self, item: SceneObject, now: float) -> None:
-        """An object was added, or put elsewhere; the scene that it belongs to follows."""
+        """An object was added or moved; its scene follows."""
         with self._lock:
             before = self._latest
             if before.objects.get(item.name) == item:
@@ -63,13 +63,13 @@ class SceneMonitor:
         self._changed()
 
     def hear_scene(self, _key: str, scene: Scene) -> None:
-        """The scene, whole, after every edit."""
+        """Take the whole scene, published after every edit."""
         with self._lock:
             before = self._scene
             if scene.revision == before.revision:
                 lost = before.lost
             else:
-                # Of one scene the count of edits grows; where it does not, the planner has begun another one.
+                # The edit count of a scene only grows; if it does not, the planner has begun a new scene.
                 lost = before.revision is not None and _edits(scene.revision) <= _edits(before.revision)
             kept = before.objects if lost else {}
             objects = {**kept, **{item.name: item for item in scene.objects}}

@@ -44,19 +44,21 @@ from zarm_servo.warm_up import warm_up
 log = logging.getLogger(__name__)
 
 PLANNER_PERIOD = 1.0
-"""How often (s) the servo looks whether there is a planner."""
+"""Interval (s) at which the servo checks that there is a planner."""
 ANSWER = 0.2
-"""How long (s) an answer may be under way beyond the deadline of what is asked."""
+"""Extra time (s) for an answer to arrive after the deadline of the request."""
 PLAN_TIMEOUT = 4 * TIMEOUT
-"""Seconds after which a planner that was asked for a global plan is taken for gone."""
+"""A planner that has not answered a request for a global plan after this time (s) counts as gone."""
 SWITCH_INTERVAL = 0.0005
-"""Longest time (s) that a thread reading a message keeps the interpreter from the cycles of a session (Python's own: 0.005)."""
+"""Longest time (s) for which a thread reading a message may hold the interpreter while a session's cycle waits
+(Python's default: 0.005).
+"""
 _OBJECT: TypeAdapter[SceneObject] = TypeAdapter(SceneObject)
 
 
 @contextmanager
 def start(service: Service) -> Iterator[None]:
-    """The servo, from its first authority to its last."""
+    """Run the servo, from its first authority to its last."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     bus, keys = service.bus, service.keys
     model = RobotModel.of(service.robot)
@@ -115,7 +117,7 @@ def start(service: Service) -> Iterator[None]:
         looking = threading.Thread(target=look_for_planner, name="planner", daemon=True)
         looking.start()
         gc.collect()
-        gc.freeze()  # to look for garbage in what stays, again and again, would delay a check
+        gc.freeze()  # collecting long-lived objects again and again would delay a check
         with guard, replanner:
             bus.serve(keys.servo_start, ServoStart, sessions.start)
             bus.serve(keys.servo_end, ServoEnd, sessions.end)

@@ -47,46 +47,52 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 CHUNK = 5
-"""Steps in a chunk: 50 chunks a second leave the executor time for other things."""
+"""Steps in a chunk: 50 chunks a second leave the executor time for other work."""
 LEAD = 0.06
-"""Steps are made for so long (s) after what the executor commands now: a chunk has its way to go, and waits for a tick there."""
+"""Steps are computed this far (s) ahead of the executor's command: a chunk needs time to arrive, and waits for a tick
+there.
+"""
 DEADLINE = 0.3
-"""The executor brakes where no chunk has come for so long (s)."""
+"""The executor brakes if no chunk has come for this long (s)."""
 _ASTRAY = 1e-4
-"""An executor that follows something further (rad) from the steps has had a chunk too late, and blends."""
+"""If the executor's trajectory differs by more than this (rad) from the steps, a chunk came too late and it is
+blending.
+"""
 _ON_ITS_WAY = 0.1
-"""After so long (s) the executor has taken every chunk, or dropped it."""
+"""After this time (s) the executor has taken every chunk, or dropped it."""
 _REMEMBERED = 50
-"""So many chunks are remembered."""
+"""Number of chunks remembered."""
 _REPEATED = 0.08
-"""A chunk is sent at least so often (s), however slowly the robot moves."""
+"""Longest time (s) between two chunks, however slowly the robot moves."""
 _CAUGHT_UP = 2
-"""Steps in one cycle at most, where cycles were missed."""
+"""Most steps in one cycle after cycles were missed."""
 _LATE = 0.002
-"""A cycle that begins later (s) is counted as late."""
+"""A cycle that begins later than this (s) counts as late."""
 _SOFT = 0.02
-"""Seconds that an acceleration takes to its limit: what the quintics of a chunk add between its samples stays small."""
+"""Time (s) that an acceleration takes to reach its limit: keeps the overshoot of a chunk's quintics between samples
+small.
+"""
 _SHARE = 0.98
 """Share of the acceleration limit that is used, for the same reason."""
 _STARTS = 3.0
-"""The executor takes a stream within so long (s), or refuses it."""
+"""The executor accepts or refuses a stream within this time (s)."""
 _RESTS = 5.0
-"""A robot rests within so long (s)."""
+"""Longest time (s) that a robot takes to come to rest."""
 _UNUSED = 10.0
-"""A session without a fresh target for so long (s) is ended."""
+"""A session without a fresh target for this long (s) is ended."""
 _SILENT = 2.0
-"""An executor that has told nothing of the stream for so long (s) is gone."""
+"""An executor that has not reported on the stream for this long (s) is gone."""
 _TELLS = 0.05
-"""What limits a session is told so often (s) at most."""
+"""Least time (s) between two reports of what limits a session."""
 _MOVES = 1e-3
-"""Joint speed (rad/s) from which a robot is said to move."""
+"""Joint speed (rad/s) above which a robot counts as moving."""
 _PRIORITY = 15
 """Real-time priority of the cycles, below that of the executor's."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What the last cycle found."""
+    """The result of the last cycle."""
 
     limitation: Limitation = field(default_factory=lambda: Limitation("target_stale"))
     target: Target | None = None
@@ -97,8 +103,8 @@ class Snapshot:
 class Session:
     """Leads the goal `goal_id`, from rest at `position` (J,).
 
-    `check` is its own while it is open. `changed()` is called where what limits it has changed. `plan` asks the planner, for where
-    the controller is stuck.
+    The session owns `check` while it is open. It calls `changed()` when what limits it changes, and asks the planner
+    through `plan` when the controller is stuck.
     """
 
     def __init__(
@@ -128,7 +134,7 @@ class Session:
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
         self._metrics = metrics
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="global-plan")
-        self._pool.submit(int).result()  # its thread begins here, and not with the priority of the cycles
+        self._pool.submit(int).result()  # start the thread here: it must not inherit the priority of the cycles
         find = partial(find_global_plan, plan, self._joints, request.margin)
         self._local_goal = LocalGoal(self._model, find, partial(self._scene.is_free, margin=request.margin), self._pool)
         self._streamed = StreamedTrajectory(0.0, self._controller.state, self._controller.braking)
@@ -152,16 +158,16 @@ class Session:
 
     @property
     def revision(self) -> SceneRevision | None:
-        """The scene that its steps are checked in."""
+        """The scene in which the steps are checked."""
         return self._scene.revision
 
     @property
     def ended(self) -> bool:
-        """Whether it is over."""
+        """Whether the session has ended."""
         return self._done.is_set()
 
     def open(self) -> None:
-        """Begin. Raises what the executor refuses it with, and Unavailable if that says nothing."""
+        """Begin. Raises the executor's refusal, and Unavailable if the executor does not answer."""
         try:
             standing = TimedTrajectory.standing(self._controller.state[0], 1.0)
             self._put(0.0, standing, deadline=1.0)
@@ -179,7 +185,7 @@ class Session:
         self._thread.start()
 
     def close(self) -> None:
-        """Bring the robot to rest and end; returns once that is done. Raises Busy if it takes too long."""
+        """Bring the robot to rest and end; returns when done. Raises Busy if it takes too long."""
         self._give_up()
         if not self._done.wait(_RESTS):
             raise Busy(f"the session {self.goal_id} has not ended yet; see where the robot is, then try again")
@@ -188,7 +194,7 @@ class Session:
         self._closing = True
 
     def hear_goal(self, goal: GoalState) -> None:
-        """What the executor tells of its stream."""
+        """Take a state of the stream from the executor."""
         self._heard_at = time.monotonic()
         self._clock.hear(goal, self._heard_at)
         self._goal = goal
@@ -197,7 +203,7 @@ class Session:
             self._told.set()
 
     def hear_trajectory(self, message: GoalTrajectory) -> None:
-        """What the executor follows, after every chunk: whether that is what was checked."""
+        """Take the trajectory that the executor follows after each chunk, and compare it with what was checked."""
         trajectory = TimedTrajectory.of(message.trajectory, self._joints).begun_at(message.start)
         time_there, state = self._ends.get(message.number, (-1.0, np.empty(0)))
         if time_there >= trajectory.time[0]:
@@ -205,11 +211,11 @@ class Session:
         self._followed = message.number, trajectory
 
     def hear_speed(self, state: ExecutorState) -> None:
-        """At which share of the planned speed the robot moves."""
+        """Take the robot's share of the planned speed."""
         self._clock.set_speed(state.speed_scale, time.monotonic())
 
     def state(self) -> ServoSession:
-        """What it does now."""
+        """The session's current state."""
         snapshot = self._snapshot
         limitation = snapshot.limitation
         position = self._measured_position()
@@ -305,7 +311,9 @@ class Session:
             self._put(*self._streamed.chunk())
 
     def _found(self, commanded: float, now: float) -> bool:
-        """Go on from what the executor follows, once it has taken all chunks; whether that is done."""
+        """Continue from the trajectory that the executor follows, once it has taken all chunks; returns whether this
+        was possible.
+        """
         followed = self._followed
         if followed is None or (followed[0] < self._sequence and now - self._sent_at < _ON_ITS_WAY):
             return False
@@ -353,7 +361,7 @@ class Session:
         )
 
     def _end(self) -> None:
-        """Have the executor end the goal where the robot rests; a goal that is paused is left as it is."""
+        """End the goal at the executor where the robot comes to rest; a paused goal is left as it is."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         goal = self._goal
         if not self._held and not (goal is not None and goal.done):
@@ -371,6 +379,6 @@ class Session:
 
 
 def soft(limits: Limits) -> Limits:
-    """The limits that steps are made with, so that the quintics of a chunk are inside `limits` between its samples too."""
+    """The limits for steps, such that the quintics of a chunk stay inside `limits` between samples too."""
     acceleration = _SHARE * limits.acceleration
     return replace(limits, acceleration=acceleration, jerk=np.minimum(limits.jerk, acceleration / _SOFT))

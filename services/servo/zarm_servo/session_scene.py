@@ -1,4 +1,4 @@
-"""The scene that a session checks its steps in, loaded outside the cycles because large scenes take long."""
+"""The scene in which a session checks its steps, loaded outside the cycles because large scenes take long."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from zarm_trajectory.quintic import Array
 log = logging.getLogger(__name__)
 
 _LINE = 0.05
-"""A straight line is looked at so often (rad)."""
+"""Interval (rad) at which a straight line is checked."""
 
 
 class SessionScene:
-    """What `monitor` and `moving` knew at the last `look`, as soon as `check` has it loaded. `failed()` is called where that fails.
+    """What `monitor` and `moving` knew at the last `look`, once `check` has loaded it. Calls `failed()` if loading
+    fails.
 
-    What stands is loaded when it is made, which raises Unavailable where a mesh cannot be read; from `open` to `close` a thread of its
-    own keeps it.
+    The constructor loads the static objects, which raises Unavailable if a mesh cannot be read. From `open` to `close`
+    a thread keeps them up to date.
     """
 
     def __init__(
@@ -45,37 +46,39 @@ class SessionScene:
 
     @property
     def motions(self) -> MotionCheck:
-        """The check of motions in it."""
+        """The motion check in this scene."""
         return self._check.motions
 
     @property
     def revision(self) -> SceneRevision | None:
-        """The revision that is loaded."""
+        """The loaded revision."""
         return self._scene.revision
 
     def open(self) -> None:
-        """Begin to keep it."""
+        """Begin to keep the scene up to date."""
         self._thread.start()
 
     def close(self) -> None:
-        """Keep it no longer: the check is free for another session."""
+        """Stop: the check is free for another session."""
         self._closing = True
         self._news.set()
         self._thread.join()
 
     def look(self, now: float) -> None:
-        """Take up what is known at the moment `now` (s, monotonic): what moves at once, what stands once it is loaded."""
+        """Take what is known at `now` (s, monotonic): moving objects at once, static ones when loaded."""
         movers, scene = self._seen[1], self._monitor.snapshot(now)
         self._seen = scene, self._moving.of(scene)
         if scene is not self._scene or len(movers) != len(self._seen[1]):
             self._news.set()
 
     def around(self, now: float, ahead: float, scale: float) -> Surroundings:
-        """For a motion that begins `ahead` s after `now` (s, monotonic), and is followed at `scale` times its speed."""
+        """The surroundings for a motion that begins `ahead` s after `now` (s, monotonic) and runs at `scale` times its
+        speed.
+        """
         return replace(self._around, moving=self._moved(now, ahead, scale))
 
     def nearby(self, position: Array, now: float, scale: float) -> list[NearPair]:
-        """What is near the robot at `position` (J,) at the moment `now` (s, monotonic), nearest first."""
+        """What is near the robot at `position` (J,) at `now` (s, monotonic), nearest first."""
         around = self._around
         return self.motions.nearby(
             position,
@@ -86,7 +89,7 @@ class SessionScene:
         )
 
     def is_free(self, start: Array, end: Array, margin: float) -> bool:
-        """Whether the straight line from one position (J,) to another keeps the margin (m) to what stands."""
+        """Whether the straight line between two positions (J,) keeps the margin (m) to static objects."""
         count = 2 + int(np.abs(end - start).max() / _LINE)
         return self.motions.check(
             np.arange(float(count)),
@@ -98,7 +101,7 @@ class SessionScene:
         ).free
 
     def catch_up(self) -> None:
-        """Load what was seen last, where it is another scene. Raises Unavailable if a mesh cannot be read."""
+        """Load the scene seen last if it has changed. Raises Unavailable if a mesh cannot be read."""
         if self._news.is_set():
             self._news.clear()
             self._load()
@@ -119,7 +122,7 @@ class SessionScene:
         around = Surroundings(scene.attached, scene.ignored_links)
         if len(around.attached) > len(self._around.attached):
             self._around = (
-                around  # what is attached, or put down, may be there twice for a moment, but is never missing
+                around  # an object just attached or detached may be present twice for a moment, but is never missing
             )
         self._check.load(scene.objects, [mover.item.name for mover in movers])
         self._scene, self._around = scene, around

@@ -35,13 +35,13 @@ from zarm_trajectory.quintic import Array
 log = logging.getLogger(__name__)
 
 _FRESH = 0.5
-"""Joints that were measured longer ago (s) are not where a session begins."""
+"""Joints measured longer ago than this (s) cannot start a session."""
 _NEWS = 0.5
-"""Time (s) in which the servo, too, hears what the executor has told a client: that a goal is at its end."""
+"""How long (s) to wait for news that a client may already have from the executor: that a goal has ended."""
 
 
 class Sessions:
-    """The sessions of one robot, one after the other."""
+    """The sessions of one robot, one at a time."""
 
     def __init__(
         self,
@@ -60,13 +60,13 @@ class Sessions:
         self._session: Session | None = None
         self._ended: deque[str] = deque(maxlen=32)
         self._lock = threading.Lock()
-        self._news = threading.Condition()  # what the executor tells
+        self._news = threading.Condition()  # from the executor
 
     def start(self, request: ServoStart) -> Accepted:
         """Open a session.
 
-        Raises Busy, ExecutionRefused (`no_joint_state`), Unavailable without an executor or a scene, and what the executor refuses
-        the stream with.
+        Raises Busy, ExecutionRefused (`no_joint_state`), Unavailable without an executor or a scene, and the executor's
+        refusal of the stream.
         """
         with self._lock:
             before = self._open()
@@ -106,14 +106,14 @@ class Sessions:
             return Accepted(goal_id=goal_id)
 
     def end(self, request: ServoEnd) -> Nothing:
-        """End a session; nothing where there is none of that name. Raises Busy if the robot does not come to rest."""
+        """End a session; does nothing if there is none of that name. Raises Busy if the robot does not come to rest."""
         session = self._open()
         if session is not None and request.goal_id in (None, session.goal_id):
             session.close()
         return Nothing()
 
     def hear_target(self, _key: str, payload: bytes) -> None:
-        """A live target; those of other sessions are passed over."""
+        """Take a live target; those of other sessions are ignored."""
         now, session = time.monotonic(), self._open()
         if session is None:
             return
@@ -126,7 +126,7 @@ class Sessions:
             session.inbox.hear(message, now)
 
     def hear_goal(self, _key: str, goal: GoalState) -> None:
-        """What the executor tells of a goal; its state, which comes after that, may still be on its way."""
+        """Take a goal state from the executor; the executor state that follows it may still be on its way."""
         if goal.done:
             with self._news:
                 self._ended.append(goal.goal_id)
@@ -136,7 +136,7 @@ class Sessions:
             session.hear_goal(goal)
 
     def hear_state(self, _key: str, state: ExecutorState) -> None:
-        """What the executor does."""
+        """Take the executor's state."""
         with self._news:
             self._executor = state
             self._news.notify_all()
@@ -145,7 +145,7 @@ class Sessions:
             session.hear_speed(state)
 
     def _free_executor(self) -> ExecutorState:
-        """The executor, which runs no goal. Raises Unavailable if it is not heard and Busy if it runs one."""
+        """The idle executor. Raises Unavailable if none is heard, and Busy if it runs a goal."""
         with self._news:
             self._news.wait_for(lambda: self._executor is not None and self._goal() is None, _NEWS)
             executor, goal = self._executor, self._goal()
@@ -156,12 +156,12 @@ class Sessions:
         return executor
 
     def _goal(self) -> str | None:
-        """The goal that the executor runs."""
+        """The goal that the executor is running."""
         goal = None if self._executor is None else self._executor.goal_id
         return None if goal in self._ended else goal
 
     def close(self) -> None:
-        """End the session that there is."""
+        """End the open session, if any."""
         self.end(ServoEnd())
 
     def _open(self) -> Session | None:
@@ -169,7 +169,7 @@ class Sessions:
         return None if session is None or session.ended else session
 
     def _position(self) -> Array:
-        """Where the robot is (J,)."""
+        """The robot's measured position (J,)."""
         joints, measured = self._robot.descriptor.joints, self._measured.get(max_age=_FRESH)
         if measured is None or set(measured.joint_names) != set(joints):
             raise ExecutionRefused(
@@ -179,6 +179,6 @@ class Sessions:
         return np.array([measured.position[measured.joint_names.index(joint)] for joint in joints])
 
     def _delay(self, executor: ExecutorState) -> float:
-        """How far (s) behind what is commanded the executor expects the robot."""
+        """How far (s) the executor expects the robot to be behind the command."""
         params = self._robot.descriptor.strategy_params
         return 0.0 if params is None or executor.strategy == "emulator" else params.delay

@@ -9,23 +9,24 @@ from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.05
-"""Path time (s) from one point that is looked at to the next."""
+"""Path time (s) between two evaluated points."""
 _AHEAD = 0.3
-"""So far (s of the path) ahead of the robot it may begin to brake."""
+"""Path time (s) ahead of the robot within which braking may begin."""
 _POINT = 0.02
-"""A braking is computed in steps of so much (s)."""
+"""Time step (s) of the braking computation."""
 _SHARE = 1.1
-"""An executor that brakes in ticks, and brings the robot to rest behind what it commands, takes longer by this factor."""
+"""Factor for an executor that brakes in ticks, and for a robot that comes to rest behind the command."""
 _WAY = 0.06
-"""A pose is on its way to the servo, checked, and on its way to the executor for so long (s) at most."""
+"""Longest time (s) for a pose to reach the servo, be checked, and have its result reach the executor."""
 _TICKS = 3
-"""Ticks of the executor until a stop takes effect."""
+"""Executor ticks until a stop takes effect."""
 
 
 def reaction(descriptor: RobotDescriptor) -> float:
     """The time (s) from a pose until the robot begins to brake for it.
 
-    Where `execution.guard` is required it holds also when the servo dies at that moment, and is missed after `guard_timeout`.
+    If `execution.guard` is required, this also holds if the servo dies at that moment, which is noticed after
+    `guard_timeout`.
     """
     execution, driver = descriptor.execution, descriptor.strategy_params
     time = _WAY + _TICKS * execution.control_period
@@ -35,14 +36,14 @@ def reaction(descriptor: RobotDescriptor) -> float:
 
 
 class StoppingTime:
-    """Times to rest from the full speed of one trajectory, inside `limits`, with a `reaction` (s) before."""
+    """Times to come to rest from full speed on one trajectory, inside `limits`, after a `reaction` time (s)."""
 
     def __init__(self, trajectory: TimedTrajectory, limits: RateLimits, reaction: float) -> None:
         self._follower, self._reaction = Follower(trajectory, limits), reaction
         self._known: dict[int, float] = {}
 
     def after(self, time: float) -> float:
-        """Within so long (s) a robot rests that is at the path time `time` (s), or a little further."""
+        """Time (s) within which a robot at the path time `time` (s), or slightly further, comes to rest."""
         first, last = int(time / _STEP), int((time + _AHEAD) / _STEP) + 1
         return self._reaction + _SHARE * max(self._braking(k) for k in range(first, last + 1))
 

@@ -10,13 +10,13 @@ from zarm_trajectory.speed_change import SpeedChange
 from zarm_trajectory.trajectory import TimedTrajectory
 
 REST = 0.5
-"""A chunk ends with so much rest (s): the time of a stream stands still at its end."""
+"""Time at rest (s) that ends a chunk: at its end the stream's time stands still."""
 _APART = 1e-5
-"""Samples are at least this far apart (s)."""
+"""Least time (s) between samples."""
 
 
 class StreamedTrajectory:
-    """Begins in `state` (3, J), from which `braking` leads to rest, at `start` (s) of a stream."""
+    """Begins in `state` (3, J) at the stream time `start` (s); `braking` leads from there to rest."""
 
     def __init__(self, start: float, state: Array, braking: SpeedChange) -> None:
         self._begun, self._steps = start, 0
@@ -25,16 +25,16 @@ class StreamedTrajectory:
 
     @property
     def time(self) -> float:
-        """The time (s) of the stream up to which there are steps."""
+        """The stream time (s) up to which there are steps."""
         return self._begun + (self._steps + self.pending) * PERIOD
 
     @property
     def pending(self) -> int:
-        """How many steps no chunk has held yet."""
+        """The number of steps not yet in any chunk."""
         return len(self._states) - 1
 
     def add(self, step: Step) -> None:
-        """Go one step further."""
+        """Append a step."""
         self._states.append(step.state)
         self._brake(step.braking, step.braked)
 
@@ -45,8 +45,8 @@ class StreamedTrajectory:
         self._braking = times - braked, braking.sample(times)
 
     def chunk(self) -> tuple[float, TimedTrajectory]:
-        """The time (s) of the stream at which the next chunk starts, and its trajectory, to rest. It begins exactly where the steps of
-        the chunk before it ended.
+        """The stream time (s) at which the next chunk starts, and its trajectory to rest. It begins exactly where the
+        steps of the previous chunk ended.
         """
         start, times = self._begun + self._steps * PERIOD, PERIOD * np.arange(len(self._states))
         after, braking = self._braking

@@ -12,36 +12,40 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_trajectory.quintic import Array
 
 GAIN = 8.0
-"""Joint speed per distance, 1/s: what is left of a small distance falls by half every 0.09 s."""
+"""Joint speed per distance, 1/s: a small distance halves every 0.09 s."""
 _BRAKING = 0.45
-"""Share of the acceleration that an approach brakes with; below a half, so that `GAIN` never asks for more than the limit."""
+"""Share of the acceleration used to brake an approach; below one half, so that `GAIN` never demands more than the
+limit.
+"""
 SINGULAR = 0.08
-"""The smallest singular value of the tip's Jacobian below which a robot is slowed and its inverse damped."""
+"""Below this smallest singular value of the tip's Jacobian the robot is slowed and the inverse damped."""
 _WATCHED = 0.3
-"""Below this smallest singular value it is looked at how the joints change it."""
+"""Below this smallest singular value, its derivative by the joints is computed."""
 _DAMPING = 0.04
 """Largest damping of the inverse (Nakamura and Hanafusa, 1986)."""
 _JOINTS_COUNT = 1e-3
-"""What a joint speed costs beside the tip's: a little, so that the metric can be inverted."""
+"""Weight of joint speeds beside the tip's: small, and only to make the metric invertible."""
 _SLOWEST = 0.1
-"""Share of the speed that is left in a singularity, so that the robot gets out again."""
+"""Share of the speed left in a singularity, so that the robot gets out again."""
 
 
 @dataclass(frozen=True)
 class PoseTarget:
-    """Bring the tip to `pose` (4, 4), which itself moves with the twist `velocity` (6,): m/s, rad/s, both in the base frame."""
+    """Bring the tip to `pose` (4, 4), which itself moves with the twist `velocity` (6,): m/s, rad/s, both in the base
+    frame.
+    """
 
     pose: Array
     velocity: Array = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
     def moving(cls, before: Array, pose: Array, passed: float) -> Self:
-        """The target that was at `before` (4, 4) `passed` s ago, is at `pose` now, and goes on like that."""
+        """The target that was at `before` (4, 4) `passed` s ago, is at `pose` now, and continues at this twist."""
         turn = rotation_vector(pose[:3, :3] @ before[:3, :3].T)
         return cls(pose, np.concatenate((pose[:3, 3] - before[:3, 3], turn)) / passed)
 
     def after(self, passed: float) -> Array:
-        """Where it is expected (4, 4) `passed` s later."""
+        """Its expected pose (4, 4) `passed` s later."""
         pose = self.pose.copy()
         pose[:3, 3] += passed * self.velocity[:3]
         angle = passed * float(np.linalg.norm(self.velocity[3:]))
@@ -54,7 +58,7 @@ class PoseTarget:
 
 @dataclass(frozen=True)
 class TwistTarget:
-    """Move the tip with `twist` (6,): m/s, then rad/s, along the axes of the base or of the tool, which is the tip."""
+    """Move the tip with `twist` (6,): m/s, then rad/s, along the axes of the base or of the tool (the tip)."""
 
     twist: Array
     frame: Literal["base", "tool"] = "base"
@@ -81,9 +85,9 @@ Target = PoseTarget | TwistTarget | JointSpeedTarget | JointTarget
 class Wish:
     """Joint speeds (J,) in rad/s that lead to a target, inside the speed limits; `singular`: a singularity slows them.
 
-    Where something is in the way, a change of the speeds costs its square in `metric` (J, J): the target's own measure, so that
-    the tip loses of its motion only what leads into the obstacle. `singularity`: where one is not far, the smallest singular value of the
-    tip's Jacobian, and by how much each joint changes that (J,).
+    `metric` (J, J) is the quadratic cost of changing these speeds to avoid obstacles. It measures in the space of the
+    target, so that the tip loses only the part of its motion that leads into the obstacle. `singularity`, if one is
+    near: the smallest singular value of the tip's Jacobian, and its derivative by each joint (J,).
     """
 
     velocity: Array
@@ -93,7 +97,7 @@ class Wish:
 
 
 def wish(model: RobotModel, target: Target, age: float, position: Array, speed: Array, acceleration: Array) -> Wish:
-    """What a target that was told `age` s ago means at `position` (J,), with limits (J,) in rad/s and rad/s^2."""
+    """The joint speeds towards a target `age` s old at `position` (J,), with limits (J,) in rad/s and rad/s^2."""
     joints = np.eye(model.dof)
     if isinstance(target, JointSpeedTarget):
         return Wish(within_speed(target.velocity, speed), joints)
@@ -115,19 +119,21 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
 
 
 def _approach(distance: Array, acceleration: Array) -> Array:
-    """Joint speeds (J,) that get rid of a distance (J,), along a line, and brake in time."""
+    """Joint speeds (J,) that close a distance (J,) along a straight line and brake in time."""
     with np.errstate(divide="ignore"):
         rate = np.sqrt(2 * _BRAKING * acceleration / np.abs(distance)).min()
     return np.asarray(min(rate, GAIN) * distance)
 
 
 def within_speed(velocity: Array, speed: Array) -> Array:
-    """Joint speeds (J,), slower in all joints alike where one is faster than `speed` (J,)."""
+    """Joint speeds (J,), scaled down uniformly if any joint exceeds `speed` (J,)."""
     return np.asarray(velocity / max(1.0, float((np.abs(velocity) / speed).max())))
 
 
 def _damped_inverse(jacobian: Array) -> tuple[Array, float, tuple[float, Array] | None]:
-    """The damped inverse (J, 6) of a Jacobian (6, J), the share of the speed that its singularity leaves, and that, where it is not far."""
+    """The damped inverse (J, 6) of a Jacobian (6, J), the share of the speed allowed near a singularity, and the
+    singularity if one is near.
+    """
     u, values, v = np.linalg.svd(jacobian, full_matrices=False)
     near = min(1.0, float(values[-1]) / SINGULAR)
     damping = _DAMPING**2 * (1.0 - near**2)
@@ -137,7 +143,8 @@ def _damped_inverse(jacobian: Array) -> tuple[Array, float, tuple[float, Array] 
 
 
 def _change(jacobian: Array, u: Array, v: Array) -> Array:
-    """By how much each joint changes (J,) the singular value of a Jacobian (6, J) with the singular vectors `u` (6,) and `v` (J,).
+    """The derivative by each joint (J,) of the singular value of a Jacobian (6, J) with singular vectors `u` (6,) and
+    `v` (J,).
 
     (Bruyninckx and De Schutter, "Symbolic differentiation of the velocity mapping for a serial kinematic chain", 1996.)
     """

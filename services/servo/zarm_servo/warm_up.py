@@ -1,6 +1,6 @@
 """Compiles the kernels of the motion check, or loads them from the cache.
 
-`python -m zarm_servo.warm_up` does it after an installation, so that no servo has to.
+Run `python -m zarm_servo.warm_up` after an installation, so that no servo has to compile them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 
 def warm_up(checker: Checker, check: SceneCheck) -> None:
-    """Check a robot at rest once, with an object far away, and take a step of a session there."""
+    """Check a robot at rest once, with an object far away, and take one step of a session there."""
     model, box = check.model, Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
     home = np.array(model.robot.descriptor.home)
     checker.validity(TimedTrajectory.standing(home), 0.0, SceneSnapshot(objects={"far": box}), None)

@@ -1,6 +1,6 @@
 """The goal in the 3D view: a gizmo at the tip, and the ghost of the robot at that pose.
 
-The planner's inverse kinematics answer while somebody drags; only the newest pose is asked for.
+The planner's inverse kinematics answer during a drag; only the newest pose is requested.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from zarm_viewer.kinematics import Array, message_of, pose_at
 
 FREE, COLLIDING, UNREACHABLE = (64, 192, 87), (240, 62, 62), (134, 142, 150)
 DRAGGED, BRANCHES = 8, 64
-"""So many solutions are asked for at most while somebody drags, and when they rest: all that the planner gives."""
+"""Most solutions requested during a drag, and after it, when it is all that the planner gives."""
 RESTS = 0.3
-"""s without a drag after which the handle rests."""
-_SECONDS = 1.0  # for an answer; somebody drags meanwhile
+"""Seconds without movement after which a drag has ended."""
+_SECONDS = 1.0  # time limit (s) for an answer, since the user is dragging
 
 
 @dataclass(frozen=True)
 class Branch:
-    """Joint positions (J,) in rad that reach the pose, and what they would touch, if anything."""
+    """Joint positions (J,) in rad that reach the pose, and what they would collide with, if anything."""
 
     joints: Array
     touching: tuple[str, str] | None = None
@@ -38,8 +38,8 @@ class Branch:
 
 @dataclass(frozen=True)
 class Aim:
-    """Where the goal is. `branches` reach `pose`, of which `chosen` is shown; there is none where it cannot be reached. Free ones come
-    first, and of those the nearest to where the ghost was.
+    """The goal. `branches` reach `pose`, and `chosen` is shown; there are none if it is unreachable. Free ones come
+    first, and among these the nearest to where the ghost was.
     """
 
     pose: SE3
@@ -49,11 +49,11 @@ class Aim:
 
     @property
     def branch(self) -> Branch | None:
-        """The one that is shown."""
+        """The branch that is shown."""
         return self.branches[self.chosen] if self.branches else None
 
     def describe(self) -> str:
-        """In words, as Markdown."""
+        """A description in Markdown."""
         if self.fault:
             return f"**{self.fault}**"
         branch = self.branch
@@ -66,7 +66,7 @@ class Aim:
 
 
 class Goal:
-    """The goal that people aim with. It follows the robot until somebody moves it."""
+    """The goal that users aim with. It follows the robot until someone moves it."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
@@ -80,11 +80,12 @@ class Goal:
         self._aim = Aim(desk.chain.tip(desk.joints), ())
         self._place_gizmo(self._aim.pose)
         self.aimed = False
-        """Whether somebody has chosen a goal; until then the gizmo stays at the tip."""
+        """Whether a user has chosen a goal; until then the gizmo stays at the tip."""
         self.dragged: Callable[[SE3, ClientHandle | None], object] = lambda *_: None
-        """Is told poses of the gizmo while somebody drags it, and on which page, besides."""
+        """Called with each pose of the gizmo during a drag, and with the page on which it happens."""
         self.revision = 0
-        """Grows with every change that the panels show: goals, and where the robot rests while there is none."""
+        """Increases with every change shown in the panels: goals, and the robot's rest position while there is no goal.
+        """
         self._followed: Array | None = None
         self._rests = False
         threading.Thread(target=self._solve, name="ik", daemon=True).start()
@@ -97,7 +98,7 @@ class Goal:
 
     @property
     def now(self) -> Aim:
-        """The goal as it is known."""
+        """The present goal."""
         return self._aim
 
     def reach(self, pose: SE3) -> None:
@@ -115,14 +116,14 @@ class Goal:
             self._show(replace(self._aim, chosen=branch))
 
     def forget(self) -> None:
-        """No goal: the gizmo goes back to the tip and stays with it."""
+        """Drop the goal: the gizmo returns to the tip and stays with it."""
         self.aimed = False
         self._followed = None
         self._ghost.hide()
         self.follow()
 
     def follow(self) -> None:
-        """Stay with the robot where nobody has chosen a goal."""
+        """Follow the robot if no goal has been chosen."""
         if self.aimed:
             return
         joints = self._desk.joints
@@ -131,17 +132,17 @@ class Goal:
             self._place_gizmo(pose)
             self._aim = Aim(pose, ())
             self._followed, self._rests = joints, False
-        elif not self._rests:  # numbers change when the robot rests: each picture's would be sent to every page
+        elif not self._rests:  # numbers change only when the robot rests: each frame's would be sent to every page
             self._rests = True
             self.revision += 1
 
     def preview(self, joints: Array) -> None:
-        """Show the ghost at joint positions (J,) on the way, as when a plan is scrubbed through."""
+        """Show the ghost at joint positions (J,) along a plan, as when the user scrubs through it."""
         self._ghost.show(joints)
         self._ghost.paint(FREE)
 
     def show(self, *, gizmo: bool) -> None:
-        """Show the gizmo, or not."""
+        """Show or hide the gizmo."""
         self.gizmo.visible = gizmo
         if not gizmo:
             self._ghost.hide()

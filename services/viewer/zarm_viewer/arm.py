@@ -17,11 +17,13 @@ from zarm_viewer.kinematics import Array, motion, origin
 
 SPHERES = (250, 176, 5)
 STILL = 1e-4
-"""A joint that has moved less (rad or m) is not drawn anew."""
+"""A joint that has moved less than this (rad or m) is not redrawn."""
 
 
 class Arm:
-    """One drawing of a robot under the node `root`; the browser places each link in its parent, so that only joints are sent."""
+    """A drawing of a robot under the node `root`; the browser places each link relative to its parent, so that only
+    joints are sent.
+    """
 
     def __init__(
         self, api: viser.SceneApi, root: str, robot: RobotDescription, body: Body, colour: Colour, opacity: float
@@ -56,7 +58,7 @@ class Arm:
         self.move(np.array(robot.descriptor.home))
 
     def move(self, joints: Array) -> bool:
-        """Draw the robot at joint positions (J,) in rad; whether that changes anything."""
+        """Draw the robot at joint positions (J,) in rad; returns whether that changes anything."""
         if self._at is not None and np.abs(joints - self._at).max() < STILL:
             return False
         for frame, index, joint, at in self._moving:
@@ -76,7 +78,7 @@ class Arm:
                 shape.color = colour
 
     def show_spheres(self, seen: bool) -> None:
-        """Show the collision spheres of the links, or not."""
+        """Show or hide the links' collision spheres."""
         while self._spheres:
             self._spheres.pop().remove()
         if seen:
@@ -88,7 +90,7 @@ class Arm:
             ]
 
     def show_axes(self, seen: bool) -> None:
-        """Show the frames of the links, or not."""
+        """Show or hide the links' frames."""
         while self._axes:
             self._axes.pop().remove()
         if seen:
@@ -98,7 +100,7 @@ class Arm:
 
     @property
     def visible(self) -> bool:
-        """Whether it is in the picture."""
+        """Whether the robot is drawn."""
         return self._frame.visible
 
     @visible.setter
@@ -108,7 +110,7 @@ class Arm:
 
 
 class Ghost:
-    """A robot that is sent to the pages when it is first shown: they are opened sooner without. Safe from any thread."""
+    """A robot sent to the pages only when first shown, so that they open faster. Thread-safe."""
 
     def __init__(self, make: Callable[[], Arm]) -> None:
         self._make, self._making = make, threading.Lock()
@@ -123,11 +125,11 @@ class Ghost:
         self._arm.visible = True
 
     def hide(self) -> None:
-        """Show it no more."""
+        """Hide it."""
         if self._arm is not None:
             self._arm.visible = False
 
     def paint(self, colour: Colour) -> None:
-        """Give it this colour, where it has been shown."""
+        """Give it this colour, if it has been shown."""
         if self._arm is not None:
             self._arm.paint(colour)

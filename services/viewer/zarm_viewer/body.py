@@ -23,7 +23,7 @@ _FORMATS = (".stl", ".obj", ".dae")
 
 @dataclass(frozen=True)
 class _Visual:
-    """A mesh for the eyes, in the frame of its link."""
+    """A visual mesh, in the frame of its link."""
 
     file: Path
     scale: tuple[float, float, float]
@@ -31,7 +31,7 @@ class _Visual:
 
 
 def body_of(robot: RobotDescription) -> Body:
-    """What this robot looks like."""
+    """The robot's look."""
     visuals = _visuals(robot.urdf_path)
     return {link: _look(robot, link, visuals.get(link, ())) for link in {*visuals, *robot.descriptor.collision}}
 
@@ -48,7 +48,7 @@ def _look(robot: RobotDescription, link: str, visuals: tuple[_Visual, ...]) -> t
 
 
 def _visuals(urdf: Path) -> dict[str, tuple[_Visual, ...]]:
-    """The visual meshes of each link; a link is left out where one of its visuals is anything else or cannot be had here."""
+    """The visual meshes of each link; a link is left out if one of its visuals is not a mesh or is not available here."""
     found: dict[str, tuple[_Visual, ...]] = {}
     for link in ET.parse(urdf).getroot().findall("link"):  # noqa: S314 - the robot's own file, read by load_robot before
         visuals = [_visual(element, urdf.parent) for element in link.findall("visual")]

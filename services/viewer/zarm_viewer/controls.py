@@ -14,7 +14,9 @@ from zarm_viewer.style import MOVES
 def button(
     desk: Desk, label: str, icon: IconName, work: Callable[[], object], *, moves: bool = False
 ) -> GuiButtonHandle:
-    """A button that does `work`, in another colour where that `moves` the robot, and waits for it before it can be used again; what goes wrong is told on that page."""
+    """A button that does `work`, and is disabled until that ends; a different colour if it `moves` the robot. Errors
+    are shown on the page that used it.
+    """
     handle = desk.server.gui.add_button(label, icon=icon, color=MOVES if moves else None)
 
     @handle.on_click
@@ -29,7 +31,7 @@ def button(
 
 
 def changed(desk: Desk, handle: Any, label: str, work: Callable[[], object]) -> None:
-    """Do `work` whenever somebody changes this input; not where the page does."""
+    """Do `work` whenever a user changes this input, but not when the page does."""
 
     def update(event: GuiEvent[Any]) -> None:
         if event.client is not None:
@@ -39,6 +41,6 @@ def changed(desk: Desk, handle: Any, label: str, work: Callable[[], object]) -> 
 
 
 def put(handle: Any, value: object, name: str = "value") -> None:
-    """Show a value, where it is another."""
+    """Set a value if it differs."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)

@@ -18,7 +18,9 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class Corrections:
-    """What a person may correct: the home (J,) in rad, the spheres of each link in its frame, and the pairs that are never checked."""
+    """What the user may correct: the home (J,) in rad, the spheres of each link in its frame, and the pairs that are
+    never checked.
+    """
 
     home: tuple[float, ...]
     spheres: Mapping[str, tuple[CollisionSphere, ...]]
@@ -26,13 +28,14 @@ class Corrections:
 
     @classmethod
     def of(cls, descriptor: RobotDescriptor) -> Self:
-        """As a descriptor has them."""
+        """Those of a descriptor."""
         return cls(descriptor.home, descriptor.spheres, descriptor.self_collision_ignore)
 
     def write(self, robot: RobotDescription) -> RobotDescription:
-        """Write them into the robot's file, in which all else stays as it is; the robot as it is read from there.
+        """Write them into the robot's file, leaving the rest unchanged; returns the robot read back from it.
 
-        Raises InvalidRequest if the result is no descriptor, or where somebody else has changed the file; then it stays.
+        Raises InvalidRequest if the result is not a valid descriptor, or if the file has been changed by others; the
+        file then stays as it is.
         """
         file = robot.path
         text = file.read_text(encoding="utf-8")
@@ -58,7 +61,7 @@ class Corrections:
         return {"home": self.home, "spheres": dict(self.spheres), "self_collision_ignore": self.ignored}
 
     def _written(self, text: str, before: RobotDescriptor) -> str:
-        """The text of a descriptor with these sections in place of those that differ."""
+        """The text of a descriptor with the changed sections replaced."""
         was = Corrections.of(before)
         lines = text.splitlines()
         if self.home != was.home:
@@ -71,13 +74,13 @@ class Corrections:
 
 
 def _replaced(lines: Sequence[str], key: str, section: Sequence[str]) -> list[str]:
-    """Lines with a section in place of that of a key at the top; comments above what follows it stay."""
+    """Lines with the section of a top-level key replaced; comments above the next section stay."""
     begin, end = _section(lines, key)
     return [*lines[:begin], *section, *lines[end:]]
 
 
 def _section(lines: Sequence[str], key: str) -> tuple[int, int]:
-    """The first line of a section, and that after its last one."""
+    """The first line of a section, and the line after its last one."""
     root = cast(yaml.MappingNode, yaml.compose("\n".join(lines), yaml.CSafeLoader))
     starts = {name.value: name.start_mark.line for name, _ in root.value}
     begin = starts[key]
@@ -101,7 +104,7 @@ def _pairs(pairs: Sequence[Pair], remarks: Mapping[Pair, str]) -> list[str]:
 
 
 def _remarks(lines: Sequence[str]) -> dict[Pair, str]:
-    """The comment behind each ignored pair that has a line of its own: why it is ignored."""
+    """The comment after each ignored pair on its own line, which says why it is ignored."""
     begin, end = _section(lines, "self_collision_ignore")
     found = {}
     for line in lines[begin + 1 : end]:

@@ -21,7 +21,7 @@ from zarm_viewer.kinematics import Array, Chain
 log = logging.getLogger(__name__)
 
 EVENTS = 40
-"""So many of the last events are shown."""
+"""Number of recent events shown."""
 
 
 @dataclass
@@ -36,12 +36,12 @@ class Desk:
     description: RobotDescription
     client: Robot | None
     moves: bool
-    """Whether this page may move robots: its process is no mere viewer."""
+    """Whether this page may move robots; that of a viewer role may not."""
     chain: Chain = field(init=False)
     body: Body = field(init=False)
     joints: Array = field(init=False)
     measured: bool = False
-    """Whether `joints` were measured; else they are the home position."""
+    """Whether `joints` were measured; otherwise they are the home position."""
     events: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
 
     def __post_init__(self) -> None:
@@ -61,11 +61,11 @@ class Desk:
         return self.client
 
     def note(self, event: str) -> None:
-        """Write an event into the log of events, which all pages show."""
+        """Add an event to the log, which all pages show."""
         self.events.appendleft(f"`{time.strftime('%H:%M:%S')}` {event}")
 
     def attempt(self, what: str, work: Callable[[], object], client: ClientHandle | None = None) -> bool:
-        """Whether `work` succeeded; its ZarmError is told to the page of `client`, left out to all pages."""
+        """Do `work`; returns whether it succeeded. Its ZarmError is shown on the page of `client`, or on all pages."""
         try:
             work()
         except ZarmError as error:
@@ -78,7 +78,7 @@ class Desk:
         return True
 
     def tell(self, title: str, body: str, client: ClientHandle | None = None, colour: str = "blue") -> None:
-        """Show a note on the page of `client`, left out on all pages, and in the log of events."""
+        """Show a note on the page of `client`, or on all pages, and in the event log."""
         self.note(f"**{title}** {body}")
         for page in [client] if client is not None else self.server.get_clients().values():
             page.add_notification(title, body, color=colour, auto_close_seconds=10.0)  # type: ignore[call-overload]

@@ -21,16 +21,16 @@ from zarm_viewer.kinematics import pose_of
 
 Colour = tuple[int, int, int]
 Shape = tuple[trimesh.Trimesh, SE3]
-"""A mesh (m) and where it is."""
+"""A mesh (m) and its pose."""
 
 MOST_POINTS = 20_000
-"""So many voxels of one object are drawn at most; of more, every second, third, ..."""
+"""Most voxels drawn of one object; of more, only every second, third, ..."""
 _SEGMENTS = 16
 
 
 @dataclass(frozen=True)
 class Brush:
-    """How shapes are drawn; `opacity` 1 hides what is behind it."""
+    """How shapes are drawn; with `opacity` 1 they hide what is behind them."""
 
     api: viser.SceneApi
     colour: Colour
@@ -52,7 +52,7 @@ class Brush:
         )
 
     def voxels(self, name: str, item: Voxels, at: SE3) -> SceneNodeHandle:
-        """Occupied cells as points, thinned out where there are many."""
+        """Occupied cells as points, thinned out if there are many."""
         cells = np.array(item.cells, dtype=np.float32)
         thin = -(-len(cells) // MOST_POINTS)
         return self.api.add_point_cloud(
@@ -68,9 +68,10 @@ class Brush:
 
 
 def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
-    """The exact geometry of a link as one mesh, in the link's frame: a browser draws few large meshes faster than many small ones.
+    """The exact geometry of a link as one mesh, in the link's frame: a browser draws few large meshes faster than many
+    small ones.
 
-    Triangles that lie in another primitive are left out: nobody sees them, but through a ghost.
+    Triangles inside another primitive are left out, since they are visible only in a ghost.
     """
     meshes = [_primitive(primitive) for primitive in primitives]
     seen = [~_hidden(mesh, [other for other in meshes if other is not mesh]) for mesh in meshes]
@@ -81,13 +82,13 @@ def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
 
 
 def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
-    """The triangles of a file in m, times `scale`. Raises ValueError and OSError for one that cannot be read."""
+    """The triangles of a file in m, times `scale`. Raises ValueError and OSError if it cannot be read."""
     try:
         mesh: Any = trimesh.load_mesh(file, process=False, skip_materials=True)
         unit = _metres(file) if file.suffix.lower() == ".dae" else 1.0
     except (ValueError, OSError):
         raise
-    except Exception as error:  # parsers of broken files raise whatever they stumble over
+    except Exception as error:  # parsers of broken files raise all kinds of errors
         raise ValueError(f"{file} cannot be read: {error}") from error
     if not len(mesh.faces):
         raise ValueError(f"{file} cannot be read: it holds no triangles")
@@ -96,13 +97,13 @@ def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
 
 
 def _metres(file: Path) -> float:
-    """Metres per unit of a COLLADA file, as RViz takes it; trimesh leaves it out."""
+    """Metres per unit of a COLLADA file, as RViz interprets it; trimesh ignores it."""
     unit = collada.Collada(str(file), ignore=[collada.common.DaeError]).assetInfo.unitmeter
     return float(unit) if unit else 1.0
 
 
 def draw_object(brush: Brush, name: str, item: SceneObject, meshes: tuple[Path, ...]) -> SceneNodeHandle | None:
-    """An object of the scene, in the frame that its pose is in; None if its mesh lies in none of the folders `meshes`."""
+    """A scene object, in the frame of its pose; None if its mesh is in none of the folders `meshes`."""
     if isinstance(item, Sphere):
         return brush.mesh(name, _ball(item.radius), SE3.from_translation(np.array(item.position)))
     at = pose_of(item.position, item.orientation)
@@ -151,7 +152,7 @@ def _capsule(radius: float, length: float) -> trimesh.Trimesh:
 
 
 def _edged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with corners of its own for each triangle, so that edges are seen."""
+    """The mesh with separate vertices for each triangle, so that edges are visible."""
     mesh.unmerge_vertices()
     return mesh
 
@@ -168,7 +169,7 @@ def _draw_mesh(brush: Brush, name: str, item: Mesh, at: SE3, meshes: tuple[Path,
 
 
 def _hidden(mesh: trimesh.Trimesh, others: Sequence[trimesh.Trimesh]) -> NDArray[np.bool_]:
-    """Which triangles of a mesh lie in one of the others, which are convex: behind the planes of all its faces."""
+    """Which triangles of a mesh lie inside one of the others, which are convex: behind the planes of all its faces."""
     hidden = np.zeros(len(mesh.faces), dtype=np.bool_)
     for other in others:
         (low, high), (least, most) = mesh.bounds, other.bounds
@@ -180,7 +181,7 @@ def _hidden(mesh: trimesh.Trimesh, others: Sequence[trimesh.Trimesh]) -> NDArray
 
 
 def _between(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[SE3, float]:
-    """The pose half-way from a to b whose z leads along it, and the distance (m)."""
+    """The pose half-way from a to b with z along this line, and the distance (m)."""
     length = float(np.linalg.norm(b - a))
     pose = np.eye(4)
     pose[:3, 3] = (a + b) / 2

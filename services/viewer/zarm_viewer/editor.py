@@ -31,9 +31,9 @@ log = logging.getLogger(__name__)
 CHOSEN = (230, 73, 128)
 LINKS = (148, 163, 184)
 SMALLEST = 0.001
-"""Radius (m) of a sphere, at least."""
+"""Least radius (m) of a sphere."""
 STEP = 1e-4
-"""Centres, radii (m) and joints at home (rad) are corrected by multiples of this."""
+"""Centres, radii (m) and home joints (rad) are corrected in multiples of this."""
 DIGITS = 4
 
 
@@ -60,7 +60,7 @@ class Editor:
             self._home = _Home(self.server, self._arm, robot)
 
     def close(self) -> None:
-        """Close every page that is open, and end."""
+        """Close every open page, and end."""
         self.server.stop()
 
     def _save(self, event: GuiEvent[viser.GuiButtonHandle]) -> None:
@@ -75,7 +75,7 @@ class Editor:
 
 
 class _Spheres:
-    """The sphere cover: one sphere is chosen by its link and number, dragged by its gizmo, given a radius, added or removed."""
+    """The sphere cover: one sphere is chosen by its link and number, dragged by its gizmo, resized, added or removed."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, robot: RobotDescription) -> None:
         self._server, self._arm = server, arm
@@ -105,9 +105,9 @@ class _Spheres:
         return self.of_links[self._link.value]
 
     def _choose(self, index: int) -> None:
-        """Show the numbers of a sphere of the chosen link, and put the gizmo to it."""
+        """Show the numbers of a sphere of the chosen link, and move the gizmo to it."""
         mine, link = self._mine(), self._link.value
-        self._number.max = max(len(mine), 2)  # a slider has two ends
+        self._number.max = max(len(mine), 2)  # a slider needs two distinct ends
         index = min(index, len(mine) - 1)
         put(self._number, index + 1)
         put(self._center, mine[index].center)
@@ -143,7 +143,7 @@ class _Spheres:
         return CollisionSphere(center=(x, y, z), radius=max(round(self._radius.value, DIGITS), SMALLEST))
 
     def _put(self, sphere: CollisionSphere) -> None:
-        """The chosen sphere as this one."""
+        """Replace the chosen sphere."""
         at = self._number.value - 1
         self._change((*self._mine()[:at], sphere, *self._mine()[at + 1 :]))
         self._mark(sphere)
@@ -154,7 +154,7 @@ class _Spheres:
 
     def _remove(self) -> None:
         at = self._number.value - 1
-        if len(self._mine()) > 1:  # a link without spheres has no collision in the search
+        if len(self._mine()) > 1:  # a link without spheres is not checked for collisions in the search
             self._change((*self._mine()[:at], *self._mine()[at + 1 :]))
             self._choose(at)
 
@@ -171,7 +171,7 @@ class _Spheres:
 
 
 class _Pairs:
-    """A box for every pair of links; where it is ticked, the two are checked against each other."""
+    """A check box for every pair of links; if it is ticked, the two are checked against each other."""
 
     def __init__(self, server: viser.ViserServer, robot: RobotDescription) -> None:
         self._before = robot.descriptor.self_collision_ignore
@@ -185,7 +185,7 @@ class _Pairs:
 
     @property
     def ignored(self) -> tuple[tuple[str, str], ...]:
-        """The pairs that are not checked, those of before in their order."""
+        """The pairs that are not checked, previous ones in their order."""
         chosen = {frozenset(pair) for pair, box in self._boxes.items() if not box.value}
         shown = {frozenset(pair) for pair in self._boxes}
         kept = [pair for pair in self._before if frozenset(pair) in chosen or frozenset(pair) not in shown]
@@ -194,7 +194,7 @@ class _Pairs:
 
 
 class _Home:
-    """A slider for each joint, which moves the picture; where they stand is the home that is saved."""
+    """A slider for each joint, which moves the drawing; their positions are saved as the home."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, robot: RobotDescription) -> None:
         descriptor = robot.descriptor
@@ -211,13 +211,13 @@ class _Home:
 
     @property
     def value(self) -> tuple[float, ...]:
-        """Joint positions (J,) in rad, m where prismatic; those that nobody has moved as they were."""
+        """Joint positions (J,) in rad, m if prismatic; unmoved ones keep their value."""
         shown = [round(slider.value, DIGITS) for slider in self._sliders]
         return tuple(was if abs(now - was) < STEP else now for now, was in zip(shown, self._before, strict=True))
 
 
 def _by_person(work: Callable[[], object]) -> Callable[[GuiEvent[Any]], None]:
-    """What happens when somebody changes an input; not where the page does."""
+    """A handler of changes by a user, but not by the page."""
 
     def update(event: GuiEvent[Any]) -> None:
         if event.client is not None:
@@ -227,7 +227,7 @@ def _by_person(work: Callable[[], object]) -> Callable[[GuiEvent[Any]], None]:
 
 
 def _findings(robot: RobotDescription) -> list[str]:
-    """What `zarm robot check` says of it."""
+    """The findings of `zarm robot check`."""
     try:
         from zarm_robot_import.checking import findings
     except ImportError as error:

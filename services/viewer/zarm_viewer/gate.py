@@ -1,7 +1,7 @@
 """Access control of the page: viser's server behind a check of host, origin and token, and TLS.
 
-viser has no hook for that, and a proxy before it would leave viser's own port open to every page of the browser. So its server
-is built with `websockets.serve` replaced for that moment. Tried with viser 1.1.1 and websockets 16.1.
+viser has no hook for that, and a proxy in front of it would leave viser's own port open to every page of the browser.
+So its server is built while `websockets.serve` is temporarily replaced. Tested with viser 1.1.1 and websockets 16.1.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ _BUILDING = threading.Lock()
 
 @dataclass(frozen=True)
 class Gate:
-    """Where the page is served, and to whom. On loopback everyone on this machine may open it; elsewhere who knows the `token`.
+    """Where the page is served, and to whom. On loopback, everyone on this machine may open it; otherwise the `token`
+    is needed.
 
-    The name in a request must be an address, this machine's name or one of `names`, and its origin the page itself: a page from
-    elsewhere, in the same browser, is refused.
+    The host in a request must be an address, this machine's name or one of `names`, and its origin the page itself: a
+    foreign page in the same browser is refused.
     """
 
     host: str
@@ -47,7 +48,9 @@ class Gate:
 
     @classmethod
     def at(cls, listen: str, *, tls: ssl.SSLContext | None = None, token: str | None = None) -> Gate:
-        """At `HOST:PORT`; where HOST is not of this machine alone, a token is drawn unless one is given. Raises InvalidRequest."""
+        """A gate at `HOST:PORT`; if HOST is reachable from other machines, a token is generated unless one is given.
+        Raises InvalidRequest.
+        """
         host, _, port = listen.rpartition(":")
         host = host.removeprefix("[").removesuffix("]")
         if not host or not port.isdecimal() or int(port) > 65535:
@@ -56,7 +59,7 @@ class Gate:
         return cls(host, int(port), tls, token or (None if local else secrets.token_urlsafe(24)))
 
     def address(self, port: int) -> str:
-        """What is opened in the browser."""
+        """The URL to open in the browser."""
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104
         shown = f"[{host}]" if ":" in host else host
         path = f"{self.token}/" if self.token else ""
@@ -65,7 +68,7 @@ class Gate:
     def serve(self, title: str) -> viser.ViserServer:
         """viser's server behind this gate. Raises Unavailable if the port is taken."""
         self._require_free()
-        rich.get_console().quiet = True  # viser says where it listens, without the token
+        rich.get_console().quiet = True  # viser prints its address without the token
         with _BUILDING:
             serve = websockets.asyncio.server.serve
             setattr(websockets.asyncio.server, "serve", partial(_gated, serve, self))  # noqa: B010 - no such attribute, to mypy
@@ -75,7 +78,7 @@ class Gate:
                 setattr(websockets.asyncio.server, "serve", serve)  # noqa: B010
 
     def check(self, request: Request) -> Response | None:
-        """The refusal of a request, or None; the token is taken out of its path."""
+        """The refusal of a request, or None; removes the token from its path."""
         host = request.headers.get("Host", "")
         name = (urlsplit(f"//{host}").hostname or "").lower()
         if not (_is_address(name) or name in self.names):
@@ -105,7 +108,7 @@ class Gate:
 
 
 class _Server(viser.ViserServer):
-    """viser's, less its share: any page could ask for a tunnel from a server of viser's makers, past this gate."""
+    """viser's server without sharing: any page could otherwise request a tunnel through viser's makers, past this gate."""
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Open no tunnel."""

@@ -20,11 +20,11 @@ from zarm_viewer.kinematics import message_of
 from zarm_viewer.style import PAIRED
 
 LINEAR, ANGULAR, JOINT = 0.15, 0.6, 0.4
-"""Speeds (m/s, rad/s, rad/s) at the scale 1."""
+"""Speeds (m/s, rad/s, rad/s) at scale 1."""
 RATE = 20.0
-"""Requests a second (Hz) of a page that holds a button."""
+"""Request rate (Hz) of a page while a button is held."""
 KEY_HOLD = 0.3
-"""A key counts for so long (s): until the browser repeats it."""
+"""How long (s) a key press counts: until the browser repeats it."""
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _, _TOOL, _JOINTS = _WAYS = ("tip, axes of the base", "tip, axes of the tool", "joints")
 _KEYS = {"arrowup": (0, 1), "arrowdown": (0, -1), "arrowleft": (1, 1), "arrowright": (1, -1), "pageup": (2, 1), "pagedown": (2, -1)}  # fmt: skip
@@ -64,20 +64,20 @@ class JogPanel:
                 self._limits.content = text
 
     def _choose(self) -> None:
-        """Show the buttons of what is jogged."""
+        """Show the buttons for the chosen kind of jog."""
         for pairs, seen in ((self._tip, self._way.value != _JOINTS), (self._joints, self._way.value == _JOINTS)):
             for button in chain.from_iterable(pairs):
                 button.visible = seen
 
     def _pair(self, label: str, jog: Callable[..., None]) -> tuple[GuiButtonHandle, GuiButtonHandle]:
-        """Buttons that `jog` while they are held: down and up."""
+        """Buttons that `jog` while held: down and up."""
         down, up = (self._desk.server.gui.add_button(f"{sign} {label}", color=PAIRED) for sign in "−+")
         down.on_hold(self._asks(partial(jog, sign=-1)), callback_hz=RATE)
         up.on_hold(self._asks(partial(jog, sign=1)), callback_hz=RATE)
         return down, up
 
     def _asks(self, jog: Callable[..., None]) -> Any:
-        async def ask(event: Any) -> None:  # in the server's own loop: what was asked in order comes in order
+        async def ask(event: Any) -> None:  # in the server's own loop, which keeps requests in order
             jog(event.client)
 
         return ask

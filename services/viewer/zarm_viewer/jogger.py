@@ -1,8 +1,9 @@
 """Jogging with a dead man's switch: the robot moves only while the page keeps sending requests.
 
-A page asks again and again while a button is held. Where it asks no more, as when it is closed or frozen, nothing is sent to the
-servo, whose target goes stale: the robot brakes. Requests that were held up on their way, as while the network or this process stood still,
-come all at once and move nothing. Who jogs has it, until a second after the last request.
+A page repeats its request while a button is held. If the requests end, as when the page is closed or frozen, nothing is
+sent to the servo, whose target becomes stale, and the robot brakes. Requests that were held up, as when the network or
+this process stood still, arrive all at once and move nothing. The page that jogs keeps the robot until a second after
+its last request.
 """
 
 from __future__ import annotations
@@ -22,25 +23,27 @@ from zarm_viewer.desk import Desk
 log = logging.getLogger(__name__)
 
 HOLD = 0.15
-"""A request counts for so long (s); a page that holds a button sends one every 0.05 s."""
+"""How long (s) a request counts; a page sends one every 0.05 s while a button is held."""
 LINGER = 1.0
-"""So long (s) after the last request the session stays open."""
+"""How long (s) the session stays open after the last request."""
 SOONEST, LATEST = 0.01, 0.5
-"""A request counts that comes so long (s) after the one before: one that comes sooner was held up, one that comes later is the first."""
-_TOLD = 3.0  # s between two words to somebody who cannot have it
+"""Interval (s) after the previous request in which a request counts: one that comes sooner was held up, one that comes
+later is the first.
+"""
+_TOLD = 3.0  # least time (s) between two notices that the robot is taken
 
 Kind = Literal["jog", "track"]
 Send = Callable[[Jogging | Tracking], None]
 
 
 class Held:
-    """Whether somebody holds a button now, told by when their requests come."""
+    """Whether a button is held now, judged by the timing of requests."""
 
     def __init__(self) -> None:
         self._before: dict[int, float] = {}
 
     def asked(self, client_id: int, now: float) -> bool:
-        """Whether the request of a page that comes at `now` (s, monotonic) counts."""
+        """Whether a request of a page at `now` (s, monotonic) counts."""
         since, self._before[client_id] = now - self._before.get(client_id, -LATEST), now
         return SOONEST <= since <= LATEST
 
@@ -50,7 +53,7 @@ class Held:
 
 
 class Jogger:
-    """The one who jogs a robot. Safe from any thread."""
+    """The current jog of a robot. Thread-safe."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
@@ -65,7 +68,9 @@ class Jogger:
         threading.Thread(target=self._run, name="jog", daemon=True).start()
 
     def ask(self, client: ClientHandle | None, kind: Kind, send: Send, hold: float = HOLD) -> None:
-        """Send this to a session of `kind` for `hold` s from now on; another page that jogs keeps the robot, and this one is told."""
+        """Send this to a session of `kind` for the next `hold` s. If another page is jogging, it keeps the robot, and
+        this one is told so.
+        """
         if client is None:
             return
         now = time.monotonic()
@@ -80,7 +85,7 @@ class Jogger:
                 self._changed.notify()
 
     def release(self, client_id: int) -> None:
-        """This page jogs no more."""
+        """This page has stopped jogging."""
         with self._changed:
             self._held.forget(client_id)
             if self._owner == client_id:

@@ -1,4 +1,4 @@
-"""Forward kinematics of the tip, computed here because it is drawn many times a second."""
+"""Forward kinematics of the tip, computed here because the tip is drawn many times a second."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def origin(joint: Joint) -> SE3:
 
 
 def motion(joint: Joint, value: float) -> SE3:
-    """How far a joint at `value` (rad, or m where it is prismatic) takes its child link from there."""
+    """The motion of a joint's child link from there at `value` (rad, or m if prismatic)."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     if joint.type == "prismatic":
         return SE3.from_translation(axis * value)
@@ -46,18 +46,18 @@ class Chain:
 
 
 def message_of(pose: SE3) -> Pose:
-    """A pose as the bus has it, quaternion (x, y, z, w)."""
+    """A pose in its message form, quaternion (x, y, z, w)."""
     w, x, y, z = pose.rotation().wxyz.tolist()
     px, py, pz = pose.translation().tolist()
     return Pose(position=(px, py, pz), orientation=(x, y, z, w))
 
 
 def pose_at(handle: SceneNodeHandle) -> SE3:
-    """Where something in the picture is, in the frame of its parent."""
+    """The pose of a scene node in the frame of its parent."""
     return SE3.from_rotation_and_translation(SO3(np.array(handle.wxyz)), np.array(handle.position))
 
 
 def pose_of(position: tuple[float, ...], orientation: tuple[float, ...]) -> SE3:
-    """A pose of the bus: position in m, quaternion (x, y, z, w)."""
+    """A pose from its message form: position in m, quaternion (x, y, z, w)."""
     x, y, z, w = orientation
     return SE3.from_rotation_and_translation(SO3(np.array([w, x, y, z])), np.array(position))

@@ -13,9 +13,9 @@ from zarm_viewer.desk import Desk
 from zarm_viewer.picture import Picture
 
 PERIOD = 0.2
-"""s between two questions for the clearance."""
+"""Interval (s) of the requests for the clearance."""
 NEAR = np.radians(10.0)
-"""A joint so near to a limit (rad) is written in bold."""
+"""A joint this close to a limit (rad) is shown in bold."""
 
 
 class LooksPanel:
@@ -38,7 +38,7 @@ class LooksPanel:
         self._text = gui.add_markdown("", visible=False)
 
     def draw(self) -> None:
-        """Show what is new."""
+        """Show what has changed."""
         lines = []
         found = self._found if self._asks.is_set() else None
         if isinstance(found, CheckResult):

@@ -26,7 +26,7 @@ from zarm_viewer.watching import News
 from zarm_viewer.waypoints import WaypointHandles
 
 NO_GOAL = "Drag the handle at the tip, or choose a pose."
-"""What is said until somebody has aimed."""
+"""Shown until a goal has been chosen."""
 
 
 class MotionPanel:
@@ -65,7 +65,7 @@ class MotionPanel:
             self._options = PlanOptions(desk)
 
     def draw(self, news: News) -> None:
-        """Show what is new."""
+        """Show what has changed."""
         if news.state is not None:
             put(self._speed, news.state.speed_scale)
         if news.strategies is not None:
@@ -79,7 +79,7 @@ class MotionPanel:
         self._goal.follow()
 
     def chosen(self, yes: bool) -> None:
-        """Show the handles in the picture, or not."""
+        """Show or hide the handles in the 3D view."""
         self._goal.show(gizmo=yes)
         self._waypoints.show(yes)
 
@@ -167,7 +167,7 @@ class MotionPanel:
         return tuple(aim.branch.joints.tolist())
 
     def _plan_it(self) -> Plan:
-        self._plan = None  # where planning fails, Execute does not take the plan before
+        self._plan = None  # if planning fails, Execute must not run the previous plan
         held = self._options.path_constraint
         target = self._target(constrained=held is not None)
         plan = self._desk.robot.plan(target, path_constraint=held, **self._options.settings)
@@ -175,7 +175,7 @@ class MotionPanel:
         return plan
 
     def _take(self, plan: Plan) -> None:
-        """This plan is looked through and executed, whoever made it: it is the one whose path is in the picture."""
+        """Make this plan, whoever made it, the one to scrub through and execute, since its path is the one drawn."""
         self._timed = TimedTrajectory.of(plan.trajectory, self._desk.description.descriptor.joints)
         self._plan = plan
         self._scrub.max, self._scrub.disabled = round(self._timed.duration, 2), False
@@ -219,5 +219,5 @@ class MotionPanel:
 
 
 def _degrees(low: float, high: float) -> tuple[float, float]:
-    """Limits as a slider has them, rounded inwards."""
+    """Limits for a slider, rounded inwards."""
     return float(np.ceil(np.degrees(low) * 10) / 10), float(np.floor(np.degrees(high) * 10) / 10)

@@ -25,21 +25,21 @@ class NamedPoses:
         self._poses = dict(loaded.poses) if loaded else {}
 
     def names(self) -> tuple[str, ...]:
-        """Of all, home first."""
+        """All names, home first."""
         return ("home", *sorted(self._poses.keys() - {"home"}))
 
     def joints(self, name: str) -> tuple[float, ...]:
-        """Those of a pose (rad); of one that is gone, home."""
+        """The joints of a pose (rad); those of home if it is gone."""
         return self._home if name == "home" else self._poses.get(name, self._home)
 
     def remove(self, name: str) -> None:
-        """Keep a pose no longer. Raises InvalidRequest for home, and Unavailable if the file cannot be written."""
+        """Delete a pose. Raises InvalidRequest for home, and Unavailable if the file cannot be written."""
         if name == "home":
             raise InvalidRequest("home is the descriptor's and stays", field="pose")
         self._save(Poses(poses={each: joints for each, joints in self._poses.items() if each != name}))
 
     def keep(self, name: str, joints: tuple[float, ...]) -> None:
-        """Keep joint positions under a name. Raises Unavailable if the file cannot be written."""
+        """Save joint positions under a name. Raises Unavailable if the file cannot be written."""
         self._save(Poses(poses={**self._poses, name: joints}))
 
     def _save(self, poses: Poses) -> None:

@@ -31,7 +31,7 @@ _NOTHING = "-"
 
 
 class ObjectsPanel:
-    """The objects by name; the one that is chosen, by its name or by a click in the picture, has a gizmo."""
+    """The objects by name; the one chosen, by its name or by a click in the 3D view, has a gizmo."""
 
     def __init__(self, desk: Desk, view: SceneView) -> None:
         self._desk, self._view = desk, view
@@ -69,7 +69,7 @@ class ObjectsPanel:
         view.clicked = self._click
 
     def draw(self, scene: Scene | None) -> None:
-        """Show the objects of a scene that is new."""
+        """Show the objects of a new scene."""
         if scene is None:
             return
         self._scene = scene
@@ -96,7 +96,7 @@ class ObjectsPanel:
         return self._choice.value
 
     def _choose(self) -> None:
-        """Put the gizmo to the object that is chosen; carried ones have none, and the robot's own pose moves them."""
+        """Move the gizmo to the chosen object; attached objects have none, because they move with the robot."""
         item = self._object()
         if item is None:
             if self._gizmo is not None:
@@ -157,7 +157,7 @@ _SIZES = "cuboid: edges; sphere: radius first; cylinder and capsule: radius, -, 
 
 
 def _made(kind: str, name: str, size: tuple[float, float, float], at: SE3) -> SceneObject:
-    """An object of one of `KINDS`, sized as `_SIZES` says. Raises InvalidRequest."""
+    """An object of one of `KINDS`, sized as in `_SIZES`. Raises InvalidRequest."""
     pose = message_of(at)
     match kind:
         case "cuboid":
@@ -171,7 +171,7 @@ def _made(kind: str, name: str, size: tuple[float, float, float], at: SE3) -> Sc
 
 
 def _resized(item: SceneObject, size: tuple[float, float, float]) -> SceneObject:
-    """The object in another size, as `_SIZES` says. Raises InvalidRequest for voxels."""
+    """The object in another size, as in `_SIZES`. Raises InvalidRequest for voxels."""
     match item.kind:
         case "cuboid":
             return item.model_copy(update={"size": size})
@@ -186,7 +186,7 @@ def _resized(item: SceneObject, size: tuple[float, float, float]) -> SceneObject
 
 
 def _size(item: SceneObject) -> tuple[float, float, float]:
-    """The size of an object, as `_SIZES` says; of voxels that of one."""
+    """The size of an object, as in `_SIZES`; for voxels, that of one voxel."""
     match item:
         case messages.Cuboid():
             return item.size
@@ -205,7 +205,7 @@ def _pose(item: SceneObject) -> SE3:
 
 
 def _placed(item: SceneObject, at: SE3) -> SceneObject:
-    """The object elsewhere."""
+    """The object at another pose."""
     pose = message_of(at)
     update: dict[str, object] = {"position": pose.position}
     if item.kind != "sphere":

@@ -36,27 +36,27 @@ from zarm_viewer.watching import News, Watching
 log = logging.getLogger(__name__)
 
 PERIOD = 1 / 30
-"""s between two drawings, where anything changes."""
+"""Interval (s) between two drawings while anything changes."""
 UNSEEN = 0.5
-"""The same (s), where no page is open."""
+"""The same (s) while no page is open."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A robot on the bus or in a record, and what it looks like."""
+    """A robot on the bus or in a record, and its look."""
 
     source: Robot | Playback
     description: RobotDescription
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Its name."""
         return self.source.story.robot if isinstance(self.source, Playback) else self.source.name
 
 
 @dataclass(frozen=True)
 class Folders:
-    """Where files are: meshes of the scene, the viewer's state, and the executor's, in which records of faults lie."""
+    """Folders of files: meshes of the scene, the viewer's state, and the executor's records of faults."""
 
     meshes: tuple[Path, ...]
     state: Path
@@ -85,7 +85,7 @@ class Page:
         self._thread.start()
 
     def close(self) -> None:
-        """Close every page that is open, and end."""
+        """Close every open page, and end."""
         self._ended.set()
         self._thread.join()
         for stop in self._stops:
@@ -94,15 +94,15 @@ class Page:
 
     def _add_stop(self) -> None:
         gui = self.server.gui
-        beside = gui.add_panel()  # a window of its own: what is long on the page scrolls, and this does not
+        beside = gui.add_panel()  # a panel of its own, which does not scroll with the long ones
         with beside.add_tab("Stop"):
             always = gui.add_button("STOP", color=STOP, icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         beside.float(x=15, y=-15, width=220)
-        beside.expand()  # on a phone it is the last part of the one that scrolls, and would be shut
+        beside.expand()  # on a phone it is the last part of the scrolling panel, and would be collapsed
         first = gui.add_button("STOP", color=STOP, icon=Icon.HAND_STOP, hint="Brake to rest now (Escape)")
         escape = self.server.gui.add_command("Stop", hotkey="escape", description="Brake every robot to rest now")
 
-        async def stop(_: object) -> None:  # in the server's own loop: no thread of a pool is waited for
+        async def stop(_: object) -> None:  # in the server's own loop, so that it waits for no thread of a pool
             self.stop()
 
         always.on_click(stop)
@@ -176,14 +176,14 @@ class _Part:
             self._controls.chosen(yes)
 
     def stopped(self, name: str, error: ZarmError | None) -> None:
-        """Say what came of a stop."""
+        """Report the result of a stop."""
         if error is None:
             self.desk.note("**stop**")
         else:
             self.desk.tell(f"{name} was not told to stop", str(error), colour="red")
 
     def draw(self) -> None:
-        """Show what is new."""
+        """Show what has changed."""
         news = self._source.take(self.desk.description.descriptor.joints)
         self._picture.draw(news)
         self._status.draw(news, self._source.age())
@@ -207,7 +207,7 @@ class _Part:
 
 
 class _Controls:
-    """What moves a robot; a page of a viewer has none of it."""
+    """Controls that move a robot; the page of a viewer role has none."""
 
     def __init__(self, desk: Desk, picture: Picture, tabs: GuiTabGroupHandle, state: Path) -> None:
         self._goal = Goal(desk)
@@ -220,11 +220,11 @@ class _Controls:
             self._jog = JogPanel(desk, self._goal)
 
     def chosen(self, yes: bool) -> None:
-        """Show the handles, or not."""
+        """Show or hide the handles."""
         self._motion.chosen(yes)
 
     def draw(self, news: News) -> None:
-        """Show what is new."""
+        """Show what has changed."""
         self._motion.draw(news)
         self._objects.draw(news.scene)
         self._jog.draw(news.servo)

@@ -19,12 +19,12 @@ MEASURED, GHOST = (222, 226, 230), (90, 200, 250)
 TRAIL, PATH, CLEARANCE = (250, 176, 5), (64, 192, 87), (224, 49, 49)
 TRAIL_POINTS, PATH_POINTS = 150, 120
 TRAIL_STEP = 0.005
-"""The trail has a point for every so many m."""
-_APART = 0.005  # rad between ghost and robot from which the ghost is worth seeing
+"""Distance (m) between points of the trail."""
+_APART = 0.005  # rad between ghost and robot above which the ghost is shown
 
 
 class Picture:
-    """What is seen of one robot."""
+    """The drawings of one robot."""
 
     def __init__(self, desk: Desk, meshes: tuple[Path, ...]) -> None:
         self._desk = desk
@@ -39,7 +39,7 @@ class Picture:
         self._clearance: tuple[Vector3, Vector3] | None = None
 
     def draw(self, news: News) -> None:
-        """Show what is new."""
+        """Show what has changed."""
         if news.joints is not None:
             self._desk.joints, self._desk.measured = news.joints, True
             if self.arm.move(news.joints):

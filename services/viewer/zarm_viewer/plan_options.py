@@ -16,7 +16,7 @@ _REPLAN = "When something is put in the way, plan anew in motion and swerve; els
 
 
 class PlanOptions:
-    """Inputs for what a plan is made with, and how it is executed."""
+    """Inputs for how a plan is made and executed."""
 
     def __init__(self, desk: Desk) -> None:
         gui, default = desk.server.gui, _DEFAULT
@@ -33,12 +33,12 @@ class PlanOptions:
 
     @property
     def replan(self) -> bool:
-        """Whether the servo may plan anew in motion."""
+        """Whether the servo may replan in motion."""
         return self._replan.value
 
     @property
     def settings(self) -> Settings:
-        """What is set for the plan."""
+        """The chosen settings of the plan."""
         return Settings(
             planner=self._planner.value,
             velocity_scale=self._velocity.value,

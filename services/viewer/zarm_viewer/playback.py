@@ -20,13 +20,13 @@ from zarm_runtime.recorded import Recorded
 from zarm_viewer.watching import News, in_order
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
-"""Times as fast as it came."""
+"""Playback speeds relative to real time."""
 
 
 class Playback:
-    """A record of `zarm record` or of a flight recorder. Raises InvalidRequest if the file is none.
+    """A record of `zarm record` or of a flight recorder. Raises InvalidRequest if the file is not a record.
 
-    It plays from its beginning to its end, once. Messages are decoded when they are looked at, and stay as they were on the bus.
+    It plays once from beginning to end. Messages are decoded only when needed.
     """
 
     def __init__(self, file: Path) -> None:
@@ -47,7 +47,7 @@ class Playback:
 
     @property
     def at(self) -> float:
-        """The moment (s after the record begins) that is looked at."""
+        """The current moment (s after the beginning of the record)."""
         if self._playing:
             now = time.monotonic()
             self._at, self._since = self._at + (now - self._since) * self.speed, now
@@ -57,27 +57,29 @@ class Playback:
 
     @property
     def playing(self) -> bool:
-        """Whether it goes on by itself."""
+        """Whether playback is running."""
         return self._playing
 
     def play(self) -> None:
-        """Go on; from the beginning, where it is at its end."""
+        """Play; from the beginning if it is at the end."""
         if self.at >= self.story.lasted:
             self.seek(0.0)
         self._since, self._playing = time.monotonic(), True
 
     def pause(self) -> None:
-        """Stay at this moment."""
+        """Stay at the current moment."""
         self._playing, _ = False, self.at
 
     def seek(self, at: float) -> None:
-        """Look at another moment (s)."""
+        """Go to another moment (s)."""
         if at < self.at:
             self._told.clear()
         self._at, self._since = at, time.monotonic()
 
     def take(self, joint_names: tuple[str, ...]) -> News:
-        """What has become new since the last call, or all that holds after a step back. The ghost is where the goal commands."""
+        """What has changed since the last call, or the whole state after a step back. The ghost is at the goal's
+        commanded position.
+        """
         at, found = self.at, []
         for key, times in self._times.items():
             index = bisect(times, at) - 1
@@ -103,7 +105,7 @@ class Playback:
         )
 
     def age(self) -> float | None:
-        """How old (s) the newest joint state is at the moment that is looked at, None if none has come yet."""
+        """The age (s) of the newest joint state at the current moment, None before the first."""
         times = self._times.get(self._keys.joint_states, [])
         index = bisect(times, self._at) - 1
         return self._at - times[index] if index >= 0 else None
@@ -112,5 +114,5 @@ class Playback:
         model = self._recorded.model(key)
         try:
             return None if model is None else decode(model, payload)
-        except InvalidRequest:  # noise was on the bus; the record holds it as it was
+        except InvalidRequest:  # an invalid message on the bus, recorded as it was
             return None

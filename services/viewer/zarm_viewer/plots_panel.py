@@ -17,7 +17,7 @@ from zarm_viewer.watching import News
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 SECONDS, RATE = 10.0, 10.0
-"""So much of the past (s) is shown live, at so many samples a second."""
+"""Length (s) of the live plots, and their sample rate (Hz)."""
 SAMPLES = 150
 LIVE = (*QUANTITIES, "tracking error (mrad)")
 TICKS = "tick lateness (ms)"
@@ -25,14 +25,16 @@ _COLOURS = ("#e03131", "#2f9e44", "#1971c2", "#f08c00", "#9c36b5", "#0c8599", "#
 
 
 class Measured:
-    """Velocities that were measured, and what they tell of acceleration and jerk: differences over at least 1 / `RATE` s, (J,) in rad/s^n."""
+    """Measured velocities, and accelerations and jerks derived as differences over at least 1 / `RATE` s, (J,) in
+    rad/s^n.
+    """
 
     def __init__(self, joints: int) -> None:
         self._velocity = self._before = self._acceleration = self._jerk = np.zeros(joints)
         self._at: float | None = None
 
     def add(self, velocity: Array, at: float) -> None:
-        """Take what was measured at a time (s); earlier than the last is another record, or the same again."""
+        """Add a measurement at a time (s); a time before the last one means another record, or a restart of the same."""
         self._velocity = velocity
         if self._at is None or at < self._at:
             self._before, self._at = velocity, at
@@ -71,7 +73,7 @@ class PlotsPanel:
         self._of_now.visible = self._of_ticks.visible = False
 
     def draw(self, news: News) -> None:
-        """Show what is new."""
+        """Show what has changed."""
         if news.plan is not None:
             self._plan = news.plan
             self._draw_plan()

@@ -1,4 +1,4 @@
-"""The panel of a record: play it, look at any moment, and read what happened."""
+"""The panel of a record: play it, go to any moment, and read what happened."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from zarm_viewer.desk import Desk
 from zarm_viewer.playback import SPEEDS, Playback
 
 STEP = 0.05
-"""The slider shows the moment to so many s."""
+"""Resolution (s) of the slider."""
 
 
 class RecordPanel:
@@ -43,7 +43,7 @@ class RecordPanel:
         self._shown = -1
 
     def draw(self) -> None:
-        """Show the moment, and what has happened until then, the newest first."""
+        """Show the current moment, and what has happened so far, newest first."""
         at = self._playback.at
         put(self._play, "Pause" if self._playback.playing else "Play", "label")
         put(self._moment, round(min(at, self._moment.max) / STEP) * STEP)

@@ -8,17 +8,19 @@ from viser import ClientHandle
 from zarm_viewer.style import dress
 
 BESIDE = 2.5
-"""Robots stand so many m apart in the picture, along y: the bus does not say where their bases are."""
+"""Distance (m) between robots in the view, along y: the bus does not report where their bases are."""
 PORTRAIT, LOWER = 0.7, 0.6
-"""On a page narrower than this share of its height one looks so many m lower, as panels cover its lower half."""
+"""On a page narrower than this share of its height, the camera looks this much (m) lower, because panels cover its
+lower half.
+"""
 
 
 def furnish(server: viser.ViserServer, robots: int) -> None:
-    """Light, a floor, and a camera that sees `robots` of them beside each other."""
+    """Light, a floor, and a camera that shows `robots` of them side by side."""
     scene, gui = server.scene, server.gui
     dress(gui)
     scene.set_up_direction("+z")
-    scene.configure_environment_map(hdri=None)  # reflections would cost a machine without a GPU a second for each frame
+    scene.configure_environment_map(hdri=None)  # reflections would cost a machine without a GPU a second per frame
     scene.configure_default_lights(cast_shadow=False)
     scene.add_light_ambient("/light", intensity=0.7)
     across = BESIDE * (robots - 1)
@@ -35,7 +37,7 @@ def furnish(server: viser.ViserServer, robots: int) -> None:
     camera.position = (1.45 + away, -0.82 - across / 4, 1.08 + away / 2)
     camera.look_at = (0.35, 0.15 + across / 2, 0.45)
     gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
-    gui.main_panel.dock_right()  # beside the picture, so that no robot is behind it
+    gui.main_panel.dock_right()  # beside the view, so that it covers no robot
 
     @server.on_client_connect
     def _(client: ClientHandle) -> None:

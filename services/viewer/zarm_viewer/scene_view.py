@@ -16,13 +16,13 @@ OBJECT, CARRIED = (120, 144, 176), (230, 160, 60)
 
 
 class SceneView:
-    """Draws what has changed from one scene to the next. `tip` is the node that carries attached objects."""
+    """Draws the changes from one scene to the next. `tip` is the node that carries attached objects."""
 
     def __init__(self, desk: Desk, tip: str, meshes: tuple[Path, ...]) -> None:
         self._desk, self._tip, self._meshes = desk, tip, meshes
         self._drawn: dict[str, tuple[SceneObject, SceneNodeHandle | None]] = {}
         self.clicked: Callable[[str], object] = lambda _: None
-        """Is told the name of an object that somebody clicks on."""
+        """Called with the name of an object that is clicked."""
 
     def draw(self, scene: Scene) -> None:
         """Show this scene."""
@@ -46,7 +46,7 @@ class SceneView:
                     self._listen(handle, name)
 
     def place(self, name: str, at: SE3) -> None:
-        """Show an object elsewhere while somebody drags it; the next scene says where it is."""
+        """Show an object at another pose during a drag; the next scene has its true pose."""
         _, handle = self._drawn.get(f"{self._desk.root}/scene/{name}", (None, None))
         if handle is not None:
             handle.position, handle.wxyz = at.translation(), at.rotation().wxyz

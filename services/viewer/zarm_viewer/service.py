@@ -29,7 +29,7 @@ from zarm_viewer.playback import Playback
 log = logging.getLogger(__name__)
 
 LISTEN = "127.0.0.1:8017"
-"""Where the page is served unless told otherwise."""
+"""Default address of the page."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -135,7 +135,7 @@ def _described(wanted: Sequence[str] | None, connect: str, role: Role) -> list[t
 
 
 def _recorded(file: Path, wanted: Sequence[str] | None) -> Shown:
-    """The robot of a record: the descriptor that is wanted, else the one that comes with zarm under its name."""
+    """The robot of a record: the requested descriptor, or the one that comes with zarm under its name."""
     playback = Playback(file)
     if wanted:
         return Shown(playback, _named(wanted[0])[1])
@@ -149,7 +149,7 @@ def _recorded(file: Path, wanted: Sequence[str] | None) -> Shown:
 
 
 def _own() -> list[str]:
-    """The robot that the environment names, as it does for every service."""
+    """The robot named by the environment, as for every service."""
     robot, name = os.environ.get("ZARM_ROBOT"), os.environ.get("ZARM_NAME")
     return [f"{name}={robot}" if name else robot] if robot else []
 
@@ -170,7 +170,7 @@ def _named(word: str) -> tuple[str, RobotDescription]:
 
 
 def _tls(role: Role) -> ssl.SSLContext | None:
-    """TLS, where the bus has it too."""
+    """TLS, if the bus uses it too."""
     if not security_on():
         return None
     from zarm_runtime.certificates import Certificates

@@ -1,4 +1,4 @@
-"""What the robot does, in words, and the event log."""
+"""The robot's status in words, and the event log."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from zarm_viewer.desk import Desk
 from zarm_viewer.watching import News
 
 SILENT = 1.0
-"""Joint states older than this (s) are told to be stale."""
+"""Joint states older than this (s) are shown as stale."""
 LOOK = 1.0
-"""s between two looks for records of faults."""
+"""Interval (s) at which records of faults are looked for."""
 
 
 class StatusPanel:
@@ -33,7 +33,7 @@ class StatusPanel:
         self._servo: ServoState | None = None
 
     def draw(self, news: News, age: float | None) -> None:
-        """Show what is new; `age` (s) is that of the newest joint state."""
+        """Show what has changed; `age` (s) is that of the newest joint state."""
         if news.state is not None:
             if news.state.problem is not None and (self._state is None or news.state.problem != self._state.problem):
                 self._desk.note(f"**fault** {news.state.problem.message}")
@@ -93,7 +93,7 @@ class StatusPanel:
 
 
 class EventsPanel:
-    """The log of events, newest first, and the records of faults in the folder `records`, where the executor's is on this machine."""
+    """The event log, newest first, and the fault records in the folder `records`, if the executor is on this machine."""
 
     def __init__(self, desk: Desk, records: Path) -> None:
         self._desk, self._records = desk, records
@@ -113,7 +113,7 @@ class EventsPanel:
         desk.note(f"page opened on {desk.name}, {time.strftime('%Y-%m-%d')}")
 
     def draw(self) -> None:
-        """Show what was noted since, and records that are new."""
+        """Show new events and records."""
         text = "  \n".join(list(self._desk.events))
         if text != self._shown:
             self._text.content = self._shown = text

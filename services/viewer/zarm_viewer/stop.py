@@ -1,4 +1,4 @@
-"""The page's Stop: a thread and a session of its own for each robot, so it works while anything else hangs."""
+"""The page's Stop: a thread and a session of its own for each robot, so it works even if anything else hangs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 
 
 class Stop:
-    """Stops one robot when told to; `told` hears how that went. Use it in `with`."""
+    """Stops one robot on request; `told` is called with the result. Use it in `with`."""
 
     def __init__(self, endpoint: str, name: str, role: Role, told: Callable[[str, ZarmError | None], object]) -> None:
         self._bus = Bus(endpoint, role=role)
@@ -31,7 +31,7 @@ class Stop:
         self._pressed.set()
 
     def close(self) -> None:
-        """End thread and session."""
+        """End the thread and the session."""
         self._ended = True
         self._pressed.set()
         self._thread.join()

@@ -1,4 +1,6 @@
-"""How the page looks: one sheet of CSS over viser's own. What it changes it finds by the colour of a button, as viser has no other handle."""
+"""The page's style: one CSS sheet on top of viser's own. It selects buttons by their colour, since viser offers nothing
+else.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,11 @@ from typing import Final
 from viser import GuiApi
 
 STOP: Final = "red"
-"""The colour of buttons that are large."""
+"""The colour of large buttons."""
 MOVES: Final = "green"
-"""The colour of those that move the robot."""
+"""The colour of buttons that move the robot."""
 PAIRED: Final = "gray"
-"""The colour of those that stand side by side, two and two."""
+"""The colour of buttons placed side by side in pairs."""
 
 _SHEET = f"""<style>
 canvas[data-engine] {{ background: linear-gradient(#c3d0e0, #eef2f6 60%); }}
@@ -31,5 +33,5 @@ and ends above STOP, which keeps its place.
 
 
 def dress(gui: GuiApi) -> None:
-    """Give the page its looks."""
+    """Apply the style to the page."""
     gui.add_html(_SHEET)

@@ -27,8 +27,9 @@ from zarm_viewer.kinematics import Array
 
 @dataclass(frozen=True)
 class News:
-    """What is new since the page was drawn last; None is what is not. Joints are (J,) in rad, in the order of the descriptor,
-    and were `measured_at` a time (Unix, s)."""
+    """Changes since the last drawing; unchanged values are None. Joints are (J,) in rad, in the order of the
+    descriptor, and were `measured_at` a time (Unix, s).
+    """
 
     joints: Array | None = None
     velocity: Array | None = None
@@ -45,7 +46,7 @@ class News:
 
 @dataclass
 class Watching:
-    """Subscriptions to one robot. High-rate joints are decoded when they are taken, and no sooner."""
+    """Subscriptions to one robot. High-rate joints are decoded only when taken."""
 
     robot: Robot
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -70,7 +71,7 @@ class Watching:
         bus.watch(keys.goal("*"), GoalState, self._put_goal)
 
     def take(self, joint_names: tuple[str, ...]) -> News:
-        """What is new since the last call, with joints in this order."""
+        """Changes since the last call, with joints in this order."""
         with self._lock:
             newest, self._newest = self._newest, {}
             goals, self._goals = tuple(self._goals.values()), {}
@@ -86,7 +87,7 @@ class Watching:
         )
 
     def age(self) -> float | None:
-        """How old (s) the newest joint state is, None if none has come."""
+        """The age (s) of the newest joint state, None if none has come."""
         return time.monotonic() - self._taken["joints"] if "joints" in self._taken else None
 
     def _new_joints(
@@ -118,7 +119,7 @@ class Ordered(NamedTuple):
 
 
 def in_order(state: JointState, joint_names: tuple[str, ...]) -> Ordered | None:
-    """A joint state in the order of `joint_names`; None if it is one of other joints."""
+    """A joint state in the order of `joint_names`; None if it is for other joints."""
     if set(state.joint_names) != set(joint_names):
         return None
     order = [state.joint_names.index(joint) for joint in joint_names]

@@ -25,7 +25,7 @@ class WaypointHandles:
         self._handles: list[_Handle] = []
 
     def add(self, pose: SE3) -> None:
-        """One more, after the others."""
+        """Add one after the others."""
         scene, number = self._desk.server.scene, len(self._handles) + 1
         node = f"{self._desk.root}/waypoint_{number}"
         gizmo = scene.add_transform_controls(
@@ -39,17 +39,17 @@ class WaypointHandles:
         self._handles.append(_Handle(gizmo, scene.add_label(f"{node}/label", f"{number}")))
 
     def clear(self) -> None:
-        """None."""
+        """Remove all."""
         while self._handles:
             for handle in reversed(self._handles.pop()):
                 handle.remove()
 
     def show(self, seen: bool) -> None:
-        """Show the handles, or not."""
+        """Show or hide the handles."""
         for handle in self._handles:
             handle.gizmo.visible = seen
 
     @property
     def poses(self) -> tuple[Pose, ...]:
-        """Where they are now, in the base frame."""
+        """Their current poses in the base frame."""
         return tuple(pose_of(message_of(pose_at(handle.gizmo))) for handle in self._handles)

@@ -1,4 +1,4 @@
-"""deploy/compose.yaml brought up as a project of a test's own, and what a person asks of it from outside."""
+"""deploy/compose.yaml started as a project of a test's own, and queries to it from outside."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ TAG = os.environ.get("ZARM_TAG", "0.1.0")
 PATIENCE = 240.0
 """Seconds until a test gives up waiting for a container."""
 _PACE = 0.5
-"""Seconds between two looks at a container: a look costs a process."""
+"""Interval (s) at which a container is checked, since a check costs a process."""
 
 
 def docker(*arguments: str, check: bool = True, given: str | None = None) -> subprocess.CompletedProcess[str]:
-    """`docker` with these arguments; `given` is its standard input. Fails the test where `check` is and it fails."""
+    """`docker` with these arguments; `given` is its standard input. With `check`, the test fails if it fails."""
     done = subprocess.run(["docker", *arguments], input=given, capture_output=True, text=True, timeout=PATIENCE)
     assert not check or done.returncode == 0, f"docker {' '.join(arguments)}: {done.stdout}{done.stderr}"
     return done
@@ -73,7 +73,7 @@ class Composition:
         self.down()
 
     def compose(self, *arguments: str, check: bool = True, **settings: str) -> str:
-        """What compose says with these arguments, on standard output."""
+        """Standard output of compose with these arguments."""
         done = subprocess.run(
             [*self._command, *self._files, *arguments],
             env=environment() | self._settings | settings,
@@ -85,14 +85,14 @@ class Composition:
         return done.stdout
 
     def up(self, *services: str, profile: str | None = None, **settings: str) -> None:
-        """Bring it up, or change it to these settings, until every container is healthy."""
+        """Start it, or change it to these settings, until every container is healthy."""
         chosen = () if profile is None else ("--profile", profile)
         self.compose(*chosen, "up", "-d", *services, **settings)
         for service in services or (*SERVICES, *(("leeloo_sim",) if profile == "sim" else ())):
             self.wait_healthy(service)
 
     def down(self) -> None:
-        """Take down what is up, and its volumes."""
+        """Take down what is running, and its volumes."""
         self.compose("--profile", "sim", "down", "-v", "--remove-orphans")
 
     def left(self) -> list[str]:
@@ -102,7 +102,7 @@ class Composition:
         return [line for kind in kinds for line in docker(*kind, "-q", "--filter", label).stdout.split()]
 
     def container(self, service: str) -> Any:
-        """What the engine knows of the container of a service."""
+        """The engine's data on the container of a service."""
         label = f"label=com.docker.compose.service={service}"
         ours = f"label=com.docker.compose.project={self.project}"
         (name,) = docker("ps", "-a", "-q", "--filter", label, "--filter", ours).stdout.split()
@@ -117,9 +117,9 @@ class Composition:
         )
 
     def crash(self, service: str) -> None:
-        """Kill a service as a crash does, and wait until it is up again.
+        """Kill a service as in a crash, and wait until it is up again.
 
-        `docker kill` would not do: to the engine that is a wish that the service stays down.
+        `docker kill` is unsuitable: the engine takes it as a request that the service stays down.
         """
         before = self.container(service)
         kill = f"import os; os.kill({before['State']['Pid']}, 9)"
@@ -138,11 +138,11 @@ class Composition:
         self.wait_healthy(service)
 
     def inside(self, service: str, *command: str, check: bool = True) -> str:
-        """What a command says that runs in the container of a service."""
+        """The output of a command in the container of a service."""
         return docker("exec", self.container(service)["Id"], *command, check=check).stdout.strip()
 
     def ros_client(self, script: Path) -> Any:
-        """The JSON that a script prints which runs on ROS, in a container of its own beside the others."""
+        """The JSON printed by a script that runs on ROS, in a container of its own beside the others."""
         words = [
             "run",
             "--rm",
@@ -155,7 +155,7 @@ class Composition:
         return json.loads(docker(*words, "-", given=script.read_text()).stdout)
 
     def zarm(self, *arguments: str, **variables: str) -> str:
-        """What `zarm` says on this machine, connected to the published port; it must succeed."""
+        """The output of `zarm` on this machine, connected to the published port; it must succeed."""
         done = zarm(*arguments, ZARM_CONNECT=self.endpoint, **variables)
         assert done.returncode == 0, f"zarm {' '.join(arguments)}: {done.stdout}{done.stderr}"
         return done.stdout

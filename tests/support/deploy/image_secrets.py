@@ -1,4 +1,4 @@
-"""Secrets in an image, wherever in its layers they lie: what one layer adds and the next removes is still handed out."""
+"""Secrets in an image, in any of its layers: what one layer adds and the next removes is still published."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ FORMS = {
     b"pypi-AgE": rb"\bpypi-AgE[\w-]{50}",
     b"xox": rb"\bxox[abprs]-[0-9]{8,}-",  # Slack
 }
-"""Private keys, and tokens whose makers gave them a form of their own, by words that stand in them."""
+"""Private keys, and tokens with a distinctive form, by a word that they contain."""
 
 WORDS = re.compile(rb"""://[^/\s"'@]+:[^/\s"'@]+@|(?i:password|passwd|secret|token)[\w-]*=[^\s"'$]""")
-"""A password in an address or in the environment, in what says how the image was made."""
+"""A password in an address or in the environment, in the history of the image."""
 
 FILES = re.compile(
     r"(^|/)(\.?pip\.conf|\.netrc|\.pypirc|\.npmrc|\.env|\.git-credentials|\.docker/config\.json|id_(rsa|ecdsa|ed25519))$"
     r"|\.(key|p12|pfx|jks)$|(^|/)\.git/|^certs/.|^root/\.(ssh|gnupg|aws)/."
 )
-"""Names of files that hold access to something, or tell where packages came from."""
+"""Names of files that contain credentials, or the origin of packages."""
 
 
 PROGRAM = b"\x7fELF"
-"""How programs and libraries begin; those of cryptography carry keys to test themselves with."""
+"""Magic number of programs and libraries; those of cryptography contain keys for self-tests."""
 
 
 def found_in(images: Sequence[str], folder: Path) -> Iterator[str]:
-    """Where in `images`, which are saved to `folder` meanwhile, something lies that looks like a secret."""
+    """Places in `images`, saved to `folder` meanwhile, that look like a secret."""
     archive = folder / "images.tar"
     subprocess.run(["docker", "save", "--output", str(archive), *images], check=True)
     try:
@@ -51,7 +51,7 @@ def _in_entry(saved: tarfile.TarFile, entry: tarfile.TarInfo) -> Iterator[str]:
     try:
         with tarfile.open(fileobj=saved.extractfile(entry)) as layer:
             yield from _in_layer(layer)
-    except tarfile.ReadError:  # no layer, but what describes the image
+    except tarfile.ReadError:  # not a layer, but the description of the image
         description = _contents(saved, entry)
         if _holds_secret(description) or WORDS.search(description):
             yield f"{entry.name}: a secret in how the image was made: {description.decode(errors='replace')}"

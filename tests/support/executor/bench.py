@@ -1,4 +1,4 @@
-"""The executor's state machine on a bench: an arm that may misbehave, and a clock that only the test turns."""
+"""The executor's state machine on a bench: an arm that may misbehave, and a clock that only the test advances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Disturbance = Callable[[Measured], Measured | None]
 
 
 class Arm(Steerable):
-    """Follows exactly what is commanded, until `disturb` makes something else of what is measured."""
+    """Follows the command exactly, until `disturb` changes what is measured."""
 
     name = "arm"
 
@@ -95,7 +95,7 @@ class Arm(Steerable):
 
 @dataclass
 class Bench:
-    """A machine with an arm, and a clock that only tests turn."""
+    """A machine with an arm, and a clock that only tests advance."""
 
     arm: Arm = field(default_factory=Arm)
     now: float = 100.0
@@ -123,7 +123,7 @@ class Bench:
         raise AssertionError(f"{self.machine.state()} does not become {mode}")
 
     def execute(self, goal_id: str = "goal-1", asked: int | None = None, scene: str | None = None) -> TimedTrajectory:
-        """Start a motion that was asked for at the arrival `asked` (left out: just now)."""
+        """Start a motion requested at the arrival `asked` (default: just now)."""
         path = TimedTrajectory.of(rest_to_rest(moved(1.0, -0.5), self.arm.exact.position), ROBOT.descriptor.joints)
         goal = Goal(goal_id, None, path, Monitor(path, self.robot), scene)
         self.machine.start(goal, arrival() if asked is None else asked)
@@ -151,5 +151,5 @@ class Bench:
         return self.machine.changes[-1]
 
     def greatest_acceleration(self) -> float:
-        """Of all ticks so far, as a share of the limit."""
+        """Over all ticks so far, as a share of the limit."""
         return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)) / TICK**2 / LIMIT))

@@ -1,4 +1,4 @@
-"""A client of the executor for tests: sends what a user sends, and keeps everything that it is told."""
+"""A client of the executor for tests: sends what a user sends, and keeps everything that it receives."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ACCELERATION = np.array(ROBOT.descriptor.cspace.acceleration)
 
 
 class Client:
-    """Answers come back or raise; `goals`, `states` and `measured` hold what was published since it was made."""
+    """Answers are returned or raised; `goals`, `states` and `measured` hold what was published since it was created."""
 
     def __init__(self, bus: Bus, keys: Keys = KEYS) -> None:
         self.bus = bus
@@ -78,11 +78,11 @@ class Client:
         return self.bus.call(self.keys.speed, request, Speed, timeout=10).speed_scale
 
     def state(self) -> ExecutorState:
-        """The executor's state as whoever comes late reads it."""
+        """The executor's state as a late subscriber reads it."""
         return self.bus.call(self.keys.executor_state, Nothing(), ExecutorState, timeout=10)
 
     def goal(self, goal_id: str) -> GoalState:
-        """A goal's state as whoever comes late reads it."""
+        """A goal's state as a late subscriber reads it."""
         return self.bus.call(self.keys.goal(goal_id), Nothing(), GoalState, timeout=10)
 
     def ended(self, goal_id: str) -> GoalState:
@@ -93,7 +93,7 @@ class Client:
             return state if state.done else None
 
         end = eventually(last, f"{goal_id} has ended")
-        if self.statuses(goal_id):  # else this client came late
+        if self.statuses(goal_id):  # otherwise this client came late
             eventually(lambda: self.statuses(goal_id)[-1] == end.status, f"the end of {goal_id} is told")
         return end
 
@@ -111,7 +111,7 @@ class Client:
         return eventually(reached, f"the executor is in the mode {mode}")
 
     def position(self) -> np.ndarray:
-        """A position that was measured after this was called."""
+        """A position measured after this call."""
         return np.array(self._measured_next(1)[-1].position)
 
     def statuses(self, goal_id: str) -> list[str]:
@@ -121,12 +121,12 @@ class Client:
         ]
 
     def stands(self, samples: int = 20) -> bool:
-        """Whether the robot is at rest, in the same place, in so many states that were measured after this was called."""
+        """Whether the robot is at rest, in the same place, in this many states measured after this call."""
         states = self._measured_next(samples)
         return len({state.position for state in states}) == 1 and not any(any(state.velocity) for state in states)
 
     def _measured_next(self, samples: int) -> list[JointState]:
-        """So many joint states from now on; what was measured before may still be on its way."""
+        """This many joint states measured from now on; earlier ones may still be on their way."""
         now, seen = time.time(), len(self.measured)
 
         def fresh() -> list[JointState] | None:
@@ -136,7 +136,7 @@ class Client:
         return eventually(fresh, "the joints are measured")
 
     def greatest_acceleration(self) -> float:
-        """Of all measured so far, as a share of the limit; gaps in which the robot was not commanded are passed over."""
+        """Over all measured so far, as a share of the limit; gaps in which the robot was not commanded are skipped."""
         return max(
             float(
                 np.max(

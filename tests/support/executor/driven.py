@@ -21,13 +21,14 @@ FAR = moved(1.0, -0.5, 0.3)
 THERE = rest_to_rest(FAR, slower=1.5)
 BACK = rest_to_rest(HOME, FAR, slower=1.5)
 LIMIT = 1.2
-"""What the driver may be commanded, rad/s^2 (strategy_params.acceleration)."""
+"""The limit for commands to the driver, rad/s^2 (strategy_params.acceleration)."""
 
 
 class Driven:
-    """`client` talks to the executor; `told` is what the driver told of its joints, `commands` what it was sent.
+    """`client` talks to the executor; `told` are the joint states published by the driver, `commands` those that it
+    received.
 
-    A robot that is `waited_for` may be silent for longer, as on a busy machine, before the executor takes it for dead.
+    A robot that is `waited_for` may be silent for longer, as on a busy machine, before the executor gives it up.
     """
 
     def __init__(
@@ -64,12 +65,12 @@ class Driven:
         self.bus.call(self.keys.simulated_fault, fault, Nothing, timeout=10)
 
     def arm(self) -> np.ndarray:
-        """Where the arm was told to be last, in the executor's order."""
+        """The last reported position of the arm, in the executor's order."""
         state = self.told[-1]
         return np.array([state.position[state.joint_names.index(name)] for name in self.joints])
 
     def at_rest(self) -> np.ndarray:
-        """Wait until the driver tells that the arm stands, and check that it goes on to stand; where."""
+        """Wait until the driver reports that the arm stands, and check that it stays; returns where."""
         eventually(lambda: self.told and not any(self.told[-1].velocity), "the arm stands")
         where, seen = self.told[-1].position, len(self.told)
         eventually(lambda: len(self.told) > seen + 50, "the driver tells the joints")
@@ -77,7 +78,7 @@ class Driven:
         return self.arm()
 
     def fault(self, code: str) -> ExecutorState:
-        """Wait for the executor's fault, and hold what it must say."""
+        """Wait for the executor's fault, and check what it must say."""
         state = self.client.mode("fault")
         assert state.problem is not None
         assert state.problem.code == code, state.problem

@@ -33,9 +33,9 @@ from zarm_trajectory.trajectory import TimedTrajectory
 JOINTS = ROBOT.descriptor.joints
 TOLD = tuple(JOINTS[index] for index in (0, 1, 3, 4, 2, 5))
 LATENCY = 0.01
-"""Time, s, that a message takes on the bench."""
+"""Delay (s) of a message on the bench."""
 START = 1e6
-"""When a bench's clock begins, s. It is far ahead of the machine's, by which nothing on it can be old."""
+"""Start of a bench's clock (s), far ahead of the machine's, so that nothing on it can be old."""
 
 
 def robot_with(*, control_rate: float = 100.0, **params: Any) -> RobotDescription:
@@ -74,7 +74,7 @@ MOVING = (
 
 
 class Wire:
-    """Stands in for a bus: what is published arrives at the arm, and what the arm tells at the executor, a step of it later."""
+    """Stands in for a bus: publications arrive at the arm, and the arm's reports at the executor, one step later."""
 
     def __init__(self, bench: DriverBench) -> None:
         self.bench = bench
@@ -91,7 +91,7 @@ class Wire:
 
 
 class Told:
-    """The newest message of the arm and when it came; progress of `lost_from` or more gets lost."""
+    """The newest message of the arm and its time of arrival; progress of `lost_from` or more is lost."""
 
     def __init__(self) -> None:
         self.newest: tuple[JointState | DriverProgress, float] | None = None
@@ -108,8 +108,8 @@ class Told:
 class DriverBench:
     """A machine with the strategy of a case, and an arm behind a driver that tests can make misbehave.
 
-    The machine ticks at `rate` Hz; the driver tells the arm's joints at 100 Hz and plays a point in 20 ms, whatever that is,
-    `phase` s after the ticks at first.
+    The machine ticks at `rate` Hz; the driver reports the arm's joints at 100 Hz and plays a point every 20 ms,
+    whatever the rate, initially `phase` s after the ticks.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class DriverBench:
         self.tick()
 
     def _pass(self, seconds: float) -> None:
-        """Let time pass for the arm, which goes on in steps of its own."""
+        """Let time pass for the arm, which advances in steps of its own."""
         self.now += seconds
         while self._arm_at + STEP <= self.now + 1e-6:
             self._arm_at += STEP
@@ -178,11 +178,13 @@ class DriverBench:
                 self.progress.newest = DriverProgress(sequence=self._sequence, fraction=self.arm.fraction), now
 
     def stall(self, seconds: float) -> None:
-        """Hold up all messages, both ways, for so long from now on; then the commands come, and the newest of the joints."""
+        """Hold up all messages, both ways, for this time from now on; then the commands arrive, and the newest of the
+        joints.
+        """
         self.stalled_at, self.stalled_until = self.now, self.now + seconds
 
     def freeze(self, seconds: float) -> None:
-        """Let time pass in which nobody runs the machine."""
+        """Let time pass without running the machine."""
         self._pass(seconds)
 
     def tick(self) -> None:
@@ -248,18 +250,18 @@ class DriverBench:
         return [change.status for change in self.machine.changes]
 
     def commanded_acceleration(self) -> float:
-        """The greatest change of the velocity that the arm was commanded, rad/s^2; of the emulated one that it had."""
+        """The greatest change of the commanded velocity, rad/s^2; for the emulated arm, of its velocity."""
         if self.case.strategy == "emulator":
             return float(np.max(np.abs(np.diff(self.positions, 2, axis=0)))) / self.period**2
         return float(np.max(np.abs(np.diff(self.feeds[::2], axis=0)))) / (2 * STEP)
 
     def acceleration(self) -> float:
-        """The greatest change of velocity that the arm truly made, rad/s^2, over five points of a command."""
+        """The greatest change of the arm's true velocity, rad/s^2, over five points of a command."""
         velocity = np.array([velocity for _, velocity in self.truth])
         return float(np.abs(velocity[10:] - velocity[:-10]).max()) / (10 * STEP)
 
     def rests(self, seconds: float = 1.0) -> bool:
-        """Whether, once the drives have settled, nothing moves any more."""
+        """Whether nothing moves any more once the drives have settled."""
         self.run(0.5)
         where = self.positions[-1]
         self.run(seconds)

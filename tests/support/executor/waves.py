@@ -1,4 +1,4 @@
-"""A target that swings, as the chunks that a client which follows it streams."""
+"""A swinging target, as chunks streamed by a client that follows it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ def target(time: float) -> tuple[float, float, float]:
 
 
 def chunk(start: float, horizon: float = 0.2, braking: float = 0.8, *, off: float = 0.0) -> TimedTrajectory:
-    """The first joint with the target for `horizon` s from `start` on, `off` rad beside it, then to rest in `braking` s."""
+    """The first joint with the target for `horizon` s from `start` on, displaced by `off` rad, then to rest in
+    `braking` s.
+    """
     times = [index * STEP for index in range(round(horizon / STEP) + 1)]
     states = [target(start + time) for time in times]
     q, v, a = states[-1]
@@ -45,7 +47,7 @@ def chunk(start: float, horizon: float = 0.2, braking: float = 0.8, *, off: floa
 
 
 def as_message(path: TimedTrajectory, robot: RobotDescription) -> Trajectory:
-    """A path as a message holds it."""
+    """A path in message form."""
 
     def rows(array: Array) -> tuple[tuple[float, ...], ...]:
         return tuple(map(tuple, array.tolist()))

@@ -1,1 +1,1 @@
-"""What makes things go wrong, and what is checked afterwards."""
+"""Sources of faults, and what is checked afterwards."""

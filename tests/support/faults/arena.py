@@ -1,4 +1,4 @@
-"""A robot behind a driver whose arm is watched from the outside, for tests that make things go wrong."""
+"""A robot behind a driver whose arm is observed from outside, for tests of faults."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_router
 
 STEP = 0.01
-"""Period of the simulated arm, s: what counts samples of it counts time as the arm has it."""
+"""Period of the simulated arm (s): counting its samples measures time on the arm's clock."""
 _JOINTS = len(HOME)
 
 
 class Arena(Driven):
-    """`trace()` is what the arm truly did from the first moment on, whoever is silent, dead or cut off meanwhile.
+    """`trace()` is the arm's true motion from the first moment on, whatever is silent, dead or cut off meanwhile.
 
-    The arm does whatever it is commanded, with no limit of its own, and brakes by itself as the M1013 does, so that what is
-    wrong with a command shows. The router can be restarted.
+    The arm follows any command, without limits of its own, and brakes by itself as the M1013 does, so that faulty
+    commands become visible. The router can be restarted.
 
-    With `wired`, executor and driver are connected by links of their own and have clocks of their own. With `stallable` the
+    With `wired`, executor and driver are connected by separate links and have their own clocks. With `stallable` the
     router is a process, `router`. The arm `plays` velocities or positions.
     """
 
@@ -84,17 +84,17 @@ class Arena(Driven):
         return dataclasses.replace(process, endpoint=self.links[name].endpoint, environment=environment)
 
     def restart_executor(self) -> None:
-        """Start an executor, where there is none any more."""
+        """Start an executor if there is none any more."""
         with ahead_of_others():
             self.executor = self._stack.enter_context(self._wired(self.new_executor(), "executor"))
         self.executor.wait_ready(self.bus, self.keys)
 
     def stop_router(self) -> None:
-        """There is no router."""
+        """Stop the router."""
         self._router.close()
 
     def start_router(self) -> None:
-        """There is a router again, and driver and executor are on it."""
+        """Start a router again, with driver and executor connected."""
         with ahead_of_others():
             self._router.enter_context(open_router(self.endpoint))
         self.all_heard()
@@ -106,7 +106,7 @@ class Arena(Driven):
         self.heard()
 
     def ghost(self) -> list[JointState]:
-        """What the ghost shows, which the executor stamps with its own clock: it has a plan to play by now."""
+        """The ghost's messages, stamped by the executor's own clock: it has a plan to play by now."""
         shown: list[JointState] = []
         self.bus.subscribe(self.keys.preview_joint_states, JointState, lambda _, state: shown.append(state))
         plans = self.bus.publisher(self.keys.plans, Plan)
@@ -116,7 +116,7 @@ class Arena(Driven):
     # -- the arm --
 
     def trace(self) -> np.ndarray:
-        """What the arm did so far (N, 2J): positions (rad), velocities (rad/s), a row every `STEP`."""
+        """The arm's motion so far (N, 2J): positions (rad), velocities (rad/s), a row every `STEP`."""
         with self._reading:
             *lines, self._rest = (self._rest + self._lines.read()).split("\n")
             if lines:
@@ -129,12 +129,12 @@ class Arena(Driven):
         return len(self.trace())
 
     def true_position(self) -> np.ndarray:
-        """Where the arm is (J,)."""
+        """The arm's position (J,)."""
         where: np.ndarray = self.trace()[-1, :_JOINTS]
         return where
 
     def speed(self) -> float:
-        """How fast the fastest joint is now, rad/s."""
+        """The present speed of the fastest joint, rad/s."""
         return float(np.abs(self.trace()[-1, _JOINTS:]).max())
 
     def stands_for(self, count: int) -> bool:
@@ -149,13 +149,13 @@ class Arena(Driven):
     # -- the executor --
 
     def motion(self) -> Trajectory:
-        """From where the arm stands as far as from `HOME` to `FAR`, towards the further one of these."""
+        """A motion from the arm's position, as long as from `HOME` to `FAR`, towards the further one of these."""
         here = self.true_position()
         nearer_home = np.abs(HOME - here).max() < np.abs(FAR - here).max()
         return rest_to_rest(here + (FAR - HOME if nearer_home else HOME - FAR), here)
 
     def go(self) -> str:
-        """Start a motion that takes a while; the goal."""
+        """Start a motion that takes a while; returns the goal."""
         return self.client.execute(self.motion())
 
     def nudge(self) -> None:
@@ -169,7 +169,7 @@ class Arena(Driven):
         np.testing.assert_allclose(self.true_position(), there, atol=0.01)
 
     def heard(self) -> ExecutorState:
-        """The executor's state, as soon as there is an executor that tells it."""
+        """The executor's state, as soon as an executor publishes it."""
 
         def state() -> ExecutorState | None:
             try:
@@ -180,7 +180,7 @@ class Arena(Driven):
         return eventually(state, "the executor is heard")
 
     def warm_up(self) -> None:
-        """Use a new executor until the threads that wait for use are there."""
+        """Use a new executor until all its lazily started threads exist."""
         process, burdens = self.executor.process.pid, [self.burden()]
         while self._warm != process and (len(burdens) < 3 or burdens[-1] != burdens[-2]):
             self.nudge()
@@ -190,7 +190,7 @@ class Arena(Driven):
         self._warm = process
 
     def burden(self) -> tuple[int, int]:
-        """How many threads and how many file descriptors the executor has."""
+        """The executor's numbers of threads and of file descriptors."""
         now = burden(self.executor)
         return now.threads, now.descriptors
 

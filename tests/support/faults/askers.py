@@ -1,4 +1,4 @@
-"""Clients that ask without a break while something is replaced: each answer is right, or says that nobody is there."""
+"""Clients that ask continuously while something is replaced: each answer must be right, or `unavailable`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from zarm_contract.errors import Unavailable
 
 
 class Askers:
-    """`answers` counts what came of each question: `right`, `unavailable`, or what else, which is wrong."""
+    """`answers` counts the results of each question: `right`, `unavailable`, or anything else, which is wrong."""
 
     def __init__(self, questions: dict[str, Callable[[], bool]]) -> None:
         self._questions = questions
@@ -36,7 +36,7 @@ class Askers:
             thread.join(PATIENCE)
 
     def all_right_again(self) -> None:
-        """Wait until each has a right answer that it asked for from now on."""
+        """Wait until each has a right answer to a question asked from now on."""
         before = {name: counts["right"] for name, counts in self.answers.items()}
         eventually(
             lambda: all(counts["right"] > before[name] + 1 for name, counts in self.answers.items()),
@@ -46,7 +46,7 @@ class Askers:
 
 @contextmanager
 def asking(**questions: Callable[[], bool]) -> Iterator[Askers]:
-    """Ask from before the block to its end; fails where an answer was neither right nor `unavailable`."""
+    """Ask from before the block to its end; fails if an answer was neither right nor `unavailable`."""
     askers = Askers(questions)
     for thread in askers.threads:
         thread.start()

@@ -1,4 +1,4 @@
-"""Somebody who tells wrong joint states on a robot's key."""
+"""A publisher of wrong joint states on a robot's key."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from support.trajectories import HOME
 from zarm_runtime.session import open_client
 
 Told = Callable[[np.ndarray, dict[str, object]], dict[str, object]]
-"""From the arm's trace so far and its true joint state, what is told instead."""
+"""From the arm's trace so far and its true joint state, the one to publish instead."""
 
 
 @contextmanager
 def impostor(place: Arena, tell: Told) -> Iterator[None]:
-    """Somebody tells this, as often as the driver does."""
+    """Publish this, as often as the driver does."""
     ended = threading.Event()
 
     def run() -> None:
@@ -39,6 +39,6 @@ def impostor(place: Arena, tell: Told) -> Iterator[None]:
 
 
 def state(place: Arena, row: np.ndarray) -> dict[str, object]:
-    """A row of the trace as a joint state that is measured now."""
+    """A row of the trace as a joint state measured now."""
     position, velocity = row[: len(HOME)].tolist(), row[len(HOME) :].tolist()
     return {"stamp": time.time(), "joint_names": place.joints, "position": position, "velocity": velocity}

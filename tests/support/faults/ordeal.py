@@ -1,4 +1,4 @@
-"""What every fault must come to, checked in one way: rest within a bound, a gentle way there, a reason, and a way on."""
+"""The required outcome of every fault, checked in one way: rest within a bound, gentle braking, a reason, and recovery."""
 
 from __future__ import annotations
 
@@ -16,28 +16,30 @@ from zarm_contract.messages import GoalState
 from zarm_leeloo_sim.player import CEILING
 
 IN_MOTION = 0.5
-"""Speed of the fastest joint, rad/s, at which the fault strikes."""
+"""Speed of the fastest joint, rad/s, at which the fault is injected."""
 LATEST = 0.9
-"""s into its motion of 2.4 s: struck later, it misses its end by less than `path_tolerance`, which is no fault."""
+"""s into its motion of 2.4 s: injected later, it misses its end by less than `path_tolerance`, which is not a fault."""
 TRIES = 10
 STILL = 1e-3
-"""What is slower (rad/s) is at rest, but for the last of the drives' lag."""
+"""Slower than this (rad/s) counts as at rest, because of the drives' lag."""
 WATCHED = 30
-"""For how many steps of the arm nothing may move after the recovery, and again after the reset."""
+"""Steps of the arm for which nothing may move after the recovery, and again after the reset."""
 WINDOW = 10
 """Steps of the arm over which its acceleration is taken: five points of a command."""
 ONE_POINT = 1 / 5
-"""Share of it by which a chunk may exceed that begins one point off, because executor and driver tick each for itself."""
+"""Share by which a chunk that begins one point off may exceed that, because executor and driver tick independently."""
 
 Fault = Callable[[Arena], Iterator[str | None]]
-"""Starts a motion and yields its goal; when the arm moves, strikes, and yields; when the arm stands, recovers."""
+"""Starts a motion and yields its goal; when the arm moves, injects the fault, and yields; when the arm stands,
+recovers.
+"""
 
 
 @dataclass(frozen=True)
 class Promise:
-    """What a fault comes to under one strategy: rest within `bound` s, for the reason `why`.
+    """The outcome of a fault under one strategy: rest within `bound` s, for the reason `why`.
 
-    The goal then ends with the problem `code`, whose message holds `says`; with neither it succeeds.
+    The goal then ends with the problem `code`, whose message contains `says`; without both it succeeds.
     """
 
     bound: float
@@ -48,14 +50,14 @@ class Promise:
 
 @dataclass(frozen=True)
 class Figure:
-    """What was measured: s from the fault to rest, and rad/s^2 on the way."""
+    """The measurement: s from the fault to rest, and rad/s^2 on the way."""
 
     rest: float
     acceleration: float
 
 
 def endure(place: Arena, fault: Fault, promise: Promise) -> Figure:
-    """Run a fault and hold everything that is promised of it."""
+    """Inject a fault and check everything that is promised."""
     place.warm_up()
     burden = place.burden()
     steps, goal_id = begun(place, fault)
@@ -84,7 +86,9 @@ def endure(place: Arena, fault: Fault, promise: Promise) -> Figure:
 
 
 def begun(place: Arena, fault: Fault) -> tuple[Iterator[str | None], str]:
-    """The fault about to strike an arm in the midst of its motion, and the goal; another motion where a busy machine missed one."""
+    """The fault about to be injected during the motion of an arm, and the goal; another motion if a busy machine missed
+    one.
+    """
     for _ in range(TRIES):
         stood, steps = place.samples(), fault(place)
         goal_id = next(steps)
@@ -104,7 +108,7 @@ def begun(place: Arena, fault: Fault) -> tuple[Iterator[str | None], str]:
 
 
 def reason(place: Arena, goal_id: str) -> Problem | None:
-    """Why the goal ended, which the executor's state must say as well where it is in fault; None where it succeeded."""
+    """Why the goal ended, which the executor's state must repeat if it is in fault; None if it succeeded."""
     place.heard()
     goal = place.client.ended(goal_id)
     state = place.heard()
@@ -124,7 +128,7 @@ def nothing_moves(place: Arena) -> None:
 
 
 def measured(place: Arena, struck: int) -> Figure:
-    """From the step at which a fault struck to the last at which the arm moved."""
+    """From the step of the fault to the last step at which the arm moved."""
     velocity = place.trace()[struck - WINDOW :, len(HOME) :]
     moving = np.flatnonzero(np.abs(velocity).max(axis=1) > STILL)
     change = np.abs(velocity[WINDOW:] - velocity[:-WINDOW]) / (WINDOW * STEP)

@@ -15,7 +15,7 @@ from zarm_contract.codec import MAX_BYTES, encode
 from zarm_contract.messages import Message
 
 PORTION = 500
-"""How many near misses hypothesis makes at a time; it remembers all of them."""
+"""Number of near misses that hypothesis makes at a time, since it remembers all of them."""
 
 EXTREME: tuple[object, ...] = (
     float("nan"),
@@ -37,7 +37,7 @@ EXTREME: tuple[object, ...] = (
     "\u202e\U0001f9be\ufdd0",
     "x" * 10_000,
 )
-"""Values that break what has not thought of them."""
+"""Values that break careless code."""
 
 
 def deep(levels: int) -> object:
@@ -49,7 +49,7 @@ def deep(levels: int) -> object:
 
 
 def junk() -> st.SearchStrategy[object]:
-    """Any JSON, with what JSON does not allow, and then some."""
+    """Any JSON, including values that JSON does not allow."""
     return st.recursive(
         st.none()
         | st.booleans()
@@ -65,7 +65,7 @@ def junk() -> st.SearchStrategy[object]:
 
 @st.composite
 def near_misses(draw: st.DrawFn, examples: list[Message]) -> bytes:
-    """A message with a few things wrong, or by chance with none, as bytes."""
+    """A message with a few faults, or by chance none, as bytes."""
     payload = json.loads(encode(draw(st.sampled_from(examples))))
     for _ in range(draw(st.sampled_from((1, 1, 2, 3, 0)))):
         _damage(draw, payload)
@@ -100,7 +100,7 @@ def _damage(draw: st.DrawFn, payload: Any) -> None:
 
 
 def structured(examples: dict[str, list[Message]], count: int, number: int) -> Iterator[tuple[str, bytes]]:
-    """`count` near misses, each with the key that it is for; `examples` are the messages of each key."""
+    """`count` near misses, each with its key; `examples` are the messages of each key."""
     keys = sorted(examples)
     keyed = st.sampled_from(keys).flatmap(lambda key: st.tuples(st.just(key), near_misses(examples[key])))
     for begin in range(0, count, PORTION):
@@ -181,4 +181,4 @@ ENORMOUS: tuple[bytes, ...] = (
     b'{"trajectory": {"joint_names": ["a"], "time": [%s]}}' % b",".join([b"-1"] * 900_000),
     b"{%s}" % b",".join(b'"%d":0' % number for number in range(90_000)),
 )
-"""As large as is read, or a little larger; each is for every key."""
+"""At or just above the maximum size; each is for every key."""

@@ -1,4 +1,6 @@
-"""Storms: several client processes of many threads each, which ask a service everything at once and keep every answer."""
+"""Storms: several client processes with many threads each, which ask a service everything at once and keep every
+answer.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class Storm(ClientProcesses):
         super().__init__(PROGRAMS / "storm_client.py", endpoint, str(threads), count=processes)
 
     def let_loose(self, requests: Sequence[tuple[str, Message]]) -> list[Answer]:
-        """Ask all of this at once; every answer, in the order of the requests. Fails where one has none or several."""
+        """Send all of this at once; returns every answer, in the order of the requests. Fails if one has none or
+        several.
+        """
         lines = [json.dumps([number, key, encode(request).decode()]) for number, (key, request) in enumerate(requests)]
         told: dict[int, tuple[str, str]] = {}
         for answer in self.ask_at_once(lines):

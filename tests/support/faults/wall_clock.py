@@ -10,13 +10,13 @@ from pathlib import Path
 from support.paths import PROGRAMS
 
 STEPPABLE = sys.platform == "linux" and platform.machine() == "x86_64"
-"""Whether this machine is one for which `stepped_clock` has the code."""
+"""Whether `stepped_clock` has the code for this machine."""
 
 _FOLDER = PROGRAMS / "stepped_clock"
 
 
 class WallClock:
-    """The clock of every process that is started with `environment`; right until it is stepped."""
+    """The clock of every process started with `environment`; right until it is stepped."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -25,6 +25,6 @@ class WallClock:
         self.environment = {"ZARM_TEST_CLOCK": str(file), "PYTHONPATH": path}
 
     def step(self, seconds: int) -> None:
-        """Let it be this much ahead of the true time."""
+        """Set it this much ahead of the true time."""
         with self._file.open("r+b") as file:
             file.write(seconds.to_bytes(8, sys.byteorder, signed=True))

@@ -1,4 +1,4 @@
-"""A client that takes nothing off its link any more, and a router that has patience with it, each as a process."""
+"""A client that stops reading its link, and a router that has patience with it, each as a process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SPAWN = multiprocessing.get_context("spawn")
 
 
 def route(endpoint: str) -> None:
-    """A router that waits for a client that takes nothing, where zarm's own gives up its link after a second."""
+    """A router that waits for a blocked client, while zarm's own gives up its link after a second."""
     config = router_config(endpoint)
     config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", str(int(PATIENCE * 1e6)))
     with run_router(config):
@@ -28,7 +28,7 @@ def route(endpoint: str) -> None:
 
 
 def hear(endpoint: str, heard: Synchronized[int]) -> None:
-    """A client of everything."""
+    """A client that subscribes to everything."""
 
     def count(_: zenoh.Sample) -> None:
         heard.value += 1
@@ -39,7 +39,7 @@ def hear(endpoint: str, heard: Synchronized[int]) -> None:
 
 
 def flood(endpoint: str, published: Synchronized[int]) -> None:
-    """One who publishes without end, as much as there is room for."""
+    """A client that publishes without end, as much as there is room for."""
     with open_client(endpoint) as session:
         while True:
             session.put("flood", bytes(100_000), congestion_control=zenoh.CongestionControl.BLOCK)
@@ -48,7 +48,7 @@ def flood(endpoint: str, published: Synchronized[int]) -> None:
 
 @contextmanager
 def beside(work: Callable[..., None], *arguments: object) -> Iterator[int]:
-    """A process that does this until the end of the block; its id."""
+    """A process that does this until the end of the block; yields its id."""
     process = SPAWN.Process(target=work, args=arguments)
     process.start()
     try:
@@ -60,7 +60,9 @@ def beside(work: Callable[..., None], *arguments: object) -> Iterator[int]:
 
 @contextmanager
 def deaf_client(endpoint: str) -> Iterator[Callable[[], None]]:
-    """A client that hears something now; call what is yielded, and it takes nothing until the end, with no room on its link."""
+    """A client that receives something first; after calling what is yielded, it reads nothing until the end, with its
+    link full.
+    """
     heard, published = SPAWN.Value("q", 0), SPAWN.Value("q", 0)
     with ExitStack() as stack:
         pid = stack.enter_context(beside(hear, endpoint, heard))

@@ -1,4 +1,4 @@
-"""A workstation that plans and a machine beside the robot that executes: two hosts with what runs on them."""
+"""A workstation that plans and a machine beside the robot that executes: two hosts with their processes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ AWAY = moved(0.5, -0.3, 0.2)
 
 
 class Lab(Hosts):
-    """The two hosts, a planner on the workstation, an executor on the robot's, and a client on each that sees all."""
+    """The two hosts, a planner on the workstation, an executor on the robot's, and a client on each that sees
+    everything.
+    """
 
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         super().__init__(stack, folder)
@@ -35,17 +37,17 @@ class Lab(Hosts):
         eventually(lambda: self.here.measured, "the workstation hears the robot")
 
     def lose_each_other(self) -> None:
-        """Cut the wire, and wait until the routers know."""
+        """Cut the wire, and wait until the routers notice."""
         self.wire.become(Quality(cut=True))
         eventually(lambda: not self.workstation.bus.alive(KEYS.alive("executor", "*")), "the routers know")
 
     def restore(self) -> None:
-        """Mend the wire, and wait until the workstation hears the executor again."""
+        """Reconnect the wire, and wait until the workstation hears the executor again."""
         self.wire.become(Quality())
         eventually(self._answers, "the workstation hears the executor")
 
     def goes_on(self) -> None:
-        """A plan from the workstation is executed as ever, nothing was started anew, and each service is there once."""
+        """A plan from the workstation is executed as before, nothing was restarted, and each service exists once."""
         where = self.here.position()
         target = HOME if np.max(np.abs(where - HOME)) > 0.1 else AWAY
         found = self.plan(*target)
@@ -70,7 +72,7 @@ class Lab(Hosts):
         return self.workstation.bus.call(KEYS.plan, PlanRequest(goal=goal), Plan, timeout=PATIENCE)
 
     def driver(self, host: Host) -> ExitStack:
-        """The simulated driver on a host, with `joint_speed`; leaving goes back to the emulator."""
+        """The simulated driver on a host, with `joint_speed`; leaving switches back to the emulator."""
         with ExitStack() as stack:
             self.there.strategy("ghost")
             process = stack.enter_context(

@@ -1,6 +1,6 @@
-"""A wire between one process and the router that can be cut: hard, or so that nobody is told.
+"""A link between one process and the router that can be cut: hard, or silently.
 
-A process of its own carries what passes, as all that goes on in a test's own, collecting garbage for one, would hold it up.
+A separate process carries the data, because activity in the test's own, such as garbage collection, would delay it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from support.harness import free_endpoint
 
 _RESET = struct.pack("ii", 1, 0)
-"""SO_LINGER with which a socket is closed by a reset instead of in good order."""
+"""SO_LINGER with which a socket is closed by a reset instead of orderly."""
 
 
 def _address(endpoint: str) -> tuple[str, int]:
@@ -25,7 +25,7 @@ def _address(endpoint: str) -> tuple[str, int]:
 
 
 class Link:
-    """Passes on what comes in at `endpoint` to the router, and back."""
+    """Forwards what arrives at `endpoint` to the router, and back."""
 
     def __init__(self, endpoint: str, control: Connection) -> None:
         self.endpoint = endpoint
@@ -36,11 +36,11 @@ class Link:
         self._tell("cut")
 
     def swallow(self) -> None:
-        """Let nothing through and tell nobody, as an unplugged cable does."""
+        """Drop everything silently, like an unplugged cable."""
         self._tell("swallow")
 
     def restore(self) -> None:
-        """Let everything through again; of what was swallowed the rest arrives now, as TCP has it."""
+        """Forward everything again; swallowed data arrives now, as with TCP."""
         self._tell("restore")
 
     def _tell(self, order: str) -> None:
@@ -50,7 +50,7 @@ class Link:
 
 @contextmanager
 def link(router: str, enter: Callable[[], None] | None = None) -> Iterator[Link]:
-    """A link to the router, until the end of the block; `enter` takes a thread to where the router is."""
+    """A link to the router, until the end of the block; `enter` moves a thread to where the router is."""
     here, there = multiprocessing.Pipe()
     endpoint = free_endpoint()
     process = multiprocessing.get_context("spawn").Process(target=_carry, args=(endpoint, router, enter, there))

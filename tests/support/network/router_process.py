@@ -1,4 +1,4 @@
-"""A router that is a process of its own, and can be made to stall: `python router_process.py ENDPOINT` until its input ends."""
+"""A router in a separate process, which can be stalled: `python router_process.py ENDPOINT` until its input ends."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class RouterProcess:
         self._process = process
 
     def stall(self) -> None:
-        """Nothing passes, and nobody is told."""
+        """Nothing passes, silently."""
         os.kill(self._process.pid, signal.SIGSTOP)
 
     def go_on(self) -> None:
-        """All that has come meanwhile passes."""
+        """Everything that arrived meanwhile passes."""
         os.kill(self._process.pid, signal.SIGCONT)
 
 

@@ -26,13 +26,13 @@ from zarm_runtime.bus import Bus
 
 PORT = 7447
 SECURITY = ("ZARM_SECURITY", "ZARM_CERTS")
-"""What of the tests' own environment holds on every host."""
+"""Variables of the tests' own environment that apply on every host."""
 LOCAL = f"tcp/127.0.0.1:{PORT}"
 """The router of a host, as its own processes see it."""
 
 
 def obstacle() -> str | None:
-    """Why this machine cannot be two, or None."""
+    """Why this machine cannot simulate two, or None."""
     if shutil.which("ip") is None:
         return "two hosts need iproute2 (apt-get install iproute2)"
     if not Path("/dev/net/tun").exists():
@@ -51,14 +51,14 @@ def _environment() -> dict[str, str]:
 
 
 def enter(namespace: str) -> None:
-    """What the calling thread opens from now on, and each thread that it starts, it opens in this network namespace."""
+    """Whatever the calling thread opens from now on, and each thread that it starts, is in this network namespace."""
     with Path("/run/netns", namespace).open() as file:
         failed = ctypes.CDLL(None, use_errno=True).setns(file.fileno(), 0)
     assert not failed, os.strerror(ctypes.get_errno())
 
 
 class Host:
-    """A network namespace with a router. `bus` is a session on that router for the test, `endpoint` how it gets there."""
+    """A network namespace with a router. `bus` is a session on that router for the test, `endpoint` the way to it."""
 
     def __init__(self, stack: ExitStack, name: str, address: str, folder: Path) -> None:
         self.namespace = f"zarm-{os.getpid()}-{name}"
@@ -73,7 +73,7 @@ class Host:
         self.bus: Bus
 
     def plug_in(self, device: str, peer: str) -> None:
-        """Give it the end of a wire, at whose other end is the address `peer`."""
+        """Connect it to one end of a wire; at the other end is the address `peer`."""
         _ip("link", "set", device, "netns", self.namespace)
         _ip("-n", self.namespace, "address", "add", self.address, "peer", peer, "dev", device)
         _ip("-n", self.namespace, "link", "set", device, "up")
@@ -83,7 +83,7 @@ class Host:
         return ["ip", "netns", "exec", self.namespace, *command]
 
     def start_router(self, *arguments: str) -> None:
-        """`zarm router`, until the hosts are gone; waits until it answers."""
+        """Run `zarm router` until the hosts are gone; waits until it answers."""
         process = self._stack.enter_context(self.runs(ZARM, "router", *arguments))
         self._stack.callback(process.wait)
         self._stack.callback(process.terminate)
@@ -105,7 +105,7 @@ class Host:
 
     @contextmanager
     def runs(self, *command: str) -> Iterator[subprocess.Popen[bytes]]:
-        """A command runs on this host; what is left of it at the end of the block is killed."""
+        """Run a command on this host; what is left of it at the end of the block is killed."""
         process = subprocess.Popen(self.run(*command), env=_environment(), start_new_session=True)
         try:
             yield process
@@ -121,7 +121,7 @@ class Host:
 
 
 class Hosts:
-    """The two of them, and the `wire` between."""
+    """Both hosts, and the `wire` between them."""
 
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         self.workstation = Host(stack, "workstation", "10.77.0.1", folder)

@@ -29,7 +29,7 @@ _LONGEST_PACKET = 65536
 
 @dataclass(frozen=True)
 class Quality:
-    """What a wire does to packets: each one is late by `delay` s, and lost with the probability `loss`; a cut one loses all."""
+    """What a wire does to packets: each is delayed by `delay` s, and lost with probability `loss`; a cut one loses all."""
 
     delay: float = 0.0
     loss: float = 0.0
@@ -44,7 +44,7 @@ class Wire:
         self.ends: tuple[str, str] = control.recv()
 
     def become(self, quality: Quality) -> None:
-        """Carry what comes from now on so; what is on its way arrives."""
+        """Handle packets like this from now on; those on their way arrive."""
         self._control.send(quality)
         self._control.recv()
 
@@ -66,7 +66,7 @@ def wire() -> Iterator[Wire]:
 
 
 def _carry(control: Connection) -> None:
-    ask_for_realtime(PROCESS_PRIORITY)  # what holds packets up is the wire's quality, not what else the machine does
+    ask_for_realtime(PROCESS_PRIORITY)  # the wire's quality alone must delay packets, not the machine's load
     devices = [_device(), _device()]
     control.send(tuple(name for _, name in devices))
     other = {devices[0][0]: devices[1][0], devices[1][0]: devices[0][0]}
@@ -85,12 +85,12 @@ def _carry(control: Connection) -> None:
                 heapq.heappush(under_way, (time.monotonic() + quality.delay, next(order), other[source], packet))
         while under_way and under_way[0][0] <= time.monotonic():
             _, _, end, packet = heapq.heappop(under_way)
-            with suppress(OSError):  # a device that is down takes nothing
+            with suppress(OSError):  # a device that is down accepts nothing
                 os.write(end, packet)
 
 
 def _device() -> tuple[int, str]:
-    """A file that reads what is sent through a new network device, and its name."""
+    """A file that reads packets sent through a new network device, and its name."""
     file = os.open("/dev/net/tun", os.O_RDWR)
     request = fcntl.ioctl(file, _TUNSETIFF, struct.pack("16sH22x", b"zarm%d", _IFF_TUN | _IFF_NO_PI))
     return file, request[:16].rstrip(b"\0").decode()

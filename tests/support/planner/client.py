@@ -1,4 +1,4 @@
-"""What tests of a running planner share: its robot, places to go, and requests."""
+"""Shared code of the tests of a running planner: its robot, places to go, and requests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TABLE = Cuboid(kind="cuboid", name="table", position=(0.6, 0.0, -0.1), size=(1.0
 POST = Cylinder(kind="cylinder", name="post", position=(0.38, 0.38, 0.4), radius=0.04, length=0.9)
 SHELF = Cuboid(kind="cuboid", name="shelf", position=(0.2, 0.95, 0.75), size=(0.8, 0.3, 0.03))
 BEHIND_POST = (1.6, 0.0, 1.570796, 0.0, 1.570796, 0.0)
-"""Home turned: the straight way there leads through the post."""
+"""Home turned: the straight way there passes through the post."""
 
 LID = Cuboid(kind="cuboid", name="lid", position=(0.0, 0.0, 1.1), size=(6.0, 6.0, 0.05))
 FENCE = (
@@ -39,7 +39,9 @@ FENCE = (
         for i, r in enumerate(np.arange(0.34, 1.6, 0.11).tolist())
     ),
 )
-"""Bars in a half-plane, and a lid: from home no path leads half a turn around, and there is no short proof of it, as the arm nearly fits between two bars."""
+"""Bars in a half-plane, and a lid: from home no path leads half a turn around, and there is no short proof of it,
+because the arm nearly fits between two bars.
+"""
 BEHIND_FENCE = (float(np.pi), *HOME[1:])
 
 
@@ -62,7 +64,7 @@ def is_alive(bus: Bus) -> bool:
 
 
 def assert_sound(plan: Plan, start: tuple[float, ...], objects: tuple[SceneObject, ...]) -> np.ndarray:
-    """The executor would take it, and every centimetre of it is free; returns where it ends."""
+    """The executor would accept the plan, and every centimetre of it is free; returns its end."""
     path = executable(plan.trajectory, ROBOT)
     assert np.allclose(path.start, start, atol=1e-6)
     assert np.all(np.diff(path.time) <= ROBOT.descriptor.interpolation_dt * 1.001)

@@ -1,4 +1,4 @@
-"""Proof that one set of collision primitives contains another: no sampling, every point of the volume is accounted for."""
+"""Proof that one set of collision primitives contains another: not by sampling, but for every point of the volume."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def contains(cover: Sequence[CollisionPrimitive], inner: CollisionPrimitive, *, finest: float = 5e-5) -> bool:
-    """Whether every point of `inner` lies inside some primitive of `cover`; False also where `finest` (m) cannot tell.
+    """Whether every point of `inner` lies inside some primitive of `cover`; False also if `finest` (m) is not fine
+    enough to decide.
 
-    The cube around `inner` is cut into eight again and again. A cell is done with once the ball around it lies outside
+    The cube around `inner` is divided into eight repeatedly. A cell is finished once the ball around it lies outside
     `inner`, or inside one primitive of `cover`: signed distances change no faster than the point moves.
     """
     a, b, radius = _segment(inner)
     if any(max(_distance(one, np.stack((a, b)))) + radius <= 1e-9 for one in cover):
-        return True  # both are convex: with its two end balls all of it is inside
+        return True  # both are convex: if its two end balls are inside, all of it is
     half = float(np.max(abs(a - b))) / 2 + radius
     centers = ((a + b) / 2)[None]
     while half > finest:

@@ -1,8 +1,8 @@
-"""Problems of our own making, after those MotionBenchMaker scenes of which no problems are in ../shared.
+"""Generated problems, after those MotionBenchMaker scenes whose problems are missing in ../shared.
 
-A cage whose front is two bars, shelves of two shapes, and the way from under a table onto it. The scene is turned and moved at
-random about the robot's base, and the tool points forwards into it. (Chamzas et al., "MotionBenchMaker: A Tool to Generate and
-Benchmark Motion Planning Datasets", 2022; the sizes are those of its scenes.)
+A cage whose front is two bars, shelves of two shapes, and the way from under a table onto it. The scene is turned and
+moved at random about the robot's base, and the tool points forwards into it. (Chamzas et al., "MotionBenchMaker: A Tool
+to Generate and Benchmark Motion Planning Datasets", 2022; the sizes are those of its scenes.)
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ Array = NDArray[np.float64]
 SCENES = ("cage", "bookshelf_tall", "bookshelf_thin", "table_under_pick")
 
 _HOME = {"panda": (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785), "ur5": (1.57, -1.571, 0.0, -1.571, -1.57, 3.14)}
-"""Where all but one of MotionBenchMaker's motions start."""
+"""The start of all but one of MotionBenchMaker's motions."""
 _MOUNTED = {"panda": (0.0, 0.0), "ur5": (0.9144, 1.57)}
-"""How high (m) and how far turned (rad) the robot stands in its base frame."""
+"""Height (m) and rotation (rad) of the robot in its base frame."""
 _PLACES = {
     "cage": {"panda": (0.0, -0.18), "ur5": (0.0, -0.8)},
     "bookshelf_tall": {"panda": (0.3, -0.7), "ur5": (0.1, -0.9)},
     "bookshelf_thin": {"panda": (-0.1, -0.7), "ur5": (0.0, -0.9)},
     "table_under_pick": {"panda": (0.1, -0.5), "ur5": (0.0, -0.45)},
 }
-"""How far forwards and up (m) from where a robot stands the origin of a scene is."""
+"""Position forwards and up (m) of the origin of a scene relative to the robot."""
 _TOOL = {
     "panda": np.array(((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))),
     "ur5": np.array(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))),
 }
 """The tool forwards, in the scene's axes."""
 _GRASP = {"panda": 0.015, "ur5": 0.17}
-"""How far (m) the tip is before what it grasps."""
+"""Distance (m) from the tip to the object it grasps."""
 
 
 def problems(name: str, model: RobotModel, scene: str, count: int) -> list[Problem]:
@@ -92,7 +92,7 @@ def _at(x: float, y: float, z: float) -> Array:
 
 
 Scene = tuple[tuple[SceneObject, ...], Array | None, Array]
-"""Objects, and where the tip is at the start, if not at home, and at the goal (4, 4), in the scene's axes."""
+"""Objects, and the tip poses at the start, if not at home, and at the goal (4, 4), in the scene's axes."""
 
 
 def _boxes(place: Array, *boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> list[SceneObject]:

@@ -9,7 +9,7 @@ from zarm_trajectory.quintic import Array
 
 
 def joint_limits(velocity: Array, acceleration: Array, jerk: Array) -> Limits:
-    """These (J,) rad/s, rad/s^2, rad/s^3, of joints that may be anywhere."""
+    """These limits (J,) in rad/s, rad/s^2, rad/s^3, for joints without position limits."""
     everywhere = np.full(len(velocity), np.inf)
     names = tuple(f"joint_{i}" for i in range(len(velocity)))
     return Limits(names, -everywhere, everywhere, velocity, acceleration, jerk)

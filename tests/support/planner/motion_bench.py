@@ -32,9 +32,9 @@ class Problem:
 
 
 def robot(name: str, folder: Path) -> RobotDescription:
-    """`panda` or `ur5` as MotionBenchMaker has them, from a URDF and a descriptor written into `folder`.
+    """MotionBenchMaker's `panda` or `ur5`, from a URDF and a descriptor written into `folder`.
 
-    Its spheres are its exact geometry as well.
+    Its spheres are also its exact geometry.
     """
     data = json.loads((PROBLEMS / "robots" / f"{name}.json").read_text())
     (folder / f"{name}.urdf").write_text(_urdf(data))

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Run:
-    """CPU seconds of both stages, and the length (rad) of what came out."""
+    """CPU seconds of both stages, and the length (rad) of the resulting path."""
 
     search: float
     shortcut: float
@@ -27,17 +27,17 @@ class Run:
 
 
 def quiet(seed: int) -> None:
-    """Make OMPL say nothing and sample the same in every process; it can be seeded only once."""
+    """Silence OMPL and make it sample the same in every process; it can be seeded only once."""
     util.noOutputHandler()
     util.RNG.setSeed(seed)
 
 
 STEP = 0.02
-"""Rad between the states of an edge that are checked, where states are; links of these robots move by up to 2 cm there."""
+"""Rad between checked states of an edge, if states are checked; links of these robots move by up to 2 cm in it."""
 
 
 def plan(model: RobotModel, world: World, start: Array, goals: Array, timeout: float, *, edges: bool) -> Run | None:
-    """What `simplified` takes; None when it took longer than `timeout`."""
+    """The cost of `simplified`; None if it took longer than `timeout`."""
     if (found := _solved(model, world, start, goals, timeout, edges=edges)) is None:
         return None
     path, searched, shortened = found
@@ -53,10 +53,11 @@ def simplified(model: RobotModel, world: World, start: Array, goals: Array, time
 def _solved(
     model: RobotModel, world: World, start: Array, goals: Array, timeout: float, *, edges: bool
 ) -> tuple[Array, float, float] | None:
-    """One search from `start` (dof,) to any of `goals` (n, dof) and the simplification of its path, (n, dof), and the CPU seconds of both; None when it took longer.
+    """One search from `start` (dof,) to any of `goals` (n, dof) and the simplification of its path, (n, dof), and the
+    CPU seconds of both; None if it took longer.
 
-    With `edges` one call checks a whole edge, to zarm's resolution; else OMPL checks states of it one by one, as it does for
-    those who give it nothing else. All other parameters are OMPL's own.
+    With `edges` one call checks a whole edge, to zarm's resolution; otherwise OMPL checks its states one by one, as it
+    does by default. All other parameters are OMPL's own.
     """
     space = base.RealVectorStateSpace(model.dof)
     bounds = base.RealVectorBounds(model.dof)
@@ -95,7 +96,7 @@ def _solved(
 
 
 class _Checks:
-    """The two rows that a check is given, and its working memory, made once."""
+    """The two rows given to a check, and its working memory, allocated once."""
 
     def __init__(self, model: RobotModel, world: World) -> None:
         self._model, self._world = model, world

@@ -36,7 +36,7 @@ def scene(model: RobotModel, objects: tuple[SceneObject, ...]) -> core.Scene:
 
 
 def plan(scene: core.Scene, model: RobotModel, start: Array, goal: Array, timeout: float, seed: int) -> Run | None:
-    """One search from `start` to `goal` (dof,) and the shortcutting of its path; None where it found none in time."""
+    """One search from `start` to `goal` (dof,) and the shortcutting of its path; None if it found none in time."""
     options = rrt.RRTOptions(
         group_name="arm",
         max_nodes=1_000_000,

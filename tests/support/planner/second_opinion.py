@@ -1,4 +1,6 @@
-"""A second opinion on planned motions: forward kinematics from the URDF and FCL's yes or no, nothing of the planner's."""
+"""A second opinion on planned motions: forward kinematics from the URDF and FCL's collision test, nothing of the
+planner's.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ def link_pose(robot: RobotDescription, link: str, q: ArrayLike) -> Array:
 def tip_error(
     robot: RobotDescription, q: ArrayLike, position: Sequence[float], orientation: Quaternion
 ) -> tuple[float, float]:
-    """How far the tip is from a pose: m and rad."""
+    """The error of the tip pose: m and rad."""
     tip = link_pose(robot, robot.descriptor.tip_link, q)
     turn = tip[:3, :3].T @ _rotation(orientation)
     angle = math.acos(min(1.0, max(-1.0, (float(np.trace(turn)) - 1) / 2)))
@@ -37,14 +39,14 @@ def tip_error(
 
 
 class _Posed:
-    """Where the links of a robot are."""
+    """The poses of a robot's links."""
 
     def __init__(self, robot: RobotDescription) -> None:
         self._robot = robot
         self._origins = {child: _origin(joint) for child, joint in robot.urdf.joint_of_child.items()}
 
     def _pose(self, link: str, position: dict[str, float], known: dict[str, Array]) -> Array:
-        """As `link_pose`, with what is known of other links."""
+        """As `link_pose`, using known poses of other links."""
         if link not in known:
             joint = self._robot.urdf.joint_of_child[link]
             parent = self._pose(joint.parent, position, known)
@@ -53,9 +55,9 @@ class _Posed:
 
 
 class Collisions(_Posed):
-    """Whether the robot's exact geometry touches an object or itself, as the descriptor and the scene demand.
+    """Whether the robot's exact geometry touches an object or itself, according to the descriptor and the scene.
 
-    What is on one rigid body is not looked at.
+    Pairs on the same rigid body are not checked.
     """
 
     def __init__(
@@ -94,7 +96,7 @@ class Collisions(_Posed):
         ]
 
     def at(self, q: ArrayLike) -> bool:
-        """Whether there is one at the configuration `q`."""
+        """Whether there is a collision at the configuration `q`."""
         poses = {self._robot.descriptor.base_link: np.eye(4)}
         position = dict(zip(self._robot.descriptor.joints, np.asarray(q), strict=True))
         for name, shapes in self._parts.items():
@@ -194,7 +196,7 @@ def _turn_z_to(axis: Array) -> Array:
 
 
 class Clearance(_Posed):
-    """How far the robot's exact geometry is from one object, which may be anywhere."""
+    """The distance of the robot's exact geometry to one object, which can be placed anywhere."""
 
     def __init__(self, robot: RobotDescription, item: SceneObject) -> None:
         super().__init__(robot)
@@ -210,7 +212,7 @@ class Clearance(_Posed):
         self._object = fcl.CollisionObject(geometry)
 
     def at(self, q: ArrayLike, position: ArrayLike) -> float:
-        """The distance (m) with the robot at `q` and the object at `position`; 0 or less where they touch."""
+        """The distance (m) with the robot at `q` and the object at `position`; 0 or less if they touch."""
         place = self._turned.copy()
         place[:3, 3] = position
         self._object.setTransform(_transform(place))

@@ -1,4 +1,4 @@
-"""The sphere model once more, in plain numpy and float64: what the compiled kernels are held against."""
+"""The sphere model again, in plain numpy and float64, as the reference for the compiled kernels."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def spheres(model: RobotModel, joints: Array) -> list[tuple[Array, Array]]:
 def gaps_to_objects(model: RobotModel, objects: Sequence[SceneObject], joints: Array) -> Array:
     """Smallest gap (n,) of any sphere to an object, for configurations (n, dof). Links on the base do not count.
 
-    Right as long as no sphere's centre is inside an object.
+    Correct as long as no sphere's centre is inside an object.
     """
     gaps = [np.full(len(joints), np.inf)]
     for joint, (centers, radii) in zip(model.link_joint, spheres(model, joints), strict=True):
@@ -88,7 +88,7 @@ def gaps_to_objects(model: RobotModel, objects: Sequence[SceneObject], joints: A
 
 
 def gaps_to_itself(model: RobotModel, joints: Array) -> Array:
-    """Smallest gap (n,) between spheres of links that can meet, for configurations (n, dof)."""
+    """Smallest gap (n,) between spheres of links that may collide, for configurations (n, dof)."""
     ignored = {frozenset(pair) for pair in model.robot.descriptor.self_collision_ignore}
     gaps = [np.full(len(joints), np.inf)]
     links = list(zip(model.links, model.link_joint, spheres(model, joints), strict=True))

@@ -1,1 +1,1 @@
-"""Programs that tests start as processes of their own, by path: they import nothing of support."""
+"""Programs that tests start by path as separate processes: they import nothing of support."""

@@ -2,8 +2,8 @@
 
     python aimed_signals.py COUNT
 
-Each comes within a tenth of a millisecond of where a wait begins or where its time is over. Ends with 1 as soon as one
-does not end the wait.
+Each comes within a tenth of a millisecond of the beginning of a wait or of its timeout. Exits with 1 as soon as a
+signal does not end the wait.
 """
 
 from __future__ import annotations

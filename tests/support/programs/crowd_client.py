@@ -1,7 +1,8 @@
 """Clients of a crowd on ROS, as nodes of one participant: `python crowd_client.py NODES`.
 
-It says `ready` when every node sees every service. After each empty line every node asks all of them; it writes one line of JSON
-`[service, success, message]` an answer, with an empty message where all is well, and an empty line at the end.
+It says `ready` when every node sees every service. After each empty line every node calls all of them; it writes one
+line of JSON `[service, success, message]` per answer, with an empty message if all is well, and an empty line at the
+end.
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ from sensor_msgs.msg import JointState
 from curobo_msgs.srv import Fk, GetRobotStrategies, TrajectoryGeneration
 
 PATIENCE = 60.0
-"""Seconds after which a request counts as not answered; no promise about speed."""
+"""Seconds after which a request counts as unanswered; not a claim about speed."""
 HOME = [0.0, 0.0, 1.5, 0.0, 1.5, 0.0]
-"""Joints of the M1013 that are free of collision."""
+"""Collision-free joints of the M1013."""
 REPLIES = QoSProfile(depth=1000)
-"""Every client of a service is sent the replies to all: of the default, 10, what comes on top between two looks is lost."""
+"""Every client of a service receives the replies to all clients: with the default depth of 10, replies are lost between
+two reads.
+"""
 
 
 def _requests() -> list[tuple[str, type[Any], Any]]:
@@ -49,7 +52,7 @@ def _told(name: str, response: Any) -> tuple[str, bool, str]:
 
 
 def _asked(executor: SingleThreadedExecutor, asked: list[tuple[str, Any, Any]]) -> list[Future]:
-    """Ask all of this at once, and wait for the answers."""
+    """Send all of this at once, and wait for the answers."""
     futures = [client.call_async(request) for _, client, request in asked]
     deadline = time.monotonic() + PATIENCE
     while not all(future.done() for future in futures) and time.monotonic() < deadline:

@@ -12,7 +12,7 @@ Ghost = zarm_executor.ghost.Ghost
 
 
 class FailingGhost(Ghost):
-    """Fails as a fault in it would."""
+    """Fails as with an internal fault."""
 
     def _begin(self, plan: Plan, now: float) -> None:
         super()._begin(plan, now)

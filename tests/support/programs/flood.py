@@ -1,4 +1,4 @@
-"""Connections that come to nothing, as many as a server takes: `python flood.py HOST PORT`, until it is killed."""
+"""Connections that lead to nothing, as many as a server accepts: `python flood.py HOST PORT`, until it is killed."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import threading
 import time
 
 AT_ONCE = 100
-"""More than a router of zarm's deals with in ten seconds."""
+"""More than a router of zarm's handles in ten seconds."""
 
 
 def knock(host: str, port: int) -> None:
-    """Connect, say what is no TLS, wait until the other end has enough of it; again and again."""
+    """Connect, send something that is not TLS, and wait until the other end closes; again and again."""
     while True:
         try:
             with socket.create_connection((host, port), 10.0) as connection:

@@ -26,7 +26,9 @@ _ONE_THREAD = (
 
 
 def serve(requests: socket.socket) -> bool:
-    """Fork for each request. Returns True in each fork, which has become what was asked for, and False when nobody asks any more."""
+    """Fork for each request. Returns True in each fork, which has become the requested process, and False when the
+    requests end.
+    """
     with requests, requests.makefile("rw") as lines:
         for line in lines:
             ready, tell = os.pipe()
@@ -65,9 +67,9 @@ def become(
         file = os.open(path, os.O_WRONLY | os.O_APPEND)
         os.dup2(file, standard)
         os.close(file)
-    sys.orig_argv = command  # with which a service starts itself anew
+    sys.orig_argv = command  # used when a service restarts itself
     sys.argv = command[2 if command[1] == "-m" else 1 :]
-    importlib.reload(signals)  # its pipe is one for each process
+    importlib.reload(signals)  # its pipe must not be shared between processes
 
 
 def main() -> int:
@@ -79,7 +81,7 @@ def main() -> int:
         import_module(warm_up).main()
     if len(list(Path("/proc/self/task").iterdir())) > 1:
         sys.exit(_ONE_THREAD.format(name))
-    gc.freeze()  # what is imported stays shared
+    gc.freeze()  # keep the imported objects shared
     return int(program.main()) if serve(socket.socket(fileno=int(requests))) else 0
 
 

@@ -1,7 +1,7 @@
-"""A client that asks for much at once: `greedy_client.py ENDPOINT KEY COUNT`, the request on stdin.
+"""A client with many simultaneous requests: `greedy_client.py ENDPOINT KEY COUNT`, the request on stdin.
 
-It sends the request so often at the same time, under the ids `greedy-0`, `greedy-1`, … where it is one to plan, and prints a
-line of JSON for each answer.
+It sends COUNT copies of the request at once, plan requests with the ids `greedy-0`, `greedy-1`, …, and prints a line of
+JSON for each answer.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def main() -> None:
                 line: dict[str, object] = {"code": error.code, "message": str(error)}
             else:
                 line = {"code": "ok", "optimize": answer.timings.optimize if isinstance(answer, Plan) else 0.0}
-            os.write(1, f"{json.dumps(line)}\n".encode())  # whole, though others write as well
+            os.write(1, f"{json.dumps(line)}\n".encode())  # in one piece, though others write as well
 
         threads = [threading.Thread(target=ask, args=(number,)) for number in range(count)]
         for thread in threads:

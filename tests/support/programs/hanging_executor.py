@@ -1,4 +1,4 @@
-"""The executor whose control loop comes to no end once the file $HANG is there: `python hanging_executor.py ...`."""
+"""The executor whose control loop hangs once the file $HANG exists: `python hanging_executor.py ...`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ tick = Machine.tick
 
 
 def hang(machine: Machine, now: float) -> Measured | None:
-    """As a loop without an end under the machine's lock."""
+    """Acts like an endless loop under the machine's lock."""
     with machine._lock:
         while Path(os.environ["HANG"]).exists():
             pass

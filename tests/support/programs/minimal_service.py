@@ -1,4 +1,4 @@
-"""The smallest service there is, to be run as a process of its own. `--fault` makes it fail as it starts."""
+"""The smallest possible service, run as a separate process. `--fault` makes it fail as it starts."""
 
 from __future__ import annotations
 

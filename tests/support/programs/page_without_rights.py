@@ -1,4 +1,4 @@
-"""A page with every button, in a process that is a viewer on the bus: what it may not do, only the router refuses."""
+"""A page with every button, in a process with the viewer role on the bus: only the router refuses forbidden actions."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""What the `ros2` command does, for machines that do not have it: a process of its own, rclpy, and the arguments as typed.
+"""A replacement for the `ros2` command on machines without it: a separate process, rclpy, and the arguments as typed.
 
     python ros2_command.py service call /unified_planner/get_robot_strategy std_srvs/srv/Trigger
 
-Prints the reply as YAML, and the end of an action goal as `ros2 action send_goal` words it. Exit code 1 where it fails.
+Prints the reply as YAML, and the end of an action goal in the words of `ros2 action send_goal`. Exit code 1 if it
+fails.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def plain(message: Any) -> Any:
 
 
 def fill(message: Any, values: Mapping[str, Any]) -> Any:
-    """Set the fields of a message that the YAML names; numbers become what the field is."""
+    """Set the fields of a message that the YAML names; numbers are converted to the field's type."""
     for name, value in values.items():
         field = getattr(message, name)
         if isinstance(value, dict):
@@ -121,7 +122,7 @@ def topic(node: Node, verb: str, name: str = "") -> None:
             return
     if verb == "info":
         while not (node.count_publishers(name) and node.count_subscribers(name)) and time.monotonic() < deadline:
-            rclpy.spin_once(node, timeout_sec=0.1)  # each is discovered by itself; `ros2` asks a daemon that knows all
+            rclpy.spin_once(node, timeout_sec=0.1)  # each is discovered separately; `ros2` asks a daemon that knows all
         say(f"Type: {known[name][0]}\nPublisher count: {node.count_publishers(name)}")
         say(f"Subscription count: {node.count_subscribers(name)}")
         return

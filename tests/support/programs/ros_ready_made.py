@@ -1,4 +1,4 @@
-"""What ROS itself costs: a server of plain rclpy that has nothing to do but answer a trajectory that it made before.
+"""The cost of ROS itself: a plain rclpy server that only returns a trajectory prepared before.
 
 python ros_ready_made.py SERVICE POINTS JOINT ...
 """

@@ -1,4 +1,4 @@
-"""The ROS bridge's process, in which the thread of the very first goal is slow: it begins when another goal moves the robot."""
+"""The ROS bridge's process, in which the thread of the first goal is slow: it begins when another goal moves the robot."""
 
 from __future__ import annotations
 

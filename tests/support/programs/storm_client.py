@@ -1,7 +1,7 @@
 """A client of a storm: `python storm_client.py ENDPOINT THREADS`.
 
-It says `ready`, reads its requests, one JSON `[number, key, payload]` a line up to an empty line, asks all of them at once, and
-writes one JSON `[number, kind, text]` an answer and an empty line at the end; again until its input ends.
+It says `ready`, reads its requests, one JSON `[number, key, payload]` a line up to an empty line, sends all of them at
+once, and writes one JSON `[number, kind, text]` per answer and an empty line at the end; again until its input ends.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import zenoh
 from zarm_runtime.session import open_client
 
 PATIENCE = 60.0
-"""Seconds after which a request counts as not answered; no promise about speed."""
+"""Seconds after which a request counts as unanswered; not a claim about speed."""
 
 
 def main(endpoint: str, threads: int) -> None:
-    os.nice(10)  # it is the service that is tested, not who gets the processor
+    os.nice(10)  # the service is tested, not the scheduling of clients
     with open_client(endpoint) as session, ThreadPoolExecutor(threads) as pool:
         sys.stdout.write("ready\n")
         sys.stdout.flush()

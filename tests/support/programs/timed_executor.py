@@ -1,10 +1,10 @@
-"""The executor with a stop-watch, for benchmarks: `python timed_executor.py --notes FILE [--ordinary] ...` and its own options.
+"""The executor with timing, for benchmarks: `python timed_executor.py --notes FILE [--ordinary] ...` and its own
+options.
 
-When it ends it writes FILE (npz): `ticks` (N, 3) with each tick's deadline, the time at which it began, and the CPU time
-that it took; `commands` (M, 2) with the sequence number of each driver command and the time before it was published; `states`
-(K,) with how long (s) each joint state was on its way from the driver's stamp until it was received. Times in s on the
-monotonic clock, which all processes of one machine share. `--ordinary` leaves the priority of the control loop
-as it is.
+At its end it writes FILE (npz): `ticks` (N, 3) with each tick's deadline, the time at which it began, and its CPU time;
+`commands` (M, 2) with the sequence number of each driver command and the time before it was published; `states` (K,)
+with the delay (s) of each joint state from the driver's stamp until it was received. Times in s on the monotonic clock,
+which all processes of one machine share. `--ordinary` leaves the priority of the control loop unchanged.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ states = array("d")
 
 
 class TimedControl(zarm_executor.service.Control):
-    """Notes when each tick begins, and what it takes."""
+    """Records when each tick begins, and its cost."""
 
     def tick(self, now: float) -> None:
         began, used = time.monotonic(), time.thread_time()
@@ -39,7 +39,7 @@ class TimedControl(zarm_executor.service.Control):
 
 
 def timed(put):  # type: ignore[no-untyped-def]
-    """Notes when each command leaves."""
+    """Records when each command is sent."""
 
     def noted(link: DriverLink, command: DriverCommand) -> int:
         commands.extend((command.sequence, time.monotonic()))
@@ -49,7 +49,7 @@ def timed(put):  # type: ignore[no-untyped-def]
 
 
 def noted(measured):  # type: ignore[no-untyped-def]
-    """Notes how old each joint state was when it was received."""
+    """Records the age of each joint state on arrival."""
 
     def note(link: DriverLink) -> Measured | None:
         before, state = link._measured, measured(link)

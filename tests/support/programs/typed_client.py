@@ -1,7 +1,7 @@
-"""A client on ROS that has no classes but those of the packages on its path: it does what it is told on standard input.
+"""A ROS client with only the message classes of the packages on its path: it executes requests from standard input.
 
-Each line is JSON: `{"service": NAME, "type": "curobo_msgs/srv/Fk", "request": {...}}`, the same with `action` and `goal`, or
-`parameter` alone; each answer is a line of JSON, with the fields of a message as they are called.
+Each line is JSON: `{"service": NAME, "type": "curobo_msgs/srv/Fk", "request": {...}}`, the same with `action` and
+`goal`, or `parameter` alone; each answer is a line of JSON, with the field names of the message.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def kind_of(name: str) -> Any:
 
 
 def filled(message: Any, fields: dict[str, Any]) -> Any:
-    """The message with these fields, which may have fields of their own."""
+    """The message with these fields, which may be nested."""
     types = message.get_fields_and_field_types()
     for name, value in fields.items():
         present, kind = getattr(message, name), types[name].removeprefix("sequence<").removesuffix(">")
@@ -43,7 +43,7 @@ def filled(message: Any, fields: dict[str, Any]) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A message as JSON has it."""
+    """A message in JSON form."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     return [plain(one) for one in value] if isinstance(value, list | array) else value

@@ -1,4 +1,4 @@
-"""Writes which kernels a planner still compiles after its warm-up: run in a process of its own."""
+"""Prints which kernels a planner still compiles after its warm-up: run in a separate process."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def compiled() -> dict[str, int]:
 
 
 def every_kind_of_plan(model: RobotModel) -> None:
-    """To joints, to a pose, through waypoints, and with axes held; around an obstacle where there is one."""
+    """To joints, to a pose, through waypoints, and with axes held; around an obstacle if there is one."""
     home = np.array(model.robot.descriptor.home)
     away = home + 0.8 * (np.arange(model.dof) == 0)
     pose = pose_of(model.fk_tip(away))

@@ -1,4 +1,6 @@
-"""A client that knows no faults, as those that were written for curobo_ros: it takes a robot through the poses of a calibration."""
+"""A client that knows no faults, like those written for curobo_ros: it moves a robot through the poses of a
+calibration.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ POSES = 17
 
 
 def calibrate(folder: Path, strategy: str, *, busy: int, seed: int = 17) -> str:
-    """Why not every pose was reached, beside so many processes that never rest; empty where all were."""
+    """Why not every pose was reached, with `busy` processes that never rest beside it; empty if all were."""
     chance = random.Random(seed)
     with stack(folder, executor=("--strategy", strategy), leeloo_sim=("--ros",)) as running:
         bridge, actions = running.processes["ros_bridge"], Actions(running.ros.node, "send_trajectory")

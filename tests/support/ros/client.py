@@ -1,4 +1,4 @@
-"""What a client on ROS does that knows nothing of zarm: plain rclpy."""
+"""A ROS client that knows nothing of zarm: plain rclpy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RosClient:
         return answer(client.call_async(kind.Request(**request)), f"{name} answers")
 
     def configure(self, **parameters: bool | float) -> None:
-        """Set parameters, which are granted."""
+        """Set parameters, which must be accepted."""
         client = AsyncParameterClient(self.node, "/unified_planner")
         assert client.wait_for_services(PATIENCE)
         changes = [Parameter(name, value=value) for name, value in parameters.items()]
@@ -43,7 +43,7 @@ class RosClient:
     def heard(self, kind: type[Any], topic: str, qos: QoSProfile | int = 10) -> list[Any]:
         """A list to which every message on `topic` is added from now on; the publisher is known when this returns.
 
-        The publisher may not know of the list yet, as DDS finds each direction by itself: see `told`.
+        The publisher may not know of the subscription yet, as DDS discovers each direction separately: see `told`.
         """
         messages: list[Any] = []
         subscription = self.node.create_subscription(kind, topic, messages.append, qos)
@@ -57,9 +57,9 @@ def one(messages: Sequence[Any], what: str) -> Any:
 
 
 def told(messages: Sequence[Any], tell: Callable[[], object], what: str) -> Any:
-    """The first message that comes of what `tell()` has somebody publish; that is done each second until it comes.
+    """The first message that arrives after `tell()` makes someone publish; `tell()` is repeated each second until then.
 
-    What is published before the publisher knows of the subscriber is lost.
+    Messages published before the publisher knows of the subscriber are lost.
     """
 
     def again() -> Any:
@@ -73,7 +73,7 @@ def told(messages: Sequence[Any], tell: Callable[[], object], what: str) -> Any:
 
 
 def robot_type(node: Node, value: str | None = None) -> str:
-    """The parameter robot_type, set to `value` before where that is given."""
+    """The parameter robot_type, first set to `value` if given."""
     client = AsyncParameterClient(node, "/unified_planner")
     assert client.wait_for_services(PATIENCE)
     if value is not None:

@@ -1,6 +1,6 @@
 """Many clients on ROS: processes of one participant with several nodes each, which ask the bridge everything at once.
 
-DDS that is kept to one machine looks for 32 participants there, so that 50 clients cannot have one each.
+DDS limited to one machine looks for 32 participants there, so 50 clients cannot have one each.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from support.paths import PROGRAMS
 
 
 class Answer(NamedTuple):
-    """What a client was told; `message` is empty where all is well."""
+    """The answer to a client; `message` is empty if all is well."""
 
     service: str
     success: bool
@@ -27,5 +27,5 @@ class Crowd(ClientProcesses):
         super().__init__(PROGRAMS / "crowd_client.py", str(nodes), count=processes)
 
     def ask(self) -> list[Answer]:
-        """Let every client ask everything at once; every answer."""
+        """Let every client ask everything at once; returns every answer."""
         return [Answer(*json.loads(line)) for line in self.ask_at_once()]

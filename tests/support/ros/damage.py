@@ -1,4 +1,4 @@
-"""Messages of ROS with something wrong in them, the same for the same seed."""
+"""ROS messages with faults, the same for the same seed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ _RANGES = {
 
 
 def damaged(message: Any, chance: random.Random, share: float) -> Any:
-    """A copy in which each value has, with this chance, become another that its type can hold; lists have become longer or shorter."""
+    """A copy in which each value has been changed with this probability, to another one valid for its type; lists
+    change their length.
+    """
     changed = copy.deepcopy(message)
     for name, kind in message.get_fields_and_field_types().items():
         setattr(changed, name, _value(getattr(message, name), kind, chance, share))

@@ -1,4 +1,4 @@
-"""The bridge with each generation of curobo_msgs, and clients that have the same."""
+"""The bridge with each generation of curobo_msgs, and clients with the same."""
 
 from __future__ import annotations
 
@@ -21,11 +21,13 @@ from zarm_runtime.bus import Bus
 
 BUILD = ROOT / "services" / "ros_bridge" / "build_messages.py"
 OTHERS = ROOT / "tests" / "ros" / "data"
-"""Packages of ROS that PyPI does not have, as far as they are needed."""
+"""ROS packages that PyPI lacks, with only what is needed."""
 
 
 def built(generation: str, folder: Path) -> dict[str, str]:
-    """Build the messages into `folder`, with what other packages they need; the environment that has them before all others."""
+    """Build the messages into `folder`, with the other packages they need; returns an environment that finds these
+    first.
+    """
     subprocess.run(
         [sys.executable, BUILD, generation, "--into", folder, "--with", *sorted(OTHERS.iterdir())],
         check=True,

@@ -26,7 +26,7 @@ HOME = load_robot("doosan_m1013").descriptor.home
 
 
 class Sent:
-    """A goal and all that its client is told of it."""
+    """A goal and everything its client receives about it."""
 
     def __init__(self, node: Node, client: ActionClient, goal: Any) -> None:
         self.feedback: list[Any] = []
@@ -51,12 +51,12 @@ class Sent:
         assert moving(), ended.result().result.message
 
     def ended(self) -> tuple[int, Any]:
-        """The status at the end, and the result."""
+        """The final status, and the result."""
         response = answer(self._ask_for_result(), "the goal ends")
         return response.status, response.result
 
     def asked_again(self) -> tuple[int, Any]:
-        """The same from who serves the action now, where another did before."""
+        """The same from the action's present server, if it was replaced."""
         self._result = None
         return self.ended()
 
@@ -67,7 +67,7 @@ class Sent:
         return self._result
 
     def cancel(self) -> None:
-        """Ask for its end, which is granted."""
+        """Cancel it, which must be accepted."""
         response = answer(on_its_thread(self._node, self.handle.cancel_goal_async), "the cancel is answered")
         assert len(response.goals_canceling) == 1
 
@@ -78,7 +78,7 @@ class Actions:
     def __init__(self, node: Node, name: str = "execute_trajectory", kind: Any = SendTrajectory) -> None:
         self._node = node
         self._kind = kind
-        many = QoSProfile(depth=1000)  # of the default, 10, what comes on top is lost
+        many = QoSProfile(depth=1000)  # with the default depth of 10, further replies are lost
         self._client = ActionClient(
             node,
             kind,
@@ -95,7 +95,7 @@ class Actions:
 
 
 class Robot:
-    """What a client on the bus knows of the robot."""
+    """The robot as a client on the bus sees it."""
 
     def __init__(self, bus: Bus, keys: Keys) -> None:
         self.bus = bus
@@ -103,15 +103,15 @@ class Robot:
         self._measured = bus.latest(keys.joint_states, JointState)
 
     def joints(self) -> tuple[float, ...]:
-        """Where it is (rad)."""
+        """Its position (rad)."""
         return eventually(lambda: self._measured.get(max_age=0.5), "the joints are measured").position
 
     def state(self) -> ExecutorState:
-        """What its executor does."""
+        """The state of its executor."""
         return self.bus.call(self.keys.executor_state, Nothing(), ExecutorState, timeout=10)
 
     def rests(self) -> bool:
-        """Whether it has no goal and its joints stand, as they are measured from now on."""
+        """Whether it has no goal and its joints, measured from now on, stand."""
         now = time.time()
 
         def measured() -> JointState | None:

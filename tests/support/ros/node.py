@@ -18,7 +18,7 @@ from support.harness import PATIENCE
 
 @contextmanager
 def running_node(name: str) -> Iterator[Node]:
-    """A node of a participant of its own, whose callbacks run on a thread of their own, one by one, until the end."""
+    """A node of a separate participant, whose callbacks run one by one on their own thread, until the end."""
     with ExitStack() as stack:
         context = Context()
         rclpy.init(args=[], context=context)
@@ -37,17 +37,19 @@ def running_node(name: str) -> Iterator[Node]:
 
 
 def on_its_thread(node: Node, ask: Callable[[], Future]) -> Future:
-    """What `ask` returns, called where the node's callbacks run: an ActionClient knows what it waits for only after it asked."""
+    """The result of `ask`, called on the callback thread: an ActionClient knows what it waits for only after it has
+    asked.
+    """
     return answer(node.executor.create_task(ask), "the node's thread has asked")
 
 
 def destroyed(node: Node, destroy: Callable[[Any], object], part: Any) -> None:
-    """Destroy a subscription or the like of a node where its callbacks run: rclpy fails a wait that it is destroyed beside."""
+    """Destroy a subscription or the like on the callback thread: rclpy fails a wait if it is destroyed concurrently."""
     answer(node.executor.create_task(destroy, part), "it is destroyed")
 
 
 def answer(future: Future, what: str) -> Any:
-    """What the future comes to; fails the test when it does not in time."""
+    """The future's result; fails the test if there is none in time."""
     done = threading.Event()
     future.add_done_callback(lambda _: done.set())
     assert done.wait(PATIENCE), f"waited {PATIENCE:g} s in vain until {what}"

@@ -1,4 +1,4 @@
-"""The whole of zarm behind a bridge, a client on ROS and one on the bus."""
+"""All of zarm behind a bridge, with a client on ROS and one on the bus."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Stack:
 def stack(
     folder: Path, *, robot: str = "doosan_m1013", bridge: Path | None = None, **services: tuple[str, ...]
 ) -> Iterator[Stack]:
-    """Router, planner, executor and bridge of a robot named `arm`, all ready; they must outlive what is done with them.
+    """Router, planner, executor and bridge of a robot named `arm`, all ready; they must survive what is done with them.
 
-    `services` names the arguments of a service, and adds one that is not among these three; `bridge` is a script that is run in
-    place of the bridge's own.
+    `services` gives the arguments of a service, and adds one that is not among these three; `bridge` is a script run
+    instead of the bridge.
     """
     arguments: dict[str, tuple[str, ...]] = {"planner": (), "executor": (), "ros_bridge": (), **services}
     with ExitStack() as started:

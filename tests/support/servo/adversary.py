@@ -1,7 +1,8 @@
-"""Attacks on a guarded robot, in one process: an object that comes at the arm, on the classes of the servo and of the executor.
+"""Attacks on a guarded robot, in one process: an object approaches the arm, using the classes of the servo and of the
+executor.
 
-The servo's guard or session, the executor's state machine and its follower are those of the product; the clock is turned here, messages
-take some milliseconds, and the arm follows exactly. Whether there is contact is seen by python-fcl on the shapes of the descriptor.
+The servo's guard or session, the executor's state machine and its follower are the real ones; the clock is simulated,
+messages take some milliseconds, and the arm follows exactly. python-fcl detects contact on the descriptor's shapes.
 """
 
 from __future__ import annotations
@@ -55,28 +56,31 @@ Array = np.ndarray[Any, Any]
 Mode = Literal["goal", "session"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 Outcome = Literal["contact", "hit", "free"]
-"""`contact`: while the robot moved towards the object. `hit`: the object came upon a robot that did not. `free`: neither."""
+"""`contact`: while the robot moved towards the object. `hit`: the object hit a robot that did not move towards it.
+`free`: neither.
+"""
 
 STEP = 0.002
-"""The clock is turned by so much (s)."""
+"""Time step (s) of the clock."""
 _TICK, _CYCLE, _LOOK = 5, 2, 8
 _JOINTS = ROBOT.descriptor.joints
 _LINKS = tuple(f"link_{k}" for k in range(2, 7))
 _TOWARDS = 2e-5
-"""A step of 10 ms that brings robot and object nearer by less (m), where the object stood, is none towards it: 2 mm/s."""
+"""A step of 10 ms that reduces the distance to the stationary object by less than this (m) is not towards it: 2 mm/s.
+"""
 _FASTEST = 6.0
-"""Nothing here is faster (m/s): what is far away is looked at again when it may have come near."""
+"""Nothing here is faster (m/s): distant objects are checked again only when they may have come close."""
 _RESTS = 0.5
-"""A run ends where the robot has stood for so long (s)."""
+"""A run ends when the robot has stood for this long (s)."""
 _MOVES = 0.002
-"""A robot whose joints are slower (rad/s) stands."""
+"""A robot whose joints are slower than this (rad/s) stands."""
 _UNIX = 1.75e9
 MODEL, MESHES = RobotModel.of(ROBOT), Meshes()
 
 
 @dataclass(frozen=True)
 class Attack:
-    """How an attack ended, and how near the robot was to the object at least (m)."""
+    """The result of an attack, and the smallest distance (m) of the robot to the object."""
 
     outcome: Outcome
     clearance: float
@@ -87,7 +91,7 @@ class Attack:
 
 
 class Cell:
-    """What attacks share: kernels and bodies that are loaded once."""
+    """Shared by all attacks: kernels and bodies that are loaded once."""
 
     def __init__(self) -> None:
         self.checker, self.check = Checker(MODEL, MESHES), SceneCheck(MODEL, MESHES)
@@ -153,7 +157,7 @@ class _Run:
     # -- the robot --
 
     def _ends(self) -> tuple[Array, Array]:
-        """Where the robot starts, and where it is to go: far enough, and apart from the floor of its own limits."""
+        """Start and end of the robot's motion: far enough apart, and away from the joint limits."""
         home = np.array(ROBOT.descriptor.home)
         start = home + self._rng.uniform(-0.5, 0.5, 6)
         goal = start.copy()
@@ -199,7 +203,7 @@ class _Run:
     # -- the object --
 
     def _object(self, start: Array) -> None:
-        """An object that is told to have a velocity, and may have any other within its stated speed of that."""
+        """An object with a reported velocity, whose true one may be anything within the stated speed of that."""
         rng = self._rng
         self._speed = float(rng.uniform(0.05, 1.0)) ** 2
         self._told = self._direction() * rng.uniform(0.0, 0.4) if rng.random() < 0.4 else np.zeros(3)
@@ -214,7 +218,7 @@ class _Run:
             item = Cuboid(kind="cuboid", name="box", position=(0.0, 0.0, 5.0), size=(x, y, z))
         self._item, self._clearance = item, Clearance(ROBOT, item)
         least = rng.uniform(0.05, 0.6)
-        while True:  # around the arm, often in front of where it goes
+        while True:  # around the arm, often in front of its path
             at = self._tip(start + rng.uniform(0.0, 1.0) * (self._goal - start)) + rng.normal(0.0, 0.4, 3)
             if self._clearance.at(start, at) > least:
                 break
@@ -229,7 +233,7 @@ class _Run:
         return np.asarray(link_pose(ROBOT, ROBOT.descriptor.tip_link, q)[:3, 3])
 
     def _turn_object(self) -> None:
-        """At the arm, as fast as stated most of the time: at where a link is, or will be soon."""
+        """Steer it towards the arm, mostly at the stated speed: at where a link is, or will be soon."""
         rng = self._rng
         if rng.random() < 0.02:
             self._aim, self._share = str(rng.choice(_LINKS)), float(rng.choice((1.0, 1.0, 1.0, 0.0, -1.0)))
@@ -259,12 +263,12 @@ class _Run:
     # -- time --
 
     def _post(self, deliver: Callable[[], None], delay: float | None = None) -> None:
-        """A message arrives some milliseconds later."""
+        """Deliver a message some milliseconds later."""
         late = float(self._rng.uniform(0.001, 0.006)) if delay is None else delay
         heapq.heappush(self._mail, (self._time.now + late, next(self._count), deliver))
 
     def result(self) -> Attack:
-        """Let it happen."""
+        """Run the attack."""
         bench, clock, arm = self._bench, self._time, self._bench.arm
         before, place = arm.exact.position, self._at
         nearest, held, moved, told, skipped, rested = np.inf, False, False, None, 0, 0

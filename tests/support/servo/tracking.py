@@ -1,4 +1,6 @@
-"""A session without a bus: the controller and the local goal of the servo, with a planner in the same process that answers at once."""
+"""A session without a bus: the controller and the local goal of the servo, with a planner in the same process that
+answers at once.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ T = TypeVar("T")
 
 
 class AtOnce(Executor):
-    """Runs what it is given before it returns."""
+    """Runs its task before it returns."""
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         done: Future[T] = Future()
@@ -40,7 +42,7 @@ class AtOnce(Executor):
 
 
 def planner_in(model: RobotModel, name: str, folder: Path, objects: Sequence[SceneObject]) -> Handlers:
-    """A planner with these objects in its scene; its state lies in `folder`."""
+    """A planner with these objects in its scene; its state is in `folder`."""
     store = SceneStore(folder)
     planner = Handlers(model, name, store, lambda: np.array(model.robot.descriptor.home))
     store.edit(SceneEdit(edit=LoadScene(op="load", objects=tuple(objects))))
@@ -48,7 +50,7 @@ def planner_in(model: RobotModel, name: str, folder: Path, objects: Sequence[Sce
 
 
 class Tracker:
-    """A robot that is led from rest at `start` (J,), `margin` (m) away from `objects`, with plans of `planner`."""
+    """A robot led from rest at `start` (J,), `margin` (m) away from `objects`, with plans of `planner`."""
 
     def __init__(
         self, model: RobotModel, objects: Sequence[SceneObject], planner: Handlers, start: Array, margin: float
@@ -64,7 +66,7 @@ class Tracker:
         self.controller = Controller(model, self._motions, soft(Limits.of(model.robot)), start, margin=margin)
 
     def step(self, target: PoseTarget | JointTarget) -> Step:
-        """One PERIOD later."""
+        """Advance by one PERIOD."""
         return self.controller.step(self.local_goal.target(target, self.controller.state[0], None), 0.0)
 
     def _free(self, start: Array, end: Array) -> bool:

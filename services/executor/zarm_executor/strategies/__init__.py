@@ -20,7 +20,7 @@ from zarm_trajectory.rate_bounds import RateLimits
 
 
 def build_strategies(robot: RobotDescription, folder: Path, bus: Bus, keys: Keys) -> StrategyRegistry:
-    """Every strategy there is for this robot; none is open. What they keep on disk is in `folder`, drivers are on `bus`."""
+    """All strategies for this robot; none is open. Their files are in `folder`, and drivers are on `bus`."""
     descriptor = robot.descriptor
     emulated = EmulatedRobot(descriptor, StateFile(folder / "emulated_robot.json", JointState))
     registry = StrategyRegistry()

@@ -15,7 +15,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 class Measured:
     """Joint positions (J,) rad and velocities (J,) rad/s, measured at `time` on the monotonic clock.
 
-    `stamp` is the time of day (Unix s) that the robot's driver gave, by its own clock; None if no driver told them.
+    `stamp` is the time of day (Unix s) by the driver's own clock; None if the joints did not come from a driver.
     """
 
     position: Array
@@ -26,7 +26,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a motion is: path time `time` (s), path speed `speed` in [0, 1], commanded positions `command` (J,)."""
+    """Progress of a motion: path time `time` (s), path speed `speed` in [0, 1], commanded positions `command` (J,)."""
 
     time: float
     speed: float
@@ -42,8 +42,8 @@ class Progress:
 class Strategy(ABC):
     """One way to move one robot along a trajectory.
 
-    The state machine owns it: it calls one method at a time, so a strategy needs no lock against itself, and each must
-    return within a fraction of a tick. Motions never overlap: after `start` comes no other until the first is at rest.
+    The state machine owns it and calls one method at a time, so a strategy needs no lock; each call must return within
+    a fraction of a tick. Motions never overlap: after `start`, no other comes until the first is at rest.
     """
 
     name: ClassVar[str]
@@ -54,11 +54,11 @@ class Strategy(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Take control of the robot. Raises a ZarmError if that fails; then nothing is held."""
+        """Take control of the robot. Raises a ZarmError if that fails; nothing is held then."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release the robot, which is at rest. May be opened again."""
+        """Release the robot, which is at rest. It may be opened again."""
 
     @abstractmethod
     def admit(self) -> None:
@@ -66,9 +66,9 @@ class Strategy(ABC):
 
     @abstractmethod
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
-        """Start to move along `trajectory`, which starts where the robot is, at this path speed in (0, 1].
+        """Start to move along `trajectory` from the robot's position, at this path speed in (0, 1].
 
-        Its first sample may be later than 0 s: path time goes on if a goal gets another trajectory at rest.
+        Its first sample may be later than 0 s: path time continues if a goal gets another trajectory at rest.
         """
 
     @abstractmethod
@@ -77,17 +77,17 @@ class Strategy(ABC):
 
     @abstractmethod
     def move(self, speed: float) -> None:
-        """Go on along the same path at this path speed in (0, 1]: after `stop`, or in motion to become slower or faster.
+        """Continue along the same path at this path speed in (0, 1]: after `stop`, or in motion to change the speed.
 
-        The path speed rises or falls to it inside the limits of acceleration and jerk.
+        The path speed changes to it inside the limits of acceleration and jerk.
         """
 
     @abstractmethod
     def tick(self, now: float, dt: float) -> None:
         """One period of the control loop: `now` on the monotonic clock, `dt` s since the last one.
 
-        If the joint states are older than `joint_state_timeout` the robot is brought to rest. When they return, the
-        motion goes on from where it is, unless it was told to stop.
+        If the joint states are older than `joint_state_timeout`, the robot is brought to rest. When they return, the
+        motion continues from there, unless it was told to stop.
         """
 
     @abstractmethod
@@ -100,7 +100,7 @@ class Strategy(ABC):
 
     @abstractmethod
     def progress(self) -> Progress:
-        """How far the motion begun by the last `start` is."""
+        """Progress of the motion begun by the last `start`."""
 
 
 class Steerable(Strategy):
@@ -108,7 +108,7 @@ class Steerable(Strategy):
 
     @abstractmethod
     def commanded(self) -> float:
-        """The path time (s) that is commanded now."""
+        """The path time (s) that is being commanded."""
 
     @abstractmethod
     def steer(self, trajectory: TimedTrajectory) -> None:

@@ -7,11 +7,13 @@ from zarm_executor.strategies.base import Measured, Strategy
 from zarm_executor.strategies.driver_link import DriverLink
 
 HOLD_PERIOD = 0.1
-"""A robot that was stopped is told so again this often (s) until it stands."""
+"""A stopped robot is told to stop again at this interval (s) until it stands."""
 
 
 class DriverStrategy(Strategy):
-    """Reads the robot through a link. It opens only where the driver tells the robot's joints, and stops it first."""
+    """Reads the robot through a link. It opens only if the driver reports the robot's joints, and stops the robot
+    first.
+    """
 
     def __init__(self, link: DriverLink) -> None:
         self.link = link
@@ -20,16 +22,17 @@ class DriverStrategy(Strategy):
         self._seen: Measured | None = None
 
     def look(self) -> None:
-        """At the begin of each tick: see where the robot is.
+        """At the start of each tick: read the robot's state.
 
-        Joints that come during a tick are for the next one: what is commanded and what is measured must be of one moment.
+        Joints that arrive during a tick are for the next one, so that command and measurement belong to the same
+        moment.
         """
         self._seen = self.link.measured()
 
     def hold(self, now: float) -> None:
-        """After braking, at each tick: empty the driver, and again while the robot moves.
+        """At each tick after braking: empty the driver, and again while the robot moves.
 
-        It may not have heard of the stop, as while a link was cut, or still have points that it has not come to.
+        The driver may have missed the stop, as when a link was cut, or may still have points to play.
         """
         if self.link.standing() and self._emptied:
             return
@@ -39,15 +42,15 @@ class DriverStrategy(Strategy):
             self.link.stop()
 
     def sent(self, now: float) -> None:
-        """Something to play was sent: the driver is not empty."""
+        """Something to play was sent, so the driver is not empty."""
         self._held_at, self._emptied = now, False
 
     def obstacle(self) -> str | None:
-        """No driver, or one that is silent."""
+        """No driver, or a silent one."""
         return self.link.obstacle()
 
     def open(self) -> None:
-        """Have the driver drop whatever somebody else left it to play."""
+        """Make the driver drop whatever others left it to play."""
         reason = self.obstacle()
         if reason is not None:
             raise Unavailable(reason)
@@ -55,12 +58,12 @@ class DriverStrategy(Strategy):
         self.link.stop()
 
     def close(self) -> None:
-        """The robot rests; its driver is left with nothing to play, and goes on telling where the robot is."""
+        """The robot is at rest; its driver has nothing left to play, and keeps reporting the joints."""
         self.link.stop()
 
     def admit(self) -> None:
-        """Whether the joints are fresh is checked before every motion, whatever the strategy."""
+        """Nothing to check: fresh joints are checked before every motion, whatever the strategy."""
 
     def joint_state(self) -> Measured | None:
-        """What the driver had told at the last tick."""
+        """The driver's report as of the last tick."""
         return self._seen

@@ -22,17 +22,18 @@ log = logging.getLogger(__name__)
 
 _STILL = 5e-4
 _STANDING = 0.1
-"""A robot stands that has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
+"""A robot stands if it has not moved by more than the first (rad) for the second (s): 0.005 rad/s."""
 _PASSING_ON = 5e-5
-"""Time (s) that one point may take to be written, sent over 100 Mbit/s and read, so that a long trajectory is not late by itself."""
+"""Time (s) to write one point, send it over 100 Mbit/s and read it, so that a long trajectory does not count as late.
+"""
 _CLOCK_PATIENCE = 1.0
-"""How long (s) after a silence joints are held to be old ones by their stamps; what was held up comes within milliseconds."""
+"""How long (s) after a silence the stamps may mark joints as old; delayed messages arrive within milliseconds."""
 
 
 class DriverLink:
-    """Speaks to the driver that `params` describes. `joints` are the executor's; the driver has its own order of them.
+    """Speaks to the driver that `params` describes. `joints` are in the executor's order; the driver has its own.
 
-    `bus` should carry little else: what a slow reader of other keys holds up must not hold up the robot.
+    `bus` should carry little else: a slow reader of other keys must not hold up the robot.
     """
 
     def __init__(self, bus: Bus, keys: Keys, descriptor: RobotDescriptor, params: StrategyParams) -> None:
@@ -58,10 +59,10 @@ class DriverLink:
     # -- to the driver --
 
     def send(self, points: TimedTrajectory, *, positions_only: bool = False) -> int:
-        """Have these points played from now on; returns the command's sequence number.
+        """Make the driver play these points from now on; returns the command's sequence number.
 
-        The driver drops them where they come later than the joints that they are based on are fresh. Raises Unavailable
-        where it has told none.
+        The driver drops them if they arrive after the joints on which they are based have expired. Raises Unavailable
+        if it has reported none.
         """
         measured = self.measured()
         if measured is None:
@@ -84,7 +85,7 @@ class DriverLink:
         )
 
     def stop(self) -> int:
-        """Have the driver stop now, by its own means; returns the command's sequence number."""
+        """Make the driver stop now, by its own means; returns the command's sequence number."""
         return self._put(DriverCommand(sequence=self._sequence + 1, joint_names=self._names))
 
     def _put(self, command: DriverCommand) -> int:
@@ -95,10 +96,10 @@ class DriverLink:
     # -- from the driver --
 
     def measured(self) -> Measured | None:
-        """The newest joints that could be read, in the executor's order; None before the first.
+        """The newest readable joints, in the executor's order; None before the first.
 
-        What has the stamp of the message before it was told again, not measured again: a driver that repeats itself is as
-        silent as one that says nothing. Stamps are compared with one another alone, never with a clock.
+        A message with the stamp of the previous one is a repetition, not a measurement: a driver that repeats itself
+        counts as silent. Stamps are compared only with each other, never with a clock.
         """
         received = self._states.received()
         if received is None or (self._measured is not None and received[1] == self._measured.time):
@@ -114,10 +115,10 @@ class DriverLink:
         return self._measured
 
     def _held_up(self, stamp: float, at: float) -> bool:
-        """Whether joints received `at` were told long before: after a silence comes first what was on its way meanwhile.
+        """Whether joints received `at` are old: after a silence, messages that were held up arrive first.
 
-        By it a robot that has come to rest would seem to move. Since the joints before, the driver's clock must have gone on
-        as far as this one; if it still has not after `_CLOCK_PATIENCE`, that clock was stepped.
+        They would make a robot at rest seem to move. Since the previous joints, the driver's clock must have advanced
+        as far as this one; if it has not even after `_CLOCK_PATIENCE`, that clock was stepped.
         """
         before, patience = self._measured, self.execution.joint_state_timeout
         if before is None or before.stamp is None:
@@ -131,17 +132,17 @@ class DriverLink:
         return at - self._held_up_since <= _CLOCK_PATIENCE
 
     def heard(self, now: float) -> bool:
-        """Whether the driver is heard: its newest joints are fresh `now`, on the monotonic clock.
+        """Whether the driver is heard: its newest joints are fresh at `now`, on the monotonic clock.
 
-        While it is not it gets nothing but stops: what is sent may be held up for as long, and played then.
+        Otherwise it is sent only stops: anything else might be held up as long, and played then.
         """
         measured = self.measured()
         return measured is not None and now - measured.time <= self.execution.joint_state_timeout
 
     def velocity(self) -> Array:
-        """The measured velocities (J,), whatever the driver tells never outside those that it is sent.
+        """The measured velocities (J,), clamped to those that may be sent to the driver.
 
-        Zero where they are old: what was moving before a silence must not be made to move again after it.
+        Zero if they are old: a motion from before a silence must not start again after it.
         """
         measured = self.measured()
         old = measured is None or time.monotonic() - measured.time > self.execution.joint_state_timeout
@@ -149,14 +150,14 @@ class DriverLink:
         return np.clip(told, -self.velocity_clamp, self.velocity_clamp)
 
     def standing(self) -> bool:
-        """Whether the robot stands, by its velocities and, as some drivers tell none, by its positions."""
+        """Whether the robot stands, judged by its velocities and, because some drivers report none, by its positions."""
         measured = self.measured()
         if measured is None or self._stood is None or measured.time - self._stood.time < _STANDING:
             return False
         return bool(np.all(np.abs(measured.velocity) <= self.execution.stopped_velocity))
 
     def fraction(self, sequence: int) -> float | None:
-        """How much of the command `sequence` is played; None if the driver has said nothing about it."""
+        """The played fraction of the command `sequence`; None if the driver has not reported on it."""
         received = self._progress.received()
         return received[0].fraction if received is not None and received[0].sequence == sequence else None
 
@@ -174,7 +175,7 @@ class DriverLink:
         return None
 
     def _order(self, names: tuple[str, ...]) -> list[int] | None:
-        """Where each of the executor's joints stands among these names; None if one is missing."""
+        """The index of each of the executor's joints in these names; None if one is missing."""
         if names not in self._orders:
             missing = [joint for joint in self.joints if joint not in names]
             if missing:
@@ -184,7 +185,7 @@ class DriverLink:
                     ",".join(missing),
                     ",".join(names),
                 )
-            if len(self._orders) >= 8:  # whoever sends ever new names does not fill the memory
+            if len(self._orders) >= 8:  # a sender of ever new names must not fill the memory
                 self._orders.clear()
             self._orders[names] = None if missing else [names.index(joint) for joint in self.joints]
         return self._orders[names]

@@ -22,12 +22,13 @@ from zarm_trajectory.trajectory import TimedTrajectory
 log = logging.getLogger(__name__)
 
 SAVE_PERIOD = 0.05
-"""Period, s, at which the position of a moving emulated robot is saved: after a crash it is where it was at most this
-long before, 0.06 rad away on a joint at 1.2 rad/s."""
+"""Period (s) at which the position of a moving emulated robot is saved: the position after a crash is at most this old,
+which is 0.06 rad on a joint at 1.2 rad/s.
+"""
 
 
 class EmulatedRobot:
-    """Joints that stay where they were put, also from one process to the next. It starts at `home`."""
+    """Joints that stay where they were put, also across processes. They start at `home`."""
 
     def __init__(self, descriptor: RobotDescriptor, file: StateFile[JointState]) -> None:
         self._joints = descriptor.joints
@@ -78,7 +79,7 @@ class Emulator(Steerable):
 
     def open(self) -> None:
         """Begin to save the position; fails if it cannot be written."""
-        self._robot.rest(time.monotonic())  # it may not have been looked at for a while, but it is known where it is
+        self._robot.rest(time.monotonic())  # it may not have been read for a while, but its position is known
         self._robot.save()
         self._saver.start()
 
@@ -111,7 +112,7 @@ class Emulator(Steerable):
         self._follower.join(trajectory)
 
     def tick(self, now: float, dt: float) -> None:
-        """Put the robot where the clock says that it is."""
+        """Put the robot where it should be by the clock."""
         if self._follower.settled:
             self._robot.rest(now)
         else:

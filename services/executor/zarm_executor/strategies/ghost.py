@@ -1,4 +1,4 @@
-"""The strategy that never moves the robot: plan and look at previews without risk."""
+"""The strategy that never moves the robot, for planning and previews without risk."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 
 class GhostOnly(Strategy):
-    """Refuses every motion; only the preview plays. The robot is still measured, so that plans can start where it stands."""
+    """Refuses every motion; only the preview plays. The robot is still measured, so that plans can start at its
+    position.
+    """
 
     name = "ghost"
 
@@ -20,7 +22,7 @@ class GhostOnly(Strategy):
         self._robot = robot
 
     def open(self) -> None:
-        """Nothing is held; where the robot stands is known at once."""
+        """Nothing is held; the robot's position is known at once."""
         self._robot.rest(time.monotonic())
 
     def close(self) -> None:
@@ -48,7 +50,7 @@ class GhostOnly(Strategy):
         self._robot.rest(now)
 
     def joint_state(self) -> Measured | None:
-        """Where the robot stands."""
+        """The robot's position."""
         return self._robot.measured
 
     def braking_from(self) -> PathState:
@@ -56,5 +58,5 @@ class GhostOnly(Strategy):
         return PathState(0.0, 0.0)
 
     def progress(self) -> Progress:
-        """No motion: at its end from the beginning."""
+        """No motion: finished from the beginning."""
         return Progress(time=0.0, speed=0.0, command=self._robot.measured.position, finished=True)

@@ -1,8 +1,8 @@
 """The strategy that streams velocities and closes the loop with the measured joints.
 
-velocity = planned + gain * (planned position - measured position), both at the moment at which the joints were measured,
-then clamped. The robot integrates velocities, so the error e obeys de/dt = -gain * e: it dies away at that rate instead
-of adding up, slowly enough for the loop's dead time (`strategy_params.gain` has the bound).
+velocity = planned + gain * (planned position - measured position), both at the moment at which the joints were
+measured, then clamped. The robot integrates velocities, so the error e obeys de/dt = -gain * e: it decays at that rate
+instead of adding up, slowly enough for the loop's dead time (`strategy_params.gain` has the bound).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ARRIVED = 0.002
-"""At the end of a path the robot is led on until every joint is this close to it, rad; the promise is 0.005."""
+"""At the end of a path, the robot is corrected until every joint is this close to it (rad); 0.005 is promised."""
 
 
 class JointSpeed(Streaming):
-    """Sends chunks of velocities, none of which changes faster than `strategy_params.acceleration`."""
+    """Sends chunks of velocities that change no faster than `strategy_params.acceleration`."""
 
     name = "joint_speed"
 
@@ -37,7 +37,7 @@ class JointSpeed(Streaming):
         self._stands()
 
     def steer(self, trajectory: TimedTrajectory) -> None:
-        """Go on along `trajectory`, at whose end the robot is to be led anew."""
+        """Continue along `trajectory`, whose end the robot has yet to reach."""
         super().steer(trajectory)
         self._leading_since, self._led = None, False
 
@@ -57,7 +57,9 @@ class JointSpeed(Streaming):
         self._leading_since, self._led = None, False
 
     def _playing(self, played: int) -> Array:
-        """The velocity (J,) that the driver plays now; without points left it is braking, or has stopped the robot."""
+        """The velocity (J,) that the driver plays now; without points left, the driver is braking or has stopped the
+        robot.
+        """
         if played == 0:
             return self._before
         if played <= len(self._sent):
@@ -66,7 +68,7 @@ class JointSpeed(Streaming):
         return self.link.velocity()
 
     def _correction(self, ahead: RetimedTrajectory, now: float) -> Array:
-        """What is added to the velocities (N, J); it dies away over the chunk as the error does."""
+        """The correction added to the velocities (N, J); it decays over the chunk as the error does."""
         error = self._error(now)
         self._lead(now, error)
         if error is None or self._led or self._held():
@@ -76,12 +78,12 @@ class JointSpeed(Streaming):
         return np.outer(share, error)
 
     def _held(self) -> bool:
-        """Whether the robot was stopped; whoever pushes it now does not make it move."""
+        """Whether the robot was stopped; a push must not make it move."""
         follower = self._follower
         return follower is None or (follower.target == 0.0 and follower.settled)
 
     def _error(self, now: float) -> Array | None:
-        """Commanded less measured position (J,); None if the joints are too old or too far off to be led by them."""
+        """Commanded minus measured position (J,); None if the joints are too old or too far off for a correction."""
         measured, execution = self.link.measured(), self.link.execution
         if measured is None or now - measured.time > execution.joint_state_timeout:
             return None
@@ -89,7 +91,7 @@ class JointSpeed(Streaming):
         return error if np.all(np.abs(error) <= execution.path_tolerance) else None
 
     def _lead(self, now: float, error: Array | None) -> None:
-        """At the end of the path: note when the robot is there, or has not come there within `settle_time`."""
+        """At the end of the path: note when the robot has arrived, or has failed to within `settle_time`."""
         follower, measured, execution = self._follower, self.link.measured(), self.link.execution
         if follower is None or not follower.finished or not self._caught_up():
             return
@@ -103,7 +105,7 @@ class JointSpeed(Streaming):
         return self._led
 
     def _clamped(self, wanted: Array, base: Array) -> Array:
-        """Velocities (N, J) as near to those wanted as the bounds allow when the robot comes from `base` (J,)."""
+        """The velocities (N, J) closest to those wanted that the bounds allow for a robot coming from `base` (J,)."""
         most, step = self.link.velocity_clamp, self.link.acceleration_clamp * self._dt
         velocity = np.clip(wanted, -most, most)
         for row in velocity:

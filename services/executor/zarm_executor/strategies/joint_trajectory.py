@@ -13,32 +13,35 @@ from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _WINDOW = 0.5
-"""How far (s of the command) around where it was last the robot is looked for on its path."""
+"""Window (s of the command) around the last place in which the robot is searched for on its path."""
 _OVERRUN = 0.3
-"""How far (s of the path) before and behind the braking that was commanded the robot may have come to rest."""
+"""Margin (s of path time) before and after the commanded braking within which the robot may have come to rest."""
 _UNTOLD = 2.0
-"""So many points earlier begins the braking of a driver that does not say which point it plays. What is assumed of it is wrong by
-two points at most, and a robot that speeds up may go back by two at once inside its limits: from v to v - a dt. Forward, v + 2 a dt,
-it may not."""
+"""For a driver that does not report the point it plays, braking begins this many points earlier. Its assumed point is
+wrong by two at most, and within its limits an accelerating robot may go back two points at once, from v to v - a dt,
+but not forward, to v + 2 a dt.
+"""
 _LEARNS = 2.0
-"""So many points may pass until it is known from which one to brake, and the driver has that."""
+"""Points that may pass until the braking point is known and the driver has received it."""
 _PACE_PERIOD = 0.1
-"""The rest of a trajectory is sent with another path speed this long (s) after the last one at the earliest."""
+"""Least time (s) between two sends of the rest of a trajectory at another path speed."""
 _ON_TIME = 0.1
-"""A robot that is this long (s) more than `delay` behind its driver's clock has a driver that is not on time."""
+"""If the robot is this much (s) more than `delay` behind its driver's clock, the driver is not on time."""
 _UNTAKEN = 0.3
-"""A trajectory of which the driver has told nothing for so long (s), while the robot stands, was late or lost."""
+"""A trajectory was late or lost if the driver has reported nothing on it for this long (s) while the robot stands."""
 _SILENT = 0.3
-"""A driver that has told of no further point for so long (s), while the robot stands at the end of its path, tells of none any more."""
+"""A driver that has reported no further point for this long (s), while the robot stands at the end of its path, will
+report none.
+"""
 _ENCODING = 12e-6
-"""Time (s) that it takes to send one point: measured, 36 ms for 3000 points of six joints."""
+"""Time (s) to send one point: measured, 36 ms for 3000 points of six joints."""
 
 
 class JointTrajectory(DriverStrategy):
-    """Sends the path once. A stop is a new trajectory that brakes along the path, or an empty one where `stop` is `empty`.
+    """Sends the path once. A stop is a new trajectory that brakes along the path, or an empty one if `stop` is `empty`.
 
-    How far the robot is, the driver says; where it does not (no `state_topic`), it is the point of the path that is
-    nearest to the measured joints. While it brakes the clock says it, so that a silent driver keeps no goal from its end.
+    The driver reports the robot's progress; if it does not (no `state_topic`), progress is the path point nearest to
+    the measured joints. During braking it is taken from the clock, so that a silent driver keeps no goal from ending.
     """
 
     name = "joint_trajectory"
@@ -65,21 +68,21 @@ class JointTrajectory(DriverStrategy):
         self._back_at = -np.inf
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
-        """Have the whole of `trajectory` played from the next tick on."""
+        """Play the whole of `trajectory` from the next tick on."""
         self._trajectory, self._speed = trajectory, speed
         self._braking = self._stopping = self._resuming = False
         self._lost_at = None
         self._play(self._along(trajectory, PathState(trajectory.begin, speed), speed))
 
     def stop(self) -> None:
-        """Have the robot brake along the path, from the next tick on."""
+        """Brake along the path from the next tick on."""
         self._resuming = False
         if not self._stopping:
             self._stopping = self._command is not None and not self._braking
             self._waited = 0.0
 
     def move(self, speed: float) -> None:
-        """Have the rest of the path played at this path speed.
+        """Play the rest of the path at this path speed.
 
         It begins where the robot came to rest, or where the driver will be in what it is playing or braking through.
         """
@@ -98,7 +101,7 @@ class JointTrajectory(DriverStrategy):
             self._back_at = now
         heard = self.link.heard(now)
         if not heard and now - self._back_at <= self.link.execution.joint_state_timeout:
-            return  # the executor stood still: what the driver told meanwhile is still to be read
+            return  # the executor stood still: the driver's messages from that time are still unread
         if not heard or self._lost_at is not None:
             self._brake_unheard(now)
             return
@@ -111,7 +114,7 @@ class JointTrajectory(DriverStrategy):
             self._index = min(max(self._index, self._reached(command, dt)), command.last)
             if self._ended_untold(command, now):
                 self._index = command.last
-                self.link.stop()  # a driver that has points left after all must not go on with them
+                self.link.stop()  # a driver with points left must not continue with them
         if self._stopping:
             self._brake(command, now, dt)
         elif self._resuming:
@@ -124,7 +127,7 @@ class JointTrajectory(DriverStrategy):
             self.hold(now)
 
     def braking_from(self) -> PathState:
-        """Where the driver will be when it learns of it, which takes a point or two."""
+        """Where the driver will be when it receives the command, which takes a point or two."""
         command = self._command
         return PathState(0.0, 0.0) if command is None else command.at(self._playing(command) + _LEARNS)
 
@@ -138,10 +141,11 @@ class JointTrajectory(DriverStrategy):
         return Progress(time, speed, command.position(self._index), finished=over and time >= trajectory.duration)
 
     def _brake_unheard(self, now: float) -> None:
-        """Where the driver is not heard it is told to stop, by its own means, until it is heard again and the robot stands.
+        """While the driver is not heard, tell it to stop by its own means, until it is heard again and the robot
+        stands.
 
-        What was to be sent is forgotten: it would start from where the robot is no longer. What nobody has told to stop goes on
-        from where the robot stands.
+        Anything still to be sent is dropped, because it would start from where the robot no longer is. A motion that
+        was not told to stop continues from where the robot stands.
         """
         stopped = self._stopping or self._braking
         if self.progress().finished and not stopped:
@@ -158,14 +162,18 @@ class JointTrajectory(DriverStrategy):
             self._lost_at = None if self.link.standing() else now
 
     def _find(self, trajectory: TimedTrajectory, measured: Measured, unseen: float) -> None:
-        """Put the motion where the robot is, which brakes by itself, on its path; it was not seen for `unseen` s."""
+        """Move the motion to the place on its path of the robot, which brakes by itself and was not seen for `unseen`
+        s.
+        """
         time, speed = self.progress().time, 0.0 if self.link.standing() else 1.0
         time = trajectory.nearest(measured.position, time - _OVERRUN, time + _OVERRUN + unseen)
         self._command = self._along(trajectory, PathState(time, speed), speed).ahead(self.link.params.point_dt, 1)
         self._index = self._clock = 0.0
 
     def _untaken(self, now: float) -> bool:
-        """Whether a driver that tells its progress has not taken the trajectory that starts a motion, so that it is sent again."""
+        """Whether a driver that reports its progress has missed the trajectory that starts a motion, so that it is sent
+        again.
+        """
         return (
             self.link.params.state_topic is not None
             and not self._braking
@@ -176,7 +184,7 @@ class JointTrajectory(DriverStrategy):
         )
 
     def _brake(self, command: RetimedTrajectory, now: float, dt: float) -> None:
-        """Brake from where the driver will be when it learns of it."""
+        """Brake from where the driver will be when it receives the command."""
         index = self._index if self._unsent else self._brakes_from(command, now, dt)
         if index is None:
             self._waited += dt
@@ -187,7 +195,9 @@ class JointTrajectory(DriverStrategy):
             self._play(self._along(self._trajectory, command.at(min(index, command.last)), 0.0))
 
     def _brakes_from(self, command: RetimedTrajectory, now: float, dt: float) -> float | None:
-        """The index of the point from which to brake; None as long as it may become known, which takes a point at most."""
+        """The index of the point from which to brake; None while it may still become known, which takes a point at
+        most.
+        """
         if not self._late(command) and self.link.params.stop != "empty":
             known = self._next(command, dt)
             if known is not None or self._waited < command.dt:
@@ -196,19 +206,19 @@ class JointTrajectory(DriverStrategy):
         return index - _UNTOLD if self.link.params.state_topic is None else index
 
     def _resume(self, command: RetimedTrajectory, dt: float) -> None:
-        """Have the rest of the path played, from where the robot came to rest or is in its braking."""
+        """Play the rest of the path, from where the robot came to rest or is in its braking."""
         trajectory = self._trajectory
         if trajectory is None:
             return
         if self._index == command.last:
-            # Where the robot came to rest is not just where it should have: the driver was on its way.
+            # The robot may have come to rest elsewhere than computed, because the driver was still on its way.
             measured, time = self.link.measured(), float(command.path_time[-1])
             if measured is not None:
                 time = trajectory.nearest(measured.position, command.path_time[0] - _OVERRUN, time + _OVERRUN)
             self._play(self._along(trajectory, PathState(time, 0.0), self._speed))
             self._lead_back()
         elif self.link.params.stop == "empty":
-            return  # nobody knows what the driver is braking through
+            return  # it is unknown what the driver is braking through
         else:
             index = self._next(command, dt, encoded=(trajectory.duration - float(command.path_time[-1])) / command.dt)
             if index is None:
@@ -217,7 +227,7 @@ class JointTrajectory(DriverStrategy):
         self._braking = self._resuming = False
 
     def _repace(self, command: RetimedTrajectory, now: float, dt: float) -> None:
-        """Have the rest played at the new path speed, from where the driver will be when it has it."""
+        """Play the rest at the new path speed, from where the driver will be when it receives it."""
         if self._trajectory is None or (not self._unsent and now - self._sent_at < _PACE_PERIOD):
             return
         index = self._index if self._unsent else self._next(command, dt, encoded=command.last - self._index)
@@ -231,12 +241,12 @@ class JointTrajectory(DriverStrategy):
             self._play(self._along(self._trajectory, state, self._speed))
 
     def _next(self, command: RetimedTrajectory, dt: float, encoded: float = 0.0) -> float | None:
-        """The index of the point that comes next when the driver has what is sent in this tick; None if that is not known.
+        """The index of the next point when the driver receives what is sent in this tick; None if that is unknown.
 
-        A driver plays whole points, at times of its own. One that tells them has the time of a point from when it has told of one,
-        and in the ticks (of `dt` s) in between it is not known. One that tells nothing began to play as long after it was sent
-        something as it will now, so that it is a whole number of points on in a tick in which that many have gone by. So
-        many points (`encoded`) that are encoded first come later.
+        A driver plays whole points, at its own times. If it reports them, the time of a point is known when it has just
+        reported one, but not in the ticks (of `dt` s) in between. If it reports nothing, it began to play as long after
+        receiving a command as it will now, so it is a whole number of points on in a tick in which that many have
+        passed. Encoding `encoded` points first makes it later.
         """
         encoding = _ENCODING * encoded / command.dt
         if self.link.params.state_topic is not None:
@@ -247,17 +257,17 @@ class JointTrajectory(DriverStrategy):
         return float(round(due)) if abs(due - round(due)) * command.dt <= dt / 2 else None
 
     def _playing(self, command: RetimedTrajectory) -> float:
-        """The index of the point that the driver plays when it learns of something.
+        """The index of the point that the driver plays when it receives a command.
 
-        It is one beyond that which it told of. Where it tells nothing it is on time, unless the robot is further behind than
-        a robot is: then the driver is slower than it was told, and `delay` beyond the robot.
+        It is one beyond the last reported point. A driver that reports nothing is on time, unless the robot lags more
+        than normal: then the driver is slower than commanded, and `delay` ahead of the robot.
         """
         if self.link.params.state_topic is not None:
             return self._index + 1.0
         return self._index + self.link.params.delay / command.dt if self._late(command) else self._clock + 1.0
 
     def _late(self, command: RetimedTrajectory) -> bool:
-        """Whether a driver that tells nothing does not keep time: the robot is further behind than a robot is."""
+        """Whether a driver that reports nothing is not on time: the robot lags more than normal."""
         behind = (self._clock - self._index) * command.dt
         return self.link.params.state_topic is None and behind > self.link.params.delay + _ON_TIME
 
@@ -268,7 +278,7 @@ class JointTrajectory(DriverStrategy):
     def _transmit(self, now: float) -> None:
         if self._command is None:
             return
-        # A robot that stands already must not begin to move in order to brake.
+        # A robot at rest must not start to move in order to brake.
         empty = self._braking and (self.link.params.stop == "empty" or self.link.standing())
         self._sequence = self.link.stop() if empty else self.link.send(self._command.points)
         self._sent_at = now
@@ -291,9 +301,10 @@ class JointTrajectory(DriverStrategy):
         return self._told
 
     def _ended_untold(self, command: RetimedTrajectory, now: float) -> bool:
-        """Whether the robot rests at the end of its path, of which its driver has not told: progress may get lost.
+        """Whether the robot rests at the end of its path although its driver has not reported it: progress messages may
+        get lost.
 
-        From the point that the driver told of last the path does not lead away from its end, so that the robot is not still to come
+        From the last reported point on, the path must not leave its end, so that the robot does not still have to come
         back to it.
         """
         measured, execution = self.link.measured(), self.link.execution
@@ -306,14 +317,14 @@ class JointTrajectory(DriverStrategy):
         return bool(there.all() and np.all(np.abs(left - end) <= execution.path_tolerance))
 
     def _told_of(self, command: RetimedTrajectory) -> float:
-        """The index of the point that the driver has told of last; 0 before it has told of any."""
+        """The index of the last point that the driver reported; 0 before the first."""
         fraction = None if self._sequence is None else self.link.fraction(self._sequence)
         return 0.0 if fraction is None else fraction * len(command) - 1.0
 
     def _nearest(self, first: float, last: float) -> float:
         """The index, in this range, of the point nearest to the measured robot.
 
-        Of points that are about as near, the last: a robot may rest a little beside the end, and a path may stand still.
+        Among equally near points, the last: a robot may rest slightly beside the end, and a path may stand still.
         """
         measured, command = self.link.measured(), self._command
         if measured is None or command is None:
@@ -324,13 +335,13 @@ class JointTrajectory(DriverStrategy):
         return float(begin + np.flatnonzero(distance <= about)[-1])
 
     def _lead_back(self) -> None:
-        """A robot that braked by itself stands beside the path: before the rest of the path comes the way back to it."""
+        """A robot that braked by itself stands beside the path: insert the way back to it before the rest of the path."""
         measured, command = self.link.measured(), self._command
         if measured is None or command is None:
             return
         limits = self.link.velocity_clamp, self.link.limits.acceleration, self.link.limits.jerk
         way = TimedTrajectory.standing(command.points.position[0]).approached_from(measured.position, *limits)
-        times = np.arange(0.0, way.duration - 1.0, command.dt)  # without the second of rest
+        times = np.arange(0.0, way.duration - 1.0, command.dt)  # without the final second of rest
         held = np.zeros_like(times)
         states = np.concatenate((way.sample(times), command.points.states), axis=1)
         self._command = RetimedTrajectory(

@@ -12,7 +12,7 @@ from zarm_trajectory.quintic import Array
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """What was commanded at the moment `now`: path time (s), path speed, position (J,) rad."""
+    """The command at the moment `now`: path time (s), path speed, position (J,) rad."""
 
     now: float
     time: float
@@ -21,21 +21,21 @@ class Commanded:
 
 
 class Reference:
-    """What a follower commanded in the last `memory` s, to be read at any moment in between."""
+    """The commands of a follower over the last `memory` s, interpolated at any moment in between."""
 
     def __init__(self, memory: float) -> None:
         self._memory = memory
         self._past: deque[Commanded] = deque()
 
     def note(self, now: float, follower: Follower) -> None:
-        """The follower is there at the moment `now`, which is later than the one before."""
+        """Note the follower's state at the moment `now`, which is later than the previous one."""
         speed = 0.0 if follower.at_rest else follower.speed
         self._past.append(Commanded(now, follower.time, speed, follower.position))
         while len(self._past) > 1 and self._past[1].now < now - self._memory:
             self._past.popleft()
 
     def at(self, moment: float) -> Commanded:
-        """What was commanded at that moment; before the first and after the last, those."""
+        """The command at that moment; outside the recorded time, the first or last one."""
         index = bisect_right(self._past, moment, key=lambda one: one.now)
         if index == 0:
             return self._past[0]

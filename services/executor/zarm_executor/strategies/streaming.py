@@ -1,8 +1,8 @@
 """Streams short chunks of points to the driver: the common part of `joint_speed` and `joint_pose`.
 
-Every chunk holds the motion from now on and replaces what is left of the one before. It reaches further than the next
-one is away, so that a late chunk does no harm, and ends with braking along the path, so that without further chunks the driver
-brings the robot to rest on the path by itself.
+Every chunk holds the motion from now on and replaces the rest of the previous one. It extends beyond the next chunk, so
+that a late chunk does no harm, and ends with braking along the path, so that without further chunks the driver brings
+the robot to rest on the path by itself.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _BEHIND = 1.0
-"""How far (s of the path) behind the commanded motion a robot that stands is looked for."""
+"""How far (s of path time) behind the command a standing robot is searched for."""
 _ON_CHUNK = 0.05
-"""A robot this close (rad) to where its driver should have brought it plays the chunk that was sent last."""
+"""A robot within this distance (rad) of where its driver should have brought it is playing the last chunk."""
 _SLOPE = 1e-6
-"""Squared speed of a path, (rad/s)^2, below which it tells nothing about the path speed of a robot on it."""
+"""Squared speed of a path, (rad/s)^2, below which a robot's path speed cannot be derived from its velocity."""
 _OFF_GRID = 0.3
-"""A chunk that cannot wait is sent when the driver is at most this share of a point from beginning the next one."""
+"""An urgent chunk is sent when the driver is within this share of a point of beginning the next one."""
 _ROUNDING = 1e-6
-"""Ticks this close (s) to a moment are at it."""
+"""Tolerance (s) when comparing ticks with a moment."""
 
 
 class Streaming(DriverStrategy, Steerable):
     """Sends chunks from the start of a motion until the robot rests, then nothing.
 
-    The robot is expected `delay` behind what is commanded; that is what `progress` reports.
+    The robot is expected to be `delay` behind the command; `progress` reports its expected place.
     """
 
     def __init__(self, link: DriverLink) -> None:
@@ -61,17 +61,17 @@ class Streaming(DriverStrategy, Steerable):
 
     @abstractmethod
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
-        """Send a chunk of which the driver has played `played` points of the one before; whether it is all at rest."""
+        """Send a chunk, `played` points into the previous one; returns whether all of it is at rest."""
 
     def _arrived(self) -> bool:
-        """Whether the robot is where it should be at the end of the path, as far as this strategy can do anything."""
+        """Whether the robot has arrived at the end of the path, as far as this strategy can influence that."""
         return True
 
     def _stands(self) -> None:
         """The robot stands, whatever was sent."""
 
     def _forget_sent(self) -> None:
-        """What the driver plays is not known any more."""
+        """What the driver plays is no longer known."""
 
     # -- what the state machine asks --
 
@@ -98,17 +98,17 @@ class Streaming(DriverStrategy, Steerable):
             self._wanted, self._urgent = speed, True
 
     def commanded(self) -> float:
-        """How far the path is commanded, s; the robot is `delay` behind."""
+        """The commanded path time (s); the robot is `delay` behind it."""
         return 0.0 if self._follower is None else self._follower.time
 
     def steer(self, trajectory: TimedTrajectory) -> None:
-        """Go on along `trajectory` with the next chunk, which does not wait for its turn."""
+        """Continue along `trajectory` with the next chunk, which is sent early."""
         if self._follower is not None:
             self._follower.join(trajectory)
             self._urgent, self._over = True, False
 
     def tick(self, now: float, dt: float) -> None:
-        """Move on, and send a chunk where one is due."""
+        """Advance, and send a chunk if one is due."""
         self.look()
         follower = self._follower
         if follower is None:
@@ -149,7 +149,7 @@ class Streaming(DriverStrategy, Steerable):
             self._over = rests and follower.settled and self._caught_up() and self._may_end()
 
     def braking_from(self) -> PathState:
-        """What is commanded at the next point of the driver: a chunk that cannot wait begins there."""
+        """The command at the driver's next point, where an urgent chunk begins."""
         follower = self._follower
         return PathState(0.0, 0.0) if follower is None else follower.state.after(self._dt)
 
@@ -161,12 +161,14 @@ class Streaming(DriverStrategy, Steerable):
         return Progress(expected.time, expected.speed, expected.position, follower.finished and self._over)
 
     def _unheard(self, now: float, back_at: float) -> bool:
-        """Whether what the driver told during a pause is still to be read: until then it brakes the robot by itself."""
+        """Whether the driver's messages from a pause are still unread; until they are read, it brakes the robot by
+        itself.
+        """
         measured, patience = self.link.measured(), self.link.execution.joint_state_timeout
         return (measured is None or now - measured.time > patience) and now - back_at <= patience
 
     def _brake_unheard(self, follower: Follower, now: float, dt: float) -> None:
-        """The driver is not heard: it brakes the robot with the chunk that it has, and is expected to."""
+        """The driver is not heard: it brakes the robot with the chunk that it has, and the command follows that."""
         self._away = None
         if self._lost_at is None:
             self._lost_at = now
@@ -177,14 +179,15 @@ class Streaming(DriverStrategy, Steerable):
         self._hold_once_played(now)
 
     def _hold_once_played(self, now: float) -> None:
-        """Have the driver stop the robot by its own means where the last chunk has not brought it to rest."""
+        """Make the driver stop the robot by its own means if the last chunk has not brought it to rest."""
         if now > self._played_at:
             self.hold(now)
 
     def _rest_where_found(self, follower: Follower, now: float) -> None:
-        """The driver is heard again, and brakes the robot with the chunk that it had: the motion is held where that stands.
+        """The driver is heard again after braking the robot with the chunk that it had: hold the motion where the robot
+        stands.
 
-        What nobody has told to stop goes on from there.
+        A motion that was not told to stop continues from there.
         """
         self._hold_once_played(now)
         standing = self.link.standing()
@@ -196,9 +199,9 @@ class Streaming(DriverStrategy, Steerable):
             self._reference.note(now, follower)
 
     def _picked_up(self, follower: Follower, now: float, dt: float) -> Follower:
-        """After a pause in which nothing was sent: the motion goes on from where the driver is in the chunk that it has.
+        """After a pause in which nothing was sent: continue from where the driver is in the chunk that it has.
 
-        A robot that is elsewhere has not had it: then from where, and as fast as, the robot moves by now.
+        A robot that is elsewhere has not received it: then continue from its present position and speed.
         """
         self._reference = Reference(self._memory)
         if self._chunk is not None and self._sent_at is not None:
@@ -215,7 +218,7 @@ class Streaming(DriverStrategy, Steerable):
         return self._follower
 
     def _found(self, follower: Follower, now: float, dt: float) -> Follower:
-        """The motion at what the robot will be commanded to when it has come from where it is now."""
+        """The motion at the command that belongs to the robot's measured position, `delay` ahead of it."""
         measured, trajectory = self.link.measured(), follower.trajectory
         if measured is None:
             return follower
@@ -230,9 +233,9 @@ class Streaming(DriverStrategy, Steerable):
         return follower
 
     def _halted(self, follower: Follower, ahead: float = 0.0) -> Follower:
-        """A robot that stands already must not begin to move in order to brake: the motion is held where it stands.
+        """A robot at rest must not start to move in order to brake: hold the motion where the robot stands.
 
-        It may be up to `ahead` s of the path further than the motion.
+        The robot may be up to `ahead` s of path time beyond the motion.
         """
         measured, time = self.link.measured(), follower.time
         if measured is not None:
@@ -242,10 +245,10 @@ class Streaming(DriverStrategy, Steerable):
         return self._follower
 
     def _begin(self, now: float) -> float | None:
-        """The moment at which the chunk that is to be sent now begins; None if none is due.
+        """The moment at which the chunk to be sent now begins; None if none is due.
 
-        Chunks begin `chunk_period` after one another, which need not be a whole number of ticks: each is sent by the last
-        tick before it begins.
+        Chunks begin `chunk_period` apart, which need not be a whole number of ticks: each is sent by the last tick
+        before it begins.
         """
         if self._sent_at is None:
             return now
@@ -257,7 +260,7 @@ class Streaming(DriverStrategy, Steerable):
         return now if urgent else None
 
     def _ahead(self, follower: Follower, seconds: float) -> RetimedTrajectory:
-        """The points of a chunk that begins in so many seconds; until then the driver plays what it has."""
+        """The points of a chunk that begins in `seconds`; until then the driver plays what it has."""
         scout = copy.copy(follower)
         scout.advance(seconds)
         scout.target = self._wanted
@@ -265,7 +268,7 @@ class Streaming(DriverStrategy, Steerable):
         return ahead.followed_by(scout.moved_to(ahead.at(ahead.last), 0.0).ahead(self._dt))
 
     def _caught_up(self) -> bool:
-        """Whether the robot has had the time to come to rest as well."""
+        """Whether the robot has had time to come to rest too."""
         expected, follower = self._expected, self._follower
         return (
             expected is not None and follower is not None and expected.time == follower.time and expected.speed == 0.0

@@ -18,8 +18,9 @@ from zarm_planner.search.rrt_connect import ENDLESS, sampling_range
 Array = NDArray[np.float64]
 
 _INSIDE = 0.01
-"""Rad or m: a path keeps so far away from the ends of the joints' ranges, for the curve through it swings out where a joint
-comes to rest at one."""
+"""Rad or m: a path keeps this far from the joint limits, because the curve through it overshoots where a joint comes to
+rest.
+"""
 
 
 def search_constrained(
@@ -32,7 +33,7 @@ def search_constrained(
     deadline: Deadline,
     most: int = ENDLESS,
 ) -> Array | None:
-    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `most` samples or `deadline` came first.
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None after `most` samples or at `deadline`.
 
     Straight edges between its rows are free to `kernels.collision.RESOLUTION`, and keep the constraint.
     """
@@ -65,7 +66,7 @@ def search_constrained(
 def shortcut_constrained(
     world: World, constraint: ConstraintManifold, path: Array, *, seed: int, deadline: Deadline
 ) -> Array:
-    """A path (m, dof) between the ends of `path` (n, dof), as free and as true to the constraint, that is no longer.
+    """A path (m, dof) between the ends of `path` (n, dof) that is no longer, and as free and within the constraint.
 
     `deadline` only makes it end sooner.
     """
@@ -89,7 +90,7 @@ def shortcut_constrained(
 
 
 def _inside(constraint: ConstraintManifold, rows: Array) -> ConstraintArrays:
-    """The constraint, with joints' ranges narrower by _INSIDE, as far as they still contain `rows` (n, dof)."""
+    """The constraint with joint ranges narrowed by _INSIDE, but still containing `rows` (n, dof)."""
     chain = constraint.arrays.chain
     lower = np.maximum(chain.lower, np.minimum(chain.lower + _INSIDE, rows.min(axis=0)))
     upper = np.minimum(chain.upper, np.maximum(chain.upper - _INSIDE, rows.max(axis=0)))
@@ -97,7 +98,7 @@ def _inside(constraint: ConstraintManifold, rows: Array) -> ConstraintArrays:
 
 
 def _on_manifold(world: World, constraint: ConstraintManifold, q: Array) -> Array | None:
-    """The configuration nearest to `q` (dof,) that keeps the constraint; None if `q` cannot get there freely."""
+    """The configuration nearest to `q` (dof,) that keeps the constraint; None if the way there from `q` is not free."""
     rows = constraint.projected(q)
     if rows is None or not np.any(rows[0] != q):
         return None if rows is None else q

@@ -18,17 +18,17 @@ from zarm_trajectory.trajectory import TimedTrajectory
 Array = NDArray[np.float64]
 
 _SPACING = 0.1
-"""Rad: between the points through which the curve goes at first."""
+"""Initial spacing (rad) of the points that define the curve."""
 _ROUNDS = 5
-"""How often the curve may be brought closer to the path, each time with points half as far apart."""
+"""How often the curve may be brought closer to the path, each time with half the point spacing."""
 _ON_MANIFOLD = 2
-"""In so many rounds the points are brought onto the manifold; after that they stay on the steps of the path."""
+"""In this many rounds the points are projected onto the manifold; after that they stay on the steps of the path."""
 _LOOKS = 4
-"""Moments looked at per interval between two points of the curve."""
+"""Samples checked per interval between two points of the curve."""
 _RANGE = 8e-5
-"""Rad or m by which a curve may be outside the joints' ranges; a little less than `verify` allows."""
+"""Rad or m by which a curve may exceed the joint ranges; slightly less than `verify` allows."""
 _ROOM = 0.9
-"""The part of the tolerances that the curve may use there."""
+"""The share of the tolerances that the curve may use."""
 
 
 def time_constrained(
@@ -41,11 +41,11 @@ def time_constrained(
     deadline: Deadline,
     vias: Sequence[int] = (),
 ) -> TimedTrajectory | None:
-    """The fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or a little less.
+    """A fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or slightly less.
 
-    Its rows `vias` are among them, so that the motion passes these exactly. Where configurations (n, dof) along the curve are
-    not `free`, or break the constraint, the points are put closer together. None if
-    that does not help, or `deadline` came first.
+    The rows `vias` are among these points, so the motion passes them exactly. Where configurations (n, dof) along the
+    curve are not `free`, or break the constraint, the points are moved closer together. None if that does not help, or
+    at `deadline`.
 
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
@@ -58,8 +58,8 @@ def time_constrained(
             return None
         at, fixed = _along(length[[0, *vias, len(path) - 1]], _SPACING / 2**halved)
         points = np.stack([np.interp(at, length, joint) for joint in path.T], axis=1)
-        # Between the ends of a step the manifold may touch what the step, known to be free, does not: in the end the curve
-        # keeps to the steps themselves.
+        # Between the ends of a step the manifold may touch what the free step does not, so the final rounds keep to the
+        # steps themselves.
         if halved < _ON_MANIFOLD and (near := constraint.projected(points[~fixed])) is not None:
             points[~fixed] = near
         curve = through(points)
@@ -75,8 +75,8 @@ def time_constrained(
 
 
 def _along(knots: Array, spacing: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Lengths (n,) along a path, `spacing` apart at most and at least three to a stretch between `knots` (k,), which are among
-    them; and which these are (n,).
+    """Lengths (n,) along a path, at most `spacing` apart and at least three per stretch between `knots` (k,), which are
+    included; and a mask (n,) of the knots.
     """
     at, fixed = [knots[:1]], [np.ones(1, np.bool_)]
     for a, b in itertools.pairwise(knots):

@@ -20,17 +20,17 @@ NAMES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
 
 
 def constrains(message: PathConstraint | None) -> TypeGuard[PathConstraint]:
-    """Whether a request asks for a path constraint: one that names no axes keeps nothing."""
+    """Whether a request has a path constraint; one that names no axes is none."""
     return message is not None and any(message.axes)
 
 
 @dataclass(frozen=True)
 class ConstraintManifold:
-    """The components of the tip's pose that a motion keeps as they are at its start.
+    """The components of the tip's pose that a motion keeps at their start values.
 
-    The deviation of a pose T from the start's T0 is, along the axes of the base, the rotation vector (axis times angle, at
-    most pi) of R R0^T and p - p0; in the `tool` frame, along the axes that the tip has at the start, that of R0^T R and
-    R0^T (p - p0). A pose keeps the constraint where each constrained component is within its tolerance.
+    The deviation of a pose T from the start pose T0, along the axes of the base, is the rotation vector (axis times
+    angle, at most pi) of R R0^T and p - p0; in the `tool` frame, along the tip's axes at the start, it is that of R0^T
+    R and R0^T (p - p0). A pose keeps the constraint if each constrained component is within its tolerance.
     """
 
     model: RobotModel
@@ -39,7 +39,7 @@ class ConstraintManifold:
 
     @classmethod
     def of(cls, model: RobotModel, message: PathConstraint, start: Array) -> Self:
-        """What `message` asks for, from the pose `start` (4, 4) of the tip in the base frame on."""
+        """The constraint of `message`, from the tip's start pose `start` (4, 4) in the base frame on."""
         pose = np.array(start, np.float64, order="C")
         return cls(
             model,
@@ -54,22 +54,22 @@ class ConstraintManifold:
         )
 
     def deviations(self, poses: ArrayLike) -> Array:
-        """How far poses (n, 4, 4) of the tip are from the start, (n, 6): rad about and m along x, y, z."""
+        """Deviations (n, 6) of tip poses (n, 4, 4) from the start: rad about and m along x, y, z."""
         rows = np.array(poses, np.float64, order="C").reshape(-1, 4, 4)
         out = np.empty((len(rows), 6))
         deviations(self.arrays, rows, out)
         return out
 
     def use(self, q: ArrayLike) -> Array:
-        """Which part of the tolerances configurations (n, dof) use, (n,): over 1 the constraint is broken."""
+        """The share (n,) of the tolerances that configurations (n, dof) use; above 1 the constraint is broken."""
         used = self._used(self.model.fk_tip(np.reshape(q, (-1, self.model.dof))))
         worst: Array = np.max(used, axis=1, initial=0.0)
         return worst
 
     def violation(self, q: ArrayLike) -> tuple[int, str] | None:
-        """Where along configurations (n, dof) the constraint is broken most, and a phrase that says by how much.
+        """The index of the configuration (n, dof) that breaks the constraint most, and a phrase saying by how much.
 
-        None if it is kept.
+        None if the constraint is kept.
         """
         poses = self.model.fk_tip(np.reshape(q, (-1, self.model.dof)))
         used = self._used(poses)
@@ -79,19 +79,19 @@ class ConstraintManifold:
         return row, self._phrase(poses[row])
 
     def broken_at(self, pose: Array) -> str | None:
-        """A phrase that says by how much a pose (4, 4) breaks the constraint; None if it keeps it."""
+        """A phrase saying by how much a pose (4, 4) breaks the constraint; None if it keeps it."""
         return self._phrase(pose) if self._used(pose).max(initial=0.0) > 1.0 else None
 
     def projected(self, q: ArrayLike) -> Array | None:
-        """Configurations (n, dof) within the joints' ranges, near `q` (n, dof), that keep the constraint.
+        """Configurations (n, dof) within the joint ranges, near `q` (n, dof), that keep the constraint.
 
-        To `kernels.manifold.CLOSE`; None if they cannot be found for all.
+        Accurate to `kernels.manifold.CLOSE`; None if not all can be found.
         """
         rows = np.array(q, np.float64, order="C").reshape(-1, self.model.dof)
         return rows if project_all(self.arrays, rows) == len(rows) else None
 
     def _used(self, poses: Array) -> Array:
-        """The part of each tolerance that poses (n, 4, 4) use, (n, axes)."""
+        """The share (n, axes) of each tolerance that poses (n, 4, 4) use."""
         axes = self.arrays.axes
         used: Array = np.abs(self.deviations(poses)[:, axes]) / self.arrays.tolerance[axes]
         return used

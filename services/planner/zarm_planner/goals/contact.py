@@ -1,4 +1,4 @@
-"""Ways out of configurations with little or no room."""
+"""Ways out of configurations with little or no clearance."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from zarm_planner.kinematics.ik import chain_of
 Array = NDArray[np.float64]
 
 _ROOM = 0.005
-"""Metres that are room enough for a goal."""
+"""Clearance (m) that is enough for a goal."""
 _ROWS = 150
-"""Steps of a walk at most; out of a slot of 1 mm and 20 cm depth it takes about 60."""
+"""Most steps of a walk; out of a slot of 1 mm and 20 cm depth it takes about 60."""
 _MOST_NEAR = 64
-"""Distances that are looked at at once."""
+"""Most distances considered at once."""
 
 
 def clear_pose(context: PlanningContext, pose: Array, q: Array) -> Array:
-    """Joints (dof,) near `q` that also reach the `pose` (4, 4) of the tip, with as much room as there is, at most enough.
+    """Joints (dof,) near `q` that also reach the tip `pose` (4, 4), with as much clearance as possible, up to _ROOM.
 
-    Only an arm with a joint to spare has others.
+    Only a redundant arm has such alternatives.
     """
     model, found = context.model, np.array(q)
     contact.clear_pose(chain_of(model), _surroundings(context.exact), pose, _ROOM, found, context.deadline.at)
@@ -35,9 +35,9 @@ def clear_pose(context: PlanningContext, pose: Array, q: Array) -> Array:
 
 
 def way_out(context: PlanningContext, q: Array, direction: Array) -> Array | None:
-    """A way (n, dof) from `q` (dof,), free in exact geometry, to where the robot is free in spheres.
+    """A path (n, dof) from `q` (dof,), free in exact geometry, to where the robot is free in spheres.
 
-    It goes in a `direction` (dof,), of length 1, and slides along what is in the way. None if that leads nowhere.
+    It goes in a `direction` (dof,) of unit length, and slides along obstacles. None if that leads nowhere.
     """
     model, way = context.model, np.empty((_ROWS, context.model.dof))
     way[0] = q
@@ -60,12 +60,12 @@ def edge_is_free(context: PlanningContext, a: Array, b: Array) -> bool:
 
 
 def points(scene: ExactScene, a: Array, b: Array) -> Array:
-    """Configurations (n, dof) along a straight edge, no further apart than RESOLUTION."""
+    """Configurations (n, dof) along a straight edge, at most RESOLUTION apart."""
     return np.linspace(a, b, int(np.abs(b - a) @ scene.reach / RESOLUTION) + 2)
 
 
 def _straightened(context: PlanningContext, way: Array) -> Array | None:
-    """The way with as few corners as halving it finds; None if it is not free."""
+    """The path with as few corners as bisection finds; None if it is not free."""
     if edge_is_free(context, way[0], way[-1]):
         return way[[0, -1]]
     if len(way) == 2:

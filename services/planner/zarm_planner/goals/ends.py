@@ -1,7 +1,7 @@
 """Start and goals of a path, and the nearest configurations from which the search can work.
 
-Spheres are larger than the links that they cover. So a robot that holds its tool close to a table, and touches nothing,
-seems to touch it; from there it first moves a little away, on a way that exact geometry finds free.
+Spheres are larger than the links that they cover. So a robot that holds its tool close to a table without touching it
+seems to touch it; from there it first moves a little away, on a path that is free in exact geometry.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ from zarm_planner.kinematics.ik import IkResult, solve_ik
 Array = NDArray[np.float64]
 
 _GOALS = 16
-"""At most so many ways to reach a pose are considered."""
+"""Most solutions considered for a pose."""
 _SET_GOALS = 256
-"""And so many to reach any pose of a goal set, the same number of each."""
+"""Most solutions considered for a goal set, equally many for each pose."""
 _FRUITLESS = 5
-"""Seeds in a row that lead to nothing new before all solutions of a pose count as known; one seed finds 98 to 99.8 % of them."""
+"""Consecutive seeds without a new solution after which all solutions of a pose count as known; one seed finds 98 to
+99.8 % of them.
+"""
 _TRIES = 40
 """Directions tried at each distance to get away from an obstacle on a straight edge."""
 _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -40,16 +42,18 @@ _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 
 
 _ALONE = 4
-"""Times as many ways out are tried from a configuration for which no other will do. From one in a window that leaves the hand of a
-Panda 1 mm on all sides `max_attempts` of 100 fail for one seed in 20."""
+"""Factor on the ways out tried from a configuration that cannot be replaced by another. From one in a window that
+leaves the hand of a Panda 1 mm on all sides, `max_attempts` of 100 fail for one seed in 20.
+"""
 
 
 @dataclass(frozen=True)
 class End:
-    """A configuration that was asked for, and one for the search, free in spheres: itself where it is; (dof,) each.
+    """A requested configuration, and the one for the search, which is free in spheres: the same where possible; (dof,)
+    each.
 
-    `way` (n, dof) leads from the free one, which is not in it, to the one that was asked for: no row where they are the same.
-    `pose` says which of a goal's poses it reaches, where it has any.
+    `way` (n, dof) leads from the free one, which it does not contain, to the requested one; it is empty if they are the
+    same. `pose` is the index of the goal's pose that is reached, if the goal has poses.
     """
 
     asked: Array
@@ -64,7 +68,7 @@ class End:
 
 
 def check_start(context: PlanningContext, q: Array, field: str = "start") -> None:
-    """Raises PlanningFailed (`start_in_collision`) where the start of a path, the request's `field`, is in collision."""
+    """Raises PlanningFailed (`start_in_collision`) if the start of a path, the request's `field`, is in collision."""
     if not context.exact.is_free(q, context.deadline.check):
         overlap = _overlap(context.exact.nearest(q, context.deadline.check))
         raise PlanningFailed(
@@ -88,7 +92,7 @@ def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold
 
 
 def rest_end(context: PlanningContext, q: Array) -> End | None:
-    """The end at `q`, which is free of collision; None if no way leads from there to what is free in spheres."""
+    """The end at `q`, which is free of collision; None if there is no way from it to a configuration free in spheres."""
     return _end(context, q, None)
 
 
@@ -101,8 +105,8 @@ def goal_ends(
 ) -> tuple[End, ...]:
     """The configurations that reach a goal, which is the request's `field`; the one nearest to `start` first.
 
-    Of a goal set those that reach any of its poses. Raises PlanningFailed (`unreachable`, `goal_in_collision`),
-    InvalidRequest for joints out of their range and for a goal that breaks the constraint, and what the deadline raises.
+    For a goal set, those that reach any of its poses. Raises PlanningFailed (`unreachable`, `goal_in_collision`),
+    InvalidRequest for joints out of range and for a goal that breaks the constraint, and the deadline's error.
     """
     if isinstance(goal, JointGoal):
         q = within_range(context.model, goal.position, f"{field}.position")
@@ -131,14 +135,14 @@ def goal_ends(
 
 @dataclass(frozen=True)
 class _Fault:
-    """Why a goal cannot be planned to, in words that follow "the goal" and "pose 2", and what to do about it."""
+    """Why no plan to a goal is possible, in words that follow "the goal" and "pose 2", and the remedy."""
 
     code: Literal["unreachable", "goal_in_collision"] | None
     reason: str
     remedy: str
 
     def of_goal(self, field: str) -> ZarmError:
-        """The error where this is the only goal; without a code, the request is at fault."""
+        """The error if this is the only goal; without a code, the request is at fault."""
         message = f"the goal {self.reason}; {self.remedy}"
         if self.code is None:
             return InvalidRequest(message, field=field)
@@ -146,7 +150,7 @@ class _Fault:
 
 
 def _of_all(faults: Sequence[_Fault], field: str) -> ZarmError:
-    """The error of a goal set of which no pose is left: the fault of each."""
+    """The error of a goal set without any usable pose: the fault of each."""
     reasons = "; ".join(f"pose {number} {fault.reason}" for number, fault in enumerate(faults))
     message = f"none of the {len(faults)} poses of the goal is left: {reasons}; choose others, lower margin, or correct the scene"
     codes = {fault.code for fault in faults}
@@ -180,10 +184,10 @@ def _pose_ends(
 def _tight_ends(
     context: PlanningContext, start: Array, pose: Array, found: Array, most: int, constraint: ConstraintManifold | None
 ) -> list[End] | _Fault:
-    """Of a pose (4, 4) that is reached free in spheres by none, the `most` nearest configurations free in exact geometry.
+    """The `most` nearest configurations, free in exact geometry, for a pose (4, 4) with no solution free in spheres.
 
-    They are those of the colliding ones that were `found` (n, dof), with as much room as the pose leaves them; then of
-    others, for `max_attempts` seeds or until _FRUITLESS in a row lead only to what is known.
+    First the colliding ones `found` (n, dof), with as much clearance as the pose leaves them; then others, for
+    `max_attempts` seeds or until _FRUITLESS in a row find nothing new.
     """
     known = np.empty((0, context.model.dof))
     nearest: list[Nearest] = []
@@ -212,7 +216,7 @@ def _tight_ends(
 
 
 def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
-    """Joints for a pose (4, 4). Raises what the deadline raises."""
+    """Joints for a pose (4, 4). Raises the deadline's error."""
     found = solve_ik(
         context.model,
         pose,
@@ -227,7 +231,7 @@ def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
 
 
 def _blocked(nearest: Sequence[Nearest]) -> _Fault:
-    """The fault of a goal that can be reached in so many ways, none of which is of use."""
+    """The fault of a goal whose solutions are all unusable."""
     best = max(nearest, key=lambda nearest: nearest.distance)
     reason = f"in collision: {_overlap(best)}" if best.distance <= 0.0 else f"out of reach: {_gap(best)}"
     ways = f" in all {len(nearest)} ways to reach it" if len(nearest) > 1 else ""
@@ -246,9 +250,10 @@ def _broken(constraint: ConstraintManifold, pose: Array) -> _Fault | None:
 
 
 def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None, times: int = 1) -> End | None:
-    """The end at `q`, which is free of collision; None if no way that keeps the constraint leads to what is free in spheres.
+    """The end at `q`, which is free of collision; None if no way within the constraint leads to a configuration free in
+    spheres.
 
-    `times` as many ways as `max_attempts` are tried.
+    Tries `times` as many ways as `max_attempts`.
     """
     if is_free(context.model, context.world, q):
         return End.at(q)

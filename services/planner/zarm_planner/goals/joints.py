@@ -15,21 +15,21 @@ from zarm_trajectory.quintic import Array
 MEASURED_AGE = 0.5
 """Seconds after which a measured state is too old to plan from."""
 RANGE_SLACK = 0.01
-"""Rad (m where prismatic) by which a joint may be outside its range: it is taken for standing at the end of it.
+"""Rad (m if prismatic) by which a joint may be outside its range, counting as at its limit.
 
-Robots stop at, and measure, a little more than their range; MoveIt's default is five times as much.
+Robots stop at, and measure, slightly more than their range; MoveIt's default is five times as much.
 """
 
 
 class MeasuredJoints:
-    """The robot's joints as they are published, in the order of the descriptor."""
+    """The published joints of the robot, in the descriptor's order."""
 
     def __init__(self, model: RobotModel, states: Latest[JointState]) -> None:
         self._joints = model.robot.descriptor.joints
         self._states = states
 
     def __call__(self) -> Array:
-        """The joints now (dof,). Raises ExecutionRefused (`no_joint_state`)."""
+        """The current joints (dof,). Raises ExecutionRefused (`no_joint_state`)."""
         state = self._states.get(max_age=MEASURED_AGE)
         remedy = "start the executor of this robot, or give the joints in the request"
         if state is None:
@@ -48,7 +48,7 @@ class MeasuredJoints:
 
 
 def checked(model: RobotModel, q: Sequence[float] | Array, field: str) -> Array:
-    """A joint vector (dof,) of a request. Raises InvalidRequest if it has another length."""
+    """A joint vector (dof,) of a request. Raises InvalidRequest if its length is wrong."""
     joints = model.robot.descriptor.joints
     if len(q) != model.dof:
         raise InvalidRequest(
@@ -58,7 +58,7 @@ def checked(model: RobotModel, q: Sequence[float] | Array, field: str) -> Array:
 
 
 def within_range(model: RobotModel, q: Sequence[float] | Array, field: str) -> Array:
-    """A joint vector (dof,) inside the range of every joint, at most RANGE_SLACK from `q`. Raises InvalidRequest."""
+    """A joint vector (dof,) inside all joint ranges, at most RANGE_SLACK from `q`. Raises InvalidRequest."""
     values = checked(model, q, field)
     inside: Array = np.clip(values, model.lower, model.upper)
     for i, joint in enumerate(model.robot.descriptor.joints):

@@ -1,6 +1,6 @@
 """A start in motion: whether it is valid, and collision-free braking from it.
 
-The path of a plan begins where that way comes to rest; smoothing in time then cuts through the rest where there is room.
+The path of a plan begins where the braking comes to rest; smoothing in time then skips the rest where there is room.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
-    """The state (3, dof) of a request. Raises InvalidRequest if it is outside the joints' ranges or `limits`."""
+    """The state (3, dof) of a request. Raises InvalidRequest if it is outside the joint ranges or `limits`."""
     rows = ("position", "velocity", "acceleration")
     state = np.stack([checked(model, getattr(start, row), f"start_state.{row}") for row in rows])
     middle, reach = (model.lower + model.upper) / 2, (model.upper - model.lower) / 2 + RANGE
@@ -41,9 +41,9 @@ def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
 
 
 def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple[LeadIn, End]:
-    """A way to brake from `state` (3, dof), verified, and where it comes to rest; `vias` as in `ways_to_rest`.
+    """A verified way to brake from `state` (3, dof), and its end at rest; `vias` as in `ways_to_rest`.
 
-    Raises PlanningFailed (`start_in_collision`, and `no_path` where every braking that is tried breaks a limit or hits something).
+    Raises PlanningFailed: `start_in_collision`, or `no_path` if every braking tried breaks a limit or collides.
     """
     check_start(context, state[0], "start_state")
     failure: VerificationFailed | None = None

@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """A start and the targets in their order, the last of which is the goal; each can be reached in one way or several.
+    """A start and the targets in order, the last of which is the goal; each can be reached in one or several ways.
 
-    `goal` is what was asked for. `constraint`, where there is one, is kept from the start on. Where the robot is in motion
-    `lead_in` is how it may brake, and `start` where it then rests.
+    `goal` is the requested one. `constraint`, if any, is kept from the start on. If the robot is in motion, `lead_in`
+    is how it may brake, and `start` is where it then comes to rest.
     """
 
     start: End
@@ -33,11 +33,12 @@ class PlanningProblem:
 
     @classmethod
     def of(cls, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> PlanningProblem:
-        """The problem to get from `start` (dof,) to the goal; of each target, what is near to the one before stands first.
+        """The problem of getting from `start` (dof,) to the goal; the ends of each target are sorted by distance from
+        the one before.
 
-        `motion` (2, dof) are velocity and acceleration at the start, left out where it is at rest. Raises PlanningFailed
-        (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path` where no braking is free), InvalidRequest for a
-        goal that does not keep the constraint, and what the deadline raises.
+        `motion` (2, dof) are velocity and acceleration at the start, or None at rest. Raises PlanningFailed
+        (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path` if no braking is free), InvalidRequest for
+        a goal that breaks the constraint, and the deadline's error.
         """
         model, constraint = context.model, None
         if constrains(context.path_constraint):
@@ -62,5 +63,5 @@ class PlanningProblem:
 
     @property
     def goals(self) -> Array:
-        """The configurations (n, dof) at which a trajectory may end."""
+        """The configurations (n, dof) in which a trajectory may end."""
         return np.array([end.asked for end in self.targets[-1]])

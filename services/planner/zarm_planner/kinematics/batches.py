@@ -1,7 +1,7 @@
 """Batches of forward and inverse kinematics, on the device that a request asks for.
 
-Kernels take one after the other; pytorch-kinematics takes all of them in step, which pays on a GPU. torch is loaded by the
-first request that needs it: it takes 2 s and 250 MB.
+Kernels solve one pose after the other; pytorch-kinematics solves all of them in lockstep, which pays on a GPU. torch is
+loaded by the first request that needs it: it takes 2 s and 250 MB.
 """
 
 from __future__ import annotations
@@ -31,27 +31,29 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 WORTH_A_GPU = 10_000
-"""Solutions asked for from which `auto` takes a GPU for inverse kinematics.
+"""Number of requested solutions from which `auto` uses a GPU for inverse kinematics.
 
-Kernels need 25 to 60 us for each, so 0.25 to 0.6 s for so many. In step, a batch of any size takes up to 4 rounds of 20 steps
-with some 70 small GPU kernels of 5 to 10 us each, 30 to 60 ms, and then choosing the nearest, some 15 us for each solution.
-An estimate from the time on a CPU; it has not been measured on a GPU.
+Kernels need 25 to 60 us for each, so 0.25 to 0.6 s for this many. In lockstep, a batch of any size takes up to 4 rounds
+of 20 steps with some 70 small GPU kernels of 5 to 10 us each, 30 to 60 ms, plus choosing the nearest, some 15 us per
+solution. An estimate from CPU times; not measured on a GPU.
 """
 _CONVERGED = 1e-7
-"""m and rad. pytorch-kinematics reads a URDF in float32, which may move the tip by as much again; TOLERANCE allows both."""
+"""m and rad. pytorch-kinematics reads a URDF in float32, which may move the tip by as much again; TOLERANCE allows
+both.
+"""
 _STARTS = 4
-"""Starts per solution asked for, in each round; in the first round `near` is among them."""
+"""Starts per requested solution in each round; in the first round `near` is among them."""
 _ROUNDS = 4
 _ITERATIONS = 20
 """Nine of ten descents that end at a pose do so within 13 steps."""
 _ROWS = {"cpu": 4096, "cuda": 65536}
-"""Descents in step: between so many a deadline or a cancel is noticed; they take some 50 and 800 MB."""
+"""Descents in one lockstep batch, after which a deadline or a cancel is noticed; they take some 50 and 800 MB."""
 
 
 def batch_fk(model: RobotModel, joints: Array, device: Device) -> Array:
     """The poses (n, 4, 4) of the tip in the base frame for joints (n, dof). Raises InvalidRequest for the device.
 
-    `auto` means kernels: they need 0.3 us for each, which is less than a GPU needs to be told.
+    `auto` means kernels: they need 0.3 us per pose, less than starting a GPU computation.
     """
     if device in ("auto", "kernels"):
         return model.fk_tip(joints)
@@ -77,8 +79,8 @@ def batch_ik(
 ) -> list[Array]:
     """For each pose (n, 4, 4) of the tip the solutions (m, dof) that `ik.solve_ik` promises, on any device.
 
-    What is solved on torch is accepted by the kernels' own forward kinematics; poses without a solution there are solved
-    by kernels. Raises InvalidRequest for the device, and what `deadline` raises.
+    Solutions from torch are checked with the kernels' own forward kinematics; poses without a solution there are solved
+    by kernels. Raises InvalidRequest for the device, and the deadline's error.
     """
     if device == "auto":
         device = "cuda" if len(poses) * max_solutions >= WORTH_A_GPU and _has_gpu() else "kernels"
@@ -108,7 +110,7 @@ def _in_step(
     device: Device,
     deadline: Deadline,
 ) -> list[Array]:
-    """Solutions of poses from a few rounds of descents; poses that have enough of them take no part in the next round."""
+    """Solutions of poses from a few rounds of descents; poses with enough solutions are left out of the next round."""
     import pytorch_kinematics as pk
     import torch
 
@@ -130,7 +132,7 @@ def _in_step(
             rot_tolerance=_CONVERGED,
             max_iterations=_ITERATIONS,
             clamp_to_limits=True,
-            enforce_joint_limits=False,  # wraps to the middle of the range; here solutions are wanted near `near`
+            enforce_joint_limits=False,  # would wrap to the middle of the range, but solutions near `near` are wanted
         )
         ended = solver.solve(pk.Transform3d(matrix=torch.as_tensor(poses[lacking], device=device)))
         ends, converged = ended.solutions.cpu().numpy(), ended.converged.cpu().numpy()
@@ -142,7 +144,9 @@ def _in_step(
 
 
 def _accepted(model: RobotModel, poses: Array, near: Array, rows: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Joints (n, starts, dof) in the limits and turned towards `near`; and whether they reach their poses, say kernels."""
+    """Joints (n, starts, dof) in the limits and turned towards `near`; and whether they reach their poses by the
+    kernels' check.
+    """
     # pytorch-kinematics keeps limits in float32 and solutions anywhere in them; a full turn changes no pose.
     rows = np.clip(rows, model.lower, model.upper)
     least, most = np.ceil((model.lower - rows) / TURN), np.floor((model.upper - rows) / TURN)
@@ -155,7 +159,7 @@ def _accepted(model: RobotModel, poses: Array, near: Array, rows: Array) -> tupl
 
 
 def _nearest_free(model: RobotModel, rows: Array, near: Array, world: World | None, most: int) -> Array:
-    """At most so many distinct rows, free in a world, the nearest first."""
+    """At most `most` distinct rows, free in the world, the nearest first."""
     kept: list[Array] = []
     for row in rows[np.argsort(((rows - near) ** 2).sum(axis=1), kind="stable")]:
         if len(kept) == most:
@@ -168,7 +172,7 @@ def _nearest_free(model: RobotModel, rows: Array, near: Array, world: World | No
 
 
 def _require(device: Device) -> None:
-    """Raises InvalidRequest if a device that needs torch cannot be had."""
+    """Raises InvalidRequest if a device that needs torch is not available."""
     if not _has_torch():
         raise InvalidRequest(
             f"the device {device} needs torch and pytorch-kinematics where the planner runs; install them with "
@@ -189,7 +193,7 @@ def _has_torch() -> bool:
 
 @lru_cache(maxsize=1)
 def _has_gpu() -> bool:
-    """Whether torch has a CUDA device; torch is loaded only where there is a driver for one."""
+    """Whether torch has a CUDA device; torch is loaded only if a driver for one is installed."""
     if not _has_torch() or not any(map(Path.exists, map(Path, ("/dev/nvidiactl", "/dev/dxg", "/dev/nvhost-gpu")))):
         return False
     import torch
@@ -200,7 +204,7 @@ def _has_gpu() -> bool:
 def _chain(model: RobotModel, device: Device) -> SerialChain:
     import torch
 
-    # Plans have the other cores; and 1000 poses took two threads that share two busy cores nine times as long as one.
+    # Plans use the other cores; and two threads sharing two busy cores took nine times as long as one for 1000 poses.
     torch.set_num_threads(1)
     return _chain_of(_urdf(model), model.robot.descriptor.tip_link, device)
 
@@ -215,7 +219,9 @@ def _chain_of(urdf: str, tip: str, device: Device) -> SerialChain:
 
 
 def _urdf(model: RobotModel) -> str:
-    """The robot's URDF from its base to its tip: what zarm reads in it, and the attributes that pytorch-kinematics demands."""
+    """The robot's URDF from its base to its tip: what zarm reads in it, and the attributes that pytorch-kinematics
+    demands.
+    """
     robot = model.robot
     ranges = dict(zip(robot.descriptor.joints, zip(model.lower, model.upper, strict=True), strict=True))
     parts = [f"<link name={quoteattr(robot.descriptor.base_link)}/>"]

@@ -16,15 +16,15 @@ from zarm_planner.kernels.inverse import TURN, Chain, solve
 Array = NDArray[np.float64]
 
 _COLLIDING = 64
-"""Colliding solutions after which there is no hope for a free one."""
+"""Colliding solutions after which the search for a free one gives up."""
 
 
 @dataclass(frozen=True)
 class IkResult:
     """Solutions of one pose.
 
-    `solutions` (n, dof) are within the limits, free, and nearest first; `colliding` (m, dof) reach the pose but collide,
-    nearest first. `distance` (m) and `angle` (rad) are how near the best attempt came to the pose.
+    `solutions` (n, dof) are within the limits, free, and nearest first; `colliding` (m, dof) reach the pose but
+    collide, nearest first. `distance` (m) and `angle` (rad) are the errors of the best attempt.
     """
 
     solutions: Array
@@ -45,9 +45,9 @@ def solve_ik(
 ) -> IkResult:
     """Solve for a pose (4, 4) of the tip in the base frame, to 1e-6 m and 1e-6 rad, starting at `near` (dof,).
 
-    Solutions differ by more than 0.1 rad in some joint; a joint that can turn more than once gives one for each turn.
-    With a `world`, solutions are free of it and of the robot itself in spheres. With `max_solutions` 1 the first that is
-    found is returned: the one that `near` leads to, unless that collides.
+    Solutions differ by more than 0.1 rad in some joint; a joint with a range of several turns gives one for each turn.
+    With a `world`, solutions collide in spheres neither with it nor with the robot itself. With `max_solutions` 1, the
+    first one found is returned: the one that `near` leads to, unless that collides.
     """
     free = np.empty((max_solutions, model.dof))
     colliding = np.empty((_COLLIDING, model.dof))
@@ -76,17 +76,19 @@ _NOTHING = World((), 0.0)
 
 
 def chain_of(model: RobotModel) -> Chain:
-    """The kinematics of a robot, for kernels."""
+    """The robot's kinematics in the kernels' form."""
     return Chain(model.origin, model.revolute, model.offset[-1], model.lower, model.upper)
 
 
 def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> Array:
-    """The `most` nearest among solutions and all that differ from them by full turns; each is its own nearest turn."""
+    """The `most` nearest among solutions and all that differ from them by full turns; each input is its own nearest
+    turn.
+    """
     rows = _nearest_first(solutions, near)
     if most == 1:
         return rows
     for k in np.flatnonzero(model.revolute & (model.upper - model.lower >= TURN)):
-        # What is not among the nearest after one joint will not be after a further joint has turned away too.
+        # What is not among the nearest after one joint will not be after another joint has turned away too.
         turns = np.arange(-((model.upper[k] - model.lower[k]) // TURN), (model.upper[k] - model.lower[k]) // TURN + 1)
         turned = np.repeat(rows, len(turns), axis=0)
         turned[:, k] += np.tile(turns * TURN, len(rows))

@@ -14,16 +14,16 @@ GoalKind = Literal["pose", "joints", "waypoints"]
 """The `kind` of a goal's message."""
 
 NAMES: Mapping[GoalKind, str] = {"pose": "classic", "joints": "joint_space", "waypoints": "multi_point"}
-"""The names of planners that take every goal."""
+"""The names of the planners that take every goal."""
 
 Faster = Callable[[float], TimedTrajectory | None]
-"""Finds a trajectory that is faster than so many seconds, or returns None if there is no more time."""
+"""Finds a trajectory faster than the given seconds, or returns None if there is no time left."""
 
 
 class Planner(ABC):
     """One way to find trajectories. It has no state: one planner serves any number of requests at a time.
 
-    It is never trusted: the pipeline verifies each trajectory on exact geometry before it leaves the process.
+    It is never trusted: the pipeline verifies each trajectory in exact geometry before it leaves the process.
     """
 
     names: ClassVar[Mapping[GoalKind, str]]
@@ -35,10 +35,11 @@ class Planner(ABC):
 
     @abstractmethod
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
-        """Trajectories from the start, at rest or in motion, to rest at the goal, for the seed of `context`; the fastest first.
+        """Trajectories from the start, at rest or in motion, to rest at the goal, for the seed of `context`; the
+        fastest first.
 
-        There may be none. The pipeline asks for the next one if the one before was refused, so later ones stay closer to
-        what is known to be free. Raises what the deadline raises.
+        There may be none. The pipeline asks for the next one if one is refused, so later ones stay closer to what is
+        known to be free. Raises the deadline's error.
         """
 
     def faster(self, context: PlanningContext, problem: PlanningProblem) -> Faster:

@@ -90,11 +90,11 @@ class _ConstrainedPaths:
     constraint: ConstraintManifold
 
     def between(self, start: Array, goal: Array) -> Array | None:
-        """The first that is found soon, with shortcuts."""
+        """A path found quickly, with shortcuts."""
         return self._path(start, goal[None], LEG_SAMPLES)
 
     def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
-        """The first that is found, with shortcuts."""
+        """The first path found, with shortcuts."""
         return self._path(start, goals, most)
 
     def _path(self, start: Array, goals: Array, most: int) -> Array | None:

@@ -29,21 +29,23 @@ Timed = Callable[[], TimedTrajectory]
 """Times a route."""
 
 _TRIES = 10
-"""Searches for a path between two at most, of which the quickest counts."""
+"""Most searches for a path between two configurations, of which the quickest path counts."""
 _DEVIATIONS = (0.03, 0.01, 0.0)
-"""How far (rad) a motion may leave the path at corners where the smooth one is refused: ever closer to what is known free."""
+"""How far (rad) a motion may leave the path at corners once the smooth one is refused: ever closer to what is known
+free.
+"""
 
 
 class FreePlanner(Planner):
-    """To a pose, to joints, or through waypoints, in the way that is quickest."""
+    """The quickest motion to a pose, to joints, or through waypoints."""
 
     names = NAMES
     moving = True
 
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
-        """The smooth trajectory along the route, and then those that round its corners ever less.
+        """The smooth trajectory along the route, then those that round its corners less and less.
 
-        From a start in motion these come after a rest.
+        From a start in motion the latter follow a stop.
         """
         if (route := _route(context, problem)) is None:
             return
@@ -105,12 +107,12 @@ def _along(context: PlanningContext, route: Route, deviation: float) -> TimedTra
 
 @dataclass(frozen=True)
 class _FreePaths:
-    """Paths that only have to be free."""
+    """Paths that only have to be free of collision."""
 
     context: PlanningContext
 
     def between(self, start: Array, goal: Array) -> Array | None:
-        """The quickest of a few; of more where they differ."""
+        """The quickest of a few paths; of more if they differ."""
         context = self.context
         seeds = range(_TRIES * context.seed, _TRIES * (context.seed + 1))
         found = quickest_of(
@@ -122,7 +124,7 @@ class _FreePaths:
         return found.path
 
     def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
-        """The first that is found, with shortcuts."""
+        """The first path found, with shortcuts."""
         context = self.context
         model, world, seed, deadline = context.model, context.world, context.seed, context.deadline
         with context.timer.stage("search"):

@@ -14,18 +14,18 @@ PLANNERS: tuple[Planner, ...] = (
     FreePlanner(),
     ConstrainedPlanner(),
 )
-"""To add a planner, add it here. Those that stand first are taken where a request names none."""
+"""Add new planners here. The first that fits is the default when a request names none."""
 
 AUTO = "auto"
-"""The name by which a request leaves the choice to its goal."""
+"""The name with which a request leaves the choice to its goal."""
 
 
 def choose(
     name: str, goal: Goal, constrained: bool, moving: bool = False, planners: Sequence[Planner] = PLANNERS
 ) -> Planner:
-    """The planner that takes a request; `constrained` says that there is a path constraint, `moving` a start in motion.
+    """The planner that takes a request; `constrained`: with a path constraint, `moving`: with a start in motion.
 
-    Raises InvalidRequest if the one that `name` asks for does not take it.
+    Raises InvalidRequest if the one called `name` does not take it.
     """
     fitting: dict[str, Planner] = {}
     for planner in planners:

@@ -1,9 +1,9 @@
 """Chooses a configuration for each target, and finds a quick free path through them.
 
-A pose can be reached in many ways, and a path to one costs a search. So paths are searched only between configurations
-that the quickest route may still lead through: a straight line is the quickest that a path between two can be (Dellin and
-Srinivasa, "A unifying formalism for shortest path problems with expensive edge evaluations via lazy best-first search
-over paths with edge selectors", 2016).
+A pose can be reached in many ways, and each path costs a search. So paths are searched only between configurations that
+the quickest route may still pass: no path between two is quicker than a straight line (Dellin and Srinivasa, "A
+unifying formalism for shortest path problems with expensive edge evaluations via lazy best-first search over paths with
+edge selectors", 2016).
 """
 
 from __future__ import annotations
@@ -26,20 +26,26 @@ from zarm_trajectory.limits import Limits
 Array = NDArray[np.float64]
 
 _LEGS = 4
-"""Per target, so many pairs of configurations are tried to be joined before what was found so far has to do, and one more for
-each further pose of a goal set."""
+"""Pairs of configurations per target between which a path is searched before the best so far is used, plus one for each
+further pose of a goal set.
+"""
 LEG_SAMPLES = 1000
-"""Samples after which the search for such a leg is given up, some milliseconds; nine of ten problems of MotionBenchMaker take fewer."""
+"""Samples after which the search for such a leg gives up, some milliseconds; nine of ten problems of MotionBenchMaker
+take fewer.
+"""
 _SOON = 20_000
-"""Samples after which a search to any of several configurations gives way to a proof that there is no path, some 0.1 s."""
+"""Samples after which a search to any of several configurations pauses for a proof that there is no path, some 0.1 s.
+"""
 _MOST = 100_000
-"""Samples after which that search is given up, where there is no proof."""
+"""Samples after which that search gives up without a proof."""
 _PROOF_S = 0.5
-"""So long is a proof looked for, s."""
+"""Time limit (s) of the search for a proof."""
 
 
 class Paths(Protocol):
-    """Paths (n, dof) whose straight edges are free in spheres. The same seed gives the same paths; a deadline may raise."""
+    """Paths (n, dof) whose straight edges are free in spheres. The same seed gives the same paths; a deadline may
+    raise.
+    """
 
     def between(self, start: Array, goal: Array) -> Array | None:
         """A short path between two configurations (dof,); None if none was found soon."""
@@ -62,9 +68,9 @@ class Route:
 
 
 def find_route(paths: Paths, problem: PlanningProblem, context: PlanningContext) -> Route | None:
-    """A quick route through one end of each target, in their order.
+    """A quick route through one end of each target, in order.
 
-    None if none was found. Raises PlanningFailed (`no_path`) where it is proven that there is none.
+    None if none was found. Raises PlanningFailed (`no_path`) if it is proven that there is none.
     """
     start, layers = problem.start, [[problem.start], *problem.targets]
     chain = _quickest_chain(paths, layers, context.limits) or _any_chain(paths, layers, context)
@@ -81,13 +87,13 @@ def find_route(paths: Paths, problem: PlanningProblem, context: PlanningContext)
 
 
 Chain = list[tuple[End, Array]]
-"""For each target the end that is gone through, and the leg that leads there."""
+"""For each target the end that is passed, and the leg that leads there."""
 
 
 def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limits) -> Chain | None:
-    """The quickest chain through the layers, of which the first is the start; None if _LEGS tries each found none."""
+    """The quickest chain through the layers, the first of which is the start; None if _LEGS tries each found none."""
     free = [np.array([end.free for end in ends]) for ends in layers]
-    # From each end of a layer to each of the next: the time of the leg, or until that is known the least it can be.
+    # From each end of a layer to each of the next: the time of the leg, or a lower bound until that is known.
     last = len(free) - 2
     rests = [(leg == 0) + (leg == last) for leg in range(last + 1)]
     costs = [
@@ -101,7 +107,7 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limit
         if step is None:
             found = [(layers[k + 1][to], known[k][at, to]) for k, (at, to) in enumerate(pairs)]
             return [(end, leg) for end, leg in found if leg is not None]
-        if tries == 0:  # from now on only what is known counts
+        if tries == 0:  # from now on only known legs count
             for cost, pairs_known in zip(costs, known, strict=True):
                 unknown = np.ones(cost.shape, bool)
                 unknown[tuple(np.array([*pairs_known], int).reshape(-1, 2).T)] = False
@@ -115,7 +121,7 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limit
 
 
 def _cheapest(costs: Sequence[Array]) -> list[tuple[int, int]] | None:
-    """From which end to which of the next layer the cheapest way leads, step by step; None if every way is blocked."""
+    """The ends of consecutive layers that the cheapest chain joins, step by step; None if every chain is blocked."""
     total = np.zeros(1)
     previous = []
     for cost in costs:
@@ -151,7 +157,9 @@ def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningC
 
 
 def _check_connected(context: PlanningContext, starts: Array, goals: Array, called: str) -> None:
-    """Raises PlanningFailed if it can be proven that no path leads from any of `starts` (n, dof) to any of `goals` (m, dof)."""
+    """Raises PlanningFailed if it can be proven that no path leads from any of `starts` (n, dof) to any of `goals` (m,
+    dof).
+    """
     with context.timer.stage("search"):
         deadline = context.deadline.sooner(_PROOF_S)
         found = find_disconnection(context.model, context.world, starts, goals, deadline)
@@ -165,9 +173,10 @@ def _check_connected(context: PlanningContext, starts: Array, goals: Array, call
 
 
 def _seconds(edges: Array, limits: Limits, rests: int) -> Array:
-    """Time (...,) that a path of `edges` (n, ..., dof) takes at least, with rest at so many of its two ends.
+    """Lower bound (...,) on the time of a path of `edges` (n, ..., dof), with `rests` of its two ends at rest.
 
-    Each edge takes its slowest joint at full speed; and all of them each joint, which also speeds up and slows down.
+    Each edge takes at least its slowest joint at full speed; and all edges together take at least each joint's time
+    including acceleration and braking.
     """
     way = np.abs(edges)
     edge_by_edge = np.max(way / limits.velocity, axis=-1).sum(axis=0)

@@ -51,7 +51,7 @@ def attach(scene: Scene, edit: AttachObject, tip: Array, meshes: Meshes) -> Scen
 
 
 def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
-    """The scene with an attached object put down where it is with the tip at `tip` (4, 4). Raises InvalidRequest."""
+    """The scene with an attached object detached at its place for the tip pose `tip` (4, 4). Raises InvalidRequest."""
     attached = {one.object.name: one for one in scene.attached}
     if edit.name not in attached:
         raise InvalidRequest(
@@ -64,7 +64,7 @@ def detach(scene: Scene, edit: DetachObject, tip: Array) -> Scene:
 
 
 def set_links(scene: Scene, edit: SetLinkCollision) -> Scene:
-    """The scene with these links of the robot looked at, or no longer; those that are so already stay so."""
+    """The scene with collisions of these links checked or ignored; no effect on links already in that state."""
     if edit.enabled:
         ignored = tuple(name for name in scene.ignored_links if name not in edit.names)
     else:
@@ -81,7 +81,7 @@ def refuse_attached(scene: Scene, names: Sequence[str], field: str) -> None:
 
 
 def _parts(item: Mesh | Voxels, meshes: Meshes) -> tuple[Cuboid, ...]:
-    """Cuboids that contain an object, in the frame that its pose is given in."""
+    """Cuboids that enclose an object, in the frame of its pose."""
     lower, upper = meshes.around(item, MAX_ATTACHED_PARTS)
     pose = matrix(item.position, item.orientation)
     centers = ((lower + upper) / 2) @ pose[:3, :3].T + pose[:3, 3]
@@ -92,7 +92,7 @@ def _parts(item: Mesh | Voxels, meshes: Meshes) -> tuple[Cuboid, ...]:
 
 
 def _moved(item: SceneObject, frame: Array) -> SceneObject:
-    """An object whose pose is given in `frame` (4, 4), in the frame that this one is given in."""
+    """An object, its pose given in `frame` (4, 4), with its pose in the frame that `frame` is given in."""
     if isinstance(item, Sphere):
         return item.model_copy(update={"position": pose_of(frame @ matrix(item.position)).position})
     pose = pose_of(frame @ matrix(item.position, item.orientation))

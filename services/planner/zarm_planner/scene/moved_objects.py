@@ -9,10 +9,10 @@ from zarm_contract.messages import ObjectPose, Scene, SceneObject, Sphere, Voxel
 
 
 class MovedObjects:
-    """The newest poses of objects in `scene()`. Safe from any thread.
+    """The newest poses of objects in `scene()`. Thread-safe.
 
-    An object is where it was told to be last until it is edited. A pose of an object that is not there, or consists of voxels, is
-    passed over; the servo says so.
+    An object stays at its last reported pose until it is edited. A pose for a missing object, or one made of voxels, is
+    ignored here; the servo reports it.
     """
 
     def __init__(self, scene: Callable[[], Scene]) -> None:
@@ -22,7 +22,7 @@ class MovedObjects:
         self._placed: tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]] | None = None
 
     def hear(self, key: str, message: ObjectPose) -> None:
-        """A message on the key of an object's pose."""
+        """Take a message on the key of an object's pose."""
         name = key.split("/")[-2]
         item = next((item for item in self._scene().objects if item.name == name), None)
         if item is None or isinstance(item, Voxels):
@@ -37,7 +37,7 @@ class MovedObjects:
                 self._placed = None
 
     def objects(self, scene: Scene) -> tuple[SceneObject, ...]:
-        """All objects of the scene, each where it is now: the same tuple as long as nothing has changed."""
+        """All objects of the scene at their current poses: the same tuple as long as nothing has changed."""
         with self._lock:
             if self._placed is None or self._placed[0] is not scene.objects:
                 known = {item.name: item for item in scene.objects} if self._told else {}
@@ -46,7 +46,7 @@ class MovedObjects:
             return self._placed[1]
 
     def objects_to_be(self, scene: Scene) -> tuple[SceneObject, ...]:
-        """The same of a scene that does not hold yet."""
+        """The same for a scene that has not taken effect yet."""
         with self._lock:
             return self._where_they_are(scene)
 

@@ -50,17 +50,17 @@ MAX_PARTS = 300_000
 
 
 def _named(document: Any) -> Any:
-    """The scene in a file of version 0."""
+    """Migrates the document of a version 0 file."""
     return document["scene"]
 
 
 def _identified(scene: Any) -> Any:
-    """A scene of version 1, whose revision was a number alone, with an identity of its own."""
+    """Migrates a version 1 scene, whose revision was only a number, by giving it an identity."""
     return scene | {"revision": _revision(scene["revision"])}
 
 
 def _revision(edits: int) -> SceneRevision:
-    """A revision that there has never been, of a scene that has had so many edits."""
+    """A new, unique revision of a scene with this number of edits."""
     return f"{edits}-{secrets.token_hex(6)}"
 
 
@@ -70,12 +70,12 @@ def _next(revision: SceneRevision) -> SceneRevision:
 
 
 class SceneStore:
-    """The scene of one robot, in `<folder>/scene.json`, with the shapes of its meshes. Safe for use by any number of threads.
+    """The scene of one robot, in `<folder>/scene.json`, with the shapes of its meshes. Thread-safe.
 
-    Its revision is drawn anew with every edit and kept in the file: that of a scene from the file holds again, that of a file
-    that is gone or lost never does. A copy of the file that is edited elsewhere becomes another scene.
-    A file that cannot be read is put aside as `scene.json.broken`. From then on `lost` says so, until the first edit:
-    the objects that it held may still stand around the robot.
+    Each edit draws a new revision, which is kept in the file: the revision of a scene read from the file is valid
+    again, and that of a missing or lost file is never reused. A copy of the file that is edited elsewhere becomes
+    another scene. A file that cannot be read is set aside as `scene.json.broken`. From then on `lost` says so until the
+    first edit, because the objects in it may still stand around the robot.
     """
 
     def __init__(self, folder: Path, meshes: Meshes | None = None) -> None:
@@ -88,7 +88,7 @@ class SceneStore:
 
     @property
     def scene(self) -> Scene:
-        """The present scene, which never changes; an edit makes a new one."""
+        """The present scene, which is immutable; an edit makes a new one."""
         return self._scene
 
     def edit(
@@ -97,15 +97,14 @@ class SceneStore:
         tip: Array = _AT_BASE,
         prepare: Callable[[Scene], None] = lambda _: None,
     ) -> Scene:
-        """Apply an edit, save the result and return it; `tip` (4, 4) is where the robot carries, or puts down.
+        """Apply an edit, save the result and return it; `tip` (4, 4) is the tip pose used to attach or detach objects.
 
-        `prepare` is given the new scene before it holds.
-        Raises InvalidRequest for a fault of the edit and Unavailable if it cannot be saved, or concerns links while the
-        scene is lost; then nothing has changed.
+        `prepare` is called with the new scene before it takes effect. Raises InvalidRequest for a faulty edit and
+        Unavailable if it cannot be saved, or concerns links while the scene is lost; then nothing has changed.
         """
         with self._lock:
             if self.lost is not None and isinstance(request.edit, SetLinkCollision):
-                raise Unavailable(self.lost)  # such an edit says nothing of what stands around the robot
+                raise Unavailable(self.lost)  # such an edit says nothing about the objects around the robot
             scene = _edited(self._scene, request, tip, self.meshes)
             scene = scene.model_copy(update={"revision": _next(self._scene.revision)})
             content = encode(scene)
@@ -126,7 +125,7 @@ class SceneStore:
             return scene
 
     def notes(self, request: SceneEdit) -> tuple[str, ...]:
-        """What is said of the meshes that an edit has brought."""
+        """Notes on the meshes that an edit has added."""
         if not isinstance(request.edit, AddObjects | LoadScene):
             return ()
         names = {item.name for item in request.edit.objects}
@@ -151,7 +150,7 @@ class SceneStore:
 
 
 def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Scene:
-    """The scene after an edit, not yet with a revision of its own; objects stay in the order in which they came."""
+    """The scene after an edit, not yet with its own revision; objects stay in their order."""
     objects = {item.name: item for item in scene.objects}
     match request.edit:
         case AttachObject() as edit:
@@ -215,7 +214,7 @@ def _added(
 
 
 def _kept(item: SceneObject | PointCloud, field: str, meshes: Meshes) -> SceneObject:
-    """What the scene keeps of an object: of a cloud the occupied cells, and of a mesh the digest of its file, too."""
+    """The form of an object kept in the scene: occupied cells of a cloud, and a mesh with the digest of its file."""
     if isinstance(item, Mesh):
         return meshes.checked(item, field)
     if isinstance(item, Voxels):
@@ -232,7 +231,7 @@ def _parts(item: SceneObject, meshes: Meshes) -> int:
 
 
 def _check_size(item: SceneObject | PointCloud, field: str) -> None:
-    """Refuse what no robot meets and what distances cannot be computed with."""
+    """Refuse sizes and positions that no robot meets and that distances cannot be computed with."""
     if not all(abs(x) <= _FARTHEST for x in item.position):
         raise InvalidRequest(
             f"{item.name} is further than {_FARTHEST:g} m away; positions are in m, in the base frame",
@@ -243,7 +242,7 @@ def _check_size(item: SceneObject | PointCloud, field: str) -> None:
     elif isinstance(item, Sphere):
         sizes = {"radius": item.radius}
     elif isinstance(item, Mesh | Voxels | PointCloud):
-        sizes = {}  # how far they reach is looked at where they are turned to shapes
+        sizes = {}  # their extent is checked where they are turned into shapes
     else:
         sizes = {"radius": item.radius, "length": item.length}
     for name, size in sizes.items():

@@ -1,8 +1,8 @@
 """Proves that the first joints cannot get from start to goal, wherever the other joints are.
 
-The positions of the first joints fix those of balls inside the links that they carry. A cell of a grid over these joints is in
-collision where one of the balls overlaps an obstacle in all of it. If the other cells do not connect the start to the goal, no path
-does. (Basch, Guibas, Hsu and Nguyen, "Disconnection proofs for motion planning", 2001.)
+The positions of the first joints determine those of balls inside the links that they carry. A cell of a grid over these
+joints is in collision if one of the balls overlaps an obstacle throughout the cell. If the other cells do not connect
+the start to the goal, no path does. (Basch, Guibas, Hsu and Nguyen, "Disconnection proofs for motion planning", 2001.)
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
 _CELLS = (720, 4000, 24000)
-"""Into so many cells at most the ranges of the first joint, the first two and the first three are divided."""
+"""Most cells for the ranges of the first joint, the first two and the first three."""
 _LOOK_AT = 128
-"""Cells that are looked at in one go."""
+"""Cells evaluated in one batch."""
 _MOST_SHAPES = 64
-"""Obstacles may consist of any number of shapes; the largest count."""
+"""Obstacles may consist of any number of shapes; only the largest count."""
 _SMALLEST = 0.02
-"""Balls (m) that are smaller prove next to nothing."""
+"""Smaller balls (radius in m) prove next to nothing."""
 _ALONG = np.linspace(-0.9, 0.9, 5)
-"""Where the centres of balls lie along the middle of a shape, as shares of half its length."""
+"""Places of ball centres along the middle of a shape, as shares of half its length."""
 _ON_AXIS = np.linspace(-0.5, 0.5, 21)
 """The same along the axis of a joint, in m from its origin."""
 
 
 @dataclass(frozen=True)
 class Disconnection:
-    """The start and the goals lie in different components, even if nothing but the robot's first `joints` could collide, and with
-    nothing but the `objects`."""
+    """The start and the goals lie in different components, even if nothing but the robot's first `joints` could
+    collide, and with nothing but the `objects`.
+    """
 
     joints: tuple[str, ...]
     objects: tuple[str, ...]
@@ -46,9 +47,10 @@ class Disconnection:
 
 @dataclass(frozen=True)
 class _Balls:
-    """Balls inside the robot: the `joint` (n,) that carries each, its `centre` (n, 3) in that joint's frame, its `radius` (n,).
+    """Balls inside the robot: the `joint` (n,) that carries each, its `centre` (n, 3) in that joint's frame, its
+    `radius` (n,).
 
-    Those with `held` (n,) lie on the axis that the joint turns about, so that it does not move them.
+    Those marked `held` (n,) lie on the axis of the joint, which therefore does not move them.
     """
 
     joint: NDArray[np.int32]
@@ -57,7 +59,7 @@ class _Balls:
     held: NDArray[np.bool_]
 
     def before(self, count: int) -> _Balls:
-        """Those whose place the first `count` joints decide."""
+        """The balls whose place is determined by the first `count` joints."""
         chosen = self.joint < count + self.held
         return _Balls(self.joint[chosen], self.centre[chosen], self.radius[chosen], self.held[chosen])
 
@@ -67,7 +69,7 @@ def find_disconnection(
 ) -> Disconnection | None:
     """Why no path leads from any of `starts` (n, dof) to any of `goals` (m, dof).
 
-    None if that is not proven until the deadline, after which it comes back.
+    None if that is not proven by the deadline, at which it returns.
     """
     if not len(world.rows):
         return None
@@ -86,25 +88,25 @@ def find_disconnection(
 
 
 class _Grid:
-    """The ranges of the first joints in cells, of which `blocked` says whether one is proven to hold nothing free."""
+    """The ranges of the first joints in cells; `blocked` says whether one is proven to hold nothing free."""
 
     def __init__(self, model: RobotModel, shapes: Array, balls: _Balls, count: int) -> None:
         span = (model.upper - model.lower)[:count]
-        # Cells of like extents, weighted by what moves where a joint turns: the first moves most.
+        # Cells of similar extent, weighted by what a joint's rotation moves: the first moves most.
         edge = (np.prod(span) / _CELLS[count - 1]) ** (1 / count)
         self._shape = np.maximum(1, np.floor(span / edge)).astype(np.int64)
         self._lower, self._size = model.lower[:count], span / self._shape
         self._model, self._shapes, self._balls, self._count = model, shapes, balls, count
 
     def cells(self, q: Array) -> Cells:
-        """The cells (n,) that joints (n, dof) lie in."""
+        """The cells (n,) that contain joints (n, dof)."""
         at = np.floor((q[:, : self._count] - self._lower) / self._size).astype(np.int64)
         return self._number(np.clip(at, 0, self._shape - 1))
 
     def part(self, starts: Cells, goals: Cells, deadline: Deadline) -> NDArray[np.intp] | None:
-        """The shapes that part the starts from the goals; None if they are joined, or the deadline comes first.
+        """The shapes that separate the starts from the goals; None if they are connected, or at the deadline.
 
-        Both sides grow by turns, those cells first that are nearest to the other side: a small side is soon complete.
+        Both sides grow alternately, the cells nearest to the other side first: a small side is soon complete.
         """
         side = np.zeros(int(np.prod(self._shape)), np.int8)
         blocked_by = np.full(len(side), -1)
@@ -139,13 +141,13 @@ class _Grid:
         return np.asarray(np.ravel_multi_index(tuple(at.T), tuple(self._shape)), np.int64)
 
     def _beside(self, cells: Cells) -> Cells:
-        """Those that share a face with one of the cells, each once."""
+        """The cells that share a face with one of the given cells, each once."""
         step = np.eye(self._count, dtype=np.int64)
         at = (self._at(cells)[:, None] + np.concatenate([step, -step])).reshape(-1, self._count)
         return np.unique(self._number(at[np.all((at >= 0) & (at < self._shape), axis=1)]))
 
     def blocked_by(self, cells: Cells) -> NDArray[np.intp]:
-        """For each of the cells (n,) a shape that some ball lies in wherever in the cell the joints are; -1 where there is none."""
+        """For each of the cells (n,) a shape that some ball overlaps throughout the cell; -1 if there is none."""
         model, balls, half = self._model, self._balls, self._size / 2
         q = np.zeros((len(cells), model.dof))
         q[:, : self._count] = self._lower + (self._at(cells) + 0.5) * self._size
@@ -177,7 +179,9 @@ class _Grid:
 
 
 def _inner_balls(model: RobotModel) -> _Balls:
-    """Balls inside the robot's exact shapes, along the middle of each shape and along the axis of the joint that carries it."""
+    """Balls inside the robot's exact shapes, along the middle of each shape and along the axis of the joint that
+    carries it.
+    """
     found: list[tuple[int, Array, Array]] = []
     for body in model.bodies:
         if body.joint < 0:

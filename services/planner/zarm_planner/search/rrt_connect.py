@@ -15,16 +15,16 @@ from zarm_planner.kernels.trees import make_trees
 Array = NDArray[np.float64]
 
 ENDLESS = 2**62
-"""Samples that no search comes to."""
+"""More samples than any search reaches."""
 
 
 def search(
     model: RobotModel, world: World, start: Array, goals: Array, *, seed: int, deadline: Deadline, most: int = ENDLESS
 ) -> Array | None:
-    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None when `most` samples or `deadline` came first.
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof); None after `most` samples or at `deadline`.
 
-    Start and goals are free and within the limits, the nearest goal stands first; straight lines are tried in that
-    order. The same seed gives the same path. Consecutive rows are joined by straight edges that are free to
+    Start and goals are free and within the limits, the nearest goal first; straight lines are tried in that order. The
+    same seed gives the same path. Consecutive rows are joined by straight edges that are free to
     `kernels.collision.RESOLUTION`.
     """
     goals = goals.reshape(-1, model.dof)
@@ -44,7 +44,7 @@ def search(
     if len(found) == 0:
         return None
     path = found.astype(np.float64)
-    # The kernels compute in float32; the ends are the caller's own, and nothing leaves the limits by rounding.
+    # The kernels compute in float32; keep the caller's own ends, and let rounding exceed no limit.
     path = np.clip(path, model.lower, model.upper)
     path[0] = start
     path[-1] = goals[np.argmin(np.abs(goals - found[-1]).max(axis=1))]
@@ -52,10 +52,10 @@ def search(
 
 
 def sampling_range(model: RobotModel, ends: Array) -> NDArray[np.float32]:
-    """Where samples are drawn, (2, dof) lower and upper, in a search between `ends` (n, dof).
+    """The sampling range (2, dof), lower and upper, of a search between `ends` (n, dof).
 
-    A joint that turns further than once need not be sampled over all of its turns: within half a turn of the start and the
-    goals every posture occurs.
+    A joint with a range of more than one turn need not be sampled over all of it: within half a turn of the start and
+    the goals every posture occurs.
     """
     half_turn = np.where(model.revolute, np.pi, np.inf)
     lower = np.maximum(model.lower, ends.min(axis=0) - half_turn)

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadline: Deadline) -> Array:
     """A free path (m, dof) between the ends of the free `path` (n, dof) that is no longer, without repeated rows.
 
-    Where both ends are one configuration the path can be one row.
-    The same seed gives the same path. `deadline` only makes it end sooner: the path so far is a good one.
+    If both ends are the same configuration, the path can be one row. The same seed gives the same path. `deadline` only
+    makes it end sooner, with the best path so far.
     """
     room = np.empty((len(path) + kernel.MOST, model.dof), np.float32)
     room[: len(path)] = path
@@ -41,7 +41,7 @@ def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadlin
 
 
 class Quickest(NamedTuple):
-    """A path (n, dof), if there is one, and the seconds that the search for it and the shortcuts on it took."""
+    """A path (n, dof), if there is one, and the seconds that its search and shortcuts took."""
 
     path: Array | None
     search: float
@@ -51,9 +51,9 @@ class Quickest(NamedTuple):
 def quickest_of(
     model: RobotModel, world: World, start: Array, goal: Array, *, seeds: Sequence[int], deadline: Deadline, most: int
 ) -> Quickest:
-    """The quickest of the paths, shortcuts taken, from `start` (dof,) to `goal` (dof,) that `seeds` lead to.
+    """The quickest of the paths, with shortcuts, that `seeds` give from `start` (dof,) to `goal` (dof,).
 
-    The path is None if a search came to `most` samples, or `deadline` came first, before there was one.
+    The path is None if a search reached `most` samples, or `deadline`, before finding one.
     """
     spent = np.zeros(2)
     rows = leg.quickest_of(

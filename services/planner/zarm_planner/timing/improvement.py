@@ -16,20 +16,21 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 GAIN = 0.005
-"""A motion that saves less than this part of the best one is not worth a verification."""
+"""A motion must save at least this share of the best one to be worth a verification."""
 _ATTEMPTS = 500
-"""Shortcuts on a new route, and on the best motion, in each round; about a millisecond on MotionBenchMaker's problems."""
+"""Shortcuts per round, on a new route and on the best motion; about a millisecond on MotionBenchMaker's problems."""
 _KEPT = 4
-"""Motions that are kept, so that there is another where the best one is refused."""
+"""Motions kept, as alternatives if the best one is refused."""
 
 Routes = Callable[[int], tuple[Array, Sequence[int]] | None]
-"""The k-th route: a free path (n, dof) from the start to a goal, and which rows of it the motion has to pass; None if
-there is none. The same k gives the same route."""
+"""The k-th route: a free path (n, dof) from the start to a goal, and the rows of it that the motion has to pass; None
+if there is none. The same k gives the same route.
+"""
 
 
 @dataclass
 class Improvement:
-    """The search for a faster motion. What it tries is the same for the same seed; how much of it, time decides.
+    """The search for a faster motion. The same seed tries the same motions; time decides how many.
 
     Every motion is one of `smoothing.smooth_path`, along one of `routes`.
     """
@@ -49,8 +50,8 @@ class Improvement:
     def faster_than(self, duration: float, deadline: Deadline) -> TimedTrajectory | None:
         """A motion that lasts at most `(1 - GAIN) * duration` s; None if `deadline` came before one was found.
 
-        To ask again for one that is faster than before is to say that the last answer was of no use: it is not developed
-        further. Raises what `routes` raises, and InvalidRequest if a motion is longer than `trajectory.MAX_SAMPLES`.
+        Asking for one faster than the last answer means that this was of no use: it is not developed further. Raises
+        what `routes` raises, and InvalidRequest if a motion is longer than `trajectory.MAX_SAMPLES`.
         """
         wanted = (1.0 - GAIN) * duration
         if self._given is not None and self._given[1] < duration:

@@ -1,8 +1,9 @@
 """The beginning of a motion that starts moving: a past for the moving average, and braking to rest.
 
-Smoothing averages ramps over a window of time. So that the average has a given position, velocity and acceleration at time 0,
-the ramps need a past as long as the window: in it each joint first changes its velocity by the window times that acceleration,
-as fast as it can, and then keeps it. Thereby the ramps begin no faster than the motion gets if its acceleration is let go.
+Smoothing averages ramps over a window of time. For the average to have a given position, velocity and acceleration at
+time 0, the ramps need a past as long as the window: in it each joint first changes its velocity by the window times
+that acceleration, as fast as it can, and then keeps it. So the ramps begin no faster than the motion becomes when its
+acceleration is released.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from zarm_trajectory.quintic import Array
 _WAYS = 300
 """Ways to brake that are tried; each that is not free takes some 20 us."""
 _EXACT_WAYS = 20
-"""And among those that are not free in spheres."""
+"""The same among those that are not free in spheres."""
 
 
 @dataclass(frozen=True)
 class LeadIn:
     """The beginning of a motion at `state` (3, dof): position, velocity and acceleration.
 
-    `ramps` are two: the past, `window` s long, and a braking with at most `strongest` (dof,) rad/s^2 to rest at `rest` (dof,).
-    `fastest` (dof,) in rad/s may be a little more than the limits, where the motion begins so.
+    `ramps` are two: the past, `window` s long, and a braking with at most `strongest` (dof,) rad/s^2 to rest at `rest`
+    (dof,). `fastest` (dof,) in rad/s may slightly exceed the limits if the motion begins that fast.
     """
 
     state: Array
@@ -48,9 +49,10 @@ class LeadIn:
 def ways_to_rest(
     model: RobotModel, world: World, state: Array, limits: Limits, dt: float, *, vias: bool, seed: int
 ) -> Iterator[LeadIn]:
-    """Ways to brake from `state` (3, dof) inside the joints' ranges: first one that is free in spheres, if any, then others.
+    """Ways to brake from `state` (3, dof) inside the joint ranges: first one that is free in spheres, if any, then
+    others.
 
-    With `vias` acceleration is as gentle as `smooth_path` has it then.
+    With `vias` the acceleration is as gentle as `smooth_path` makes it in that case.
     """
     q, velocity, acceleration = state
     strongest = gentle_acceleration(limits, dt) if vias else limits.acceleration
@@ -64,7 +66,7 @@ def ways_to_rest(
     ramps.acceleration[0] = np.copysign(strength, acceleration)
     ramps.first[0], ramps.last[0] = change, 0.0
     ramps.velocity[0] = begun - window * acceleration
-    # The mean of the past is `q`: it begins behind that by the mean of its way.
+    # The mean of the past is `q`, so the past begins earlier by the mean of its displacement.
     ramps.position[0] = q - (
         0.5 * window * ramps.velocity[0]
         + ramps.acceleration[0]

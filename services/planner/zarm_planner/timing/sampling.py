@@ -15,15 +15,16 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 TOLERANCE = 2e-4
-"""By which part a motion may be too fast: then velocity is at most so much over its limit, acceleration twice and jerk three
-times as much, all within 0.1 %."""
+"""Share by which a motion may be too fast: velocity then exceeds its limit by at most this, acceleration by twice and
+jerk by three times as much, all within 0.1 %.
+"""
 MAX_SAMPLES = 15_000
-"""The longest motion; of 7 joints it is just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
+"""Longest motion in samples; for 7 joints just under the largest message (`zarm_contract.codec.MAX_BYTES`)."""
 
 
 def sample_times(knots: Array, factor: float, dt: float) -> Array:
-    """Times (n,) from the first to the last of the ascending `knots` (k,) in s, these among them; at `factor` times as long
-    they are `dt` s apart or less.
+    """Times (n,) from the first to the last of the ascending `knots` (k,) in s, which are included; stretched by
+    `factor` they are at most `dt` s apart.
 
     Raises InvalidRequest if these are more than MAX_SAMPLES.
     """
@@ -38,9 +39,9 @@ def sample_times(knots: Array, factor: float, dt: float) -> Array:
 
 
 def load(trajectory: TimedTrajectory, limits: Limits) -> float:
-    """How far velocity, acceleration and jerk use their limits, 1 being fully, at any time between the samples too.
+    """How far velocity, acceleration and jerk use their limits, 1 being fully, at any time, also between samples.
 
-    Slower by this factor, the trajectory just keeps all of them. NaN where it holds no numbers.
+    Slowed down by this factor, the trajectory just meets all of them. NaN if it contains NaN.
     """
     most = np.stack((limits.velocity, limits.acceleration, limits.jerk))
     velocity, acceleration, jerk = peaks(
@@ -50,9 +51,9 @@ def load(trajectory: TimedTrajectory, limits: Limits) -> float:
 
 
 def within(sample: Callable[[float], TimedTrajectory], limits: Limits) -> TimedTrajectory:
-    """A motion that can be sampled at any factor of its shortest duration, as much slower as the limits demand."""
+    """A motion that can be sampled at any factor of its shortest duration, slowed down as much as the limits demand."""
     factor = 1.0
-    for _ in range(8):  # one or two rounds are the rule: sampled elsewhere, the motion has its extremes elsewhere
+    for _ in range(8):  # usually one or two rounds: sampled elsewhere, the motion has its extremes elsewhere
         trajectory = sample(factor)
         used = load(trajectory, limits)
         if used <= 1 + TOLERANCE:

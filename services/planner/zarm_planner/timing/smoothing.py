@@ -1,9 +1,10 @@
 """From a path to a fast trajectory: shortcuts in time at bounded acceleration, then bounded jerk.
 
 A motion that stops at every corner of the path is made faster by replacing pieces of it with the fastest ramps between
-their ends, straight or bent (`kernels.smoothing`). A moving average over time then turns steps of acceleration into slopes: an average of
-values inside limits is inside them too, and jerk is at most twice the acceleration limit over the window (Biagiotti and
-Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain specifications", 2012).
+their ends, straight or bent (`kernels.smoothing`). A moving average over time then turns steps of acceleration into
+slopes: an average of values inside limits is inside them too, and jerk is at most twice the acceleration limit over the
+window (Biagiotti and Melchiorri, "FIR filters for online trajectory planning with time- and frequency-domain
+specifications", 2012).
 """
 
 from __future__ import annotations
@@ -27,18 +28,23 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 ATTEMPTS = 1500
-"""Shortcuts that are tried for a path at most, and for each via on top; ten times as many gain 1 % on MotionBenchMaker's problems."""
+"""Most shortcuts tried for a path, plus as many for each via; ten times as many gain 1 % on MotionBenchMaker's
+problems.
+"""
 _PATIENCE = 384
-"""Shortcuts, and for each via on top, that may save next to nothing before no more are tried: motions are 0.1 % longer for it, and
-the slowest twentieth takes two thirds of the time."""
+"""Nearly useless shortcuts, plus as many for each via, after which no more are tried: this makes motions 0.1 % longer,
+and the slowest twentieth takes two thirds of the time.
+"""
 _ROOM = 256
-"""Ramps of a motion at most, on top of one for each edge of the path."""
+"""Most ramps of a motion, in addition to one for each edge of the path."""
 _MUCH = 0.5
-"""A joint that uses less of its speed and acceleration may swing beyond them between two samples, which spares samples."""
+"""A joint that uses less than this share of its speed and acceleration may overshoot between two samples, which saves
+samples.
+"""
 
 
 class Smoothing:
-    """The motion along a path, ever faster with more shortcuts."""
+    """The motion along a path, which becomes faster with more shortcuts."""
 
     def __init__(
         self,
@@ -72,12 +78,12 @@ class Smoothing:
 
     @property
     def duration(self) -> float:
-        """About how long (s) the motion will last."""
+        """The approximate duration (s) of the motion."""
         return float(self._ramps.duration[: self._count].sum()) + self._window - self._begin
 
     def shortcut(self, attempts: int, seed: int, deadline: Deadline) -> None:
-        """Try so many shortcuts, as often again for each via, or fewer where they no longer help or `deadline` comes first."""
-        if self._count == 0:  # it stays where it is
+        """Try this many shortcuts, plus as many for each via; stop early if they no longer help or at `deadline`."""
+        if self._count == 0:  # the motion stays where it is
             return
         self._count = smooth(
             self._model.arrays,
@@ -94,17 +100,19 @@ class Smoothing:
         )
 
     def trajectory(self) -> TimedTrajectory:
-        """The motion as it is now. Raises InvalidRequest if it is longer than `trajectory.MAX_SAMPLES`."""
+        """The present motion. Raises InvalidRequest if it is longer than `trajectory.MAX_SAMPLES`."""
         if self._count == 0:
             return TimedTrajectory.standing(self._path[0], self._dt)
         if self._lead_in is None:
             return within(self._sample, self._limits)
-        # To be slower is to begin otherwise. What swings beyond a limit between two samples is cured by more of them.
+        # A slower motion would begin differently. More samples cure overshoot between two of them.
         trajectory = self._sample(1.0)
         return trajectory if load(trajectory, self._limits) <= 1 + TOLERANCE else self._sample(1.0, share=0.0)
 
     def _sample(self, factor: float, share: float = _MUCH) -> TimedTrajectory:
-        """The motion at `factor` times its shortest duration, sampled at the knots of joints that use more than a `share` of their limits."""
+        """The motion at `factor` times its shortest duration, sampled at the knots of joints that use more than a
+        `share` of their limits.
+        """
         _, _, fastest, strongest = self._bounds
         times = knots(self._ramps, self._count, self._window, self._begin, share * fastest, share * strongest)
         t = sample_times(times, factor, self._dt)
@@ -132,13 +140,14 @@ def smooth_path(
     deviation: float = DEVIATION,
     lead_in: LeadIn | None = None,
 ) -> TimedTrajectory:
-    """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s, and in between
-    where a strong acceleration changes. With a `lead_in`, which leads to the first row, it begins in motion there.
+    """A fast motion from rest to rest from the first to the last row of `path` (n, dof), sampled every `dt` s, and
+    additionally where a strong acceleration changes. With a `lead_in`, which leads to the first row, it begins in
+    motion there.
 
-    It passes the rows `vias` of the path, in their order, each joint within `deviation` (rad), and stops there only where
-    no faster way is found to be free. Where it leaves the path it is free of `world` in spheres, as straight edges
-    from which `kernels.smoothing.BOW` keeps it. The limits hold as `sampling.load` measures them. The same seed gives the same
-    motion; `deadline` only makes the search for a faster one end sooner.
+    It passes the rows `vias` of the path in order, each joint within `deviation` (rad), and stops there only if no
+    faster way is found to be free. Where it leaves the path it is free of `world` in spheres, with deviations from
+    straight edges bounded by `kernels.smoothing.BOW`. The limits hold as `sampling.load` measures them. The same seed
+    gives the same motion; `deadline` only makes the search for a faster one end sooner.
 
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
@@ -148,13 +157,15 @@ def smooth_path(
 
 
 def brake_to_rest(model: RobotModel, world: World, lead_in: LeadIn, limits: Limits, dt: float) -> TimedTrajectory:
-    """The motion that a lead-in is by itself."""
+    """The motion of a lead-in alone."""
     return Smoothing(model, world, lead_in.rest[None], limits, dt, lead_in=lead_in).trajectory()
 
 
 def least_duration(start: Array, goals: Array, limits: Limits, dt: float) -> float:
-    """Seconds that `smooth_path` needs at least from `start` (dof,) to any of `goals` (n, dof), were nothing in the way."""
+    """Lower bound (s) on the duration of `smooth_path` from `start` (dof,) to any of `goals` (n, dof), without
+    obstacles.
+    """
     way = np.abs(goals - start)
-    ramp = limits.velocity**2 / limits.acceleration  # as far a joint gets while it speeds up fully and slows down again
+    ramp = limits.velocity**2 / limits.acceleration  # distance of a joint that accelerates fully and brakes again
     time = np.where(way < ramp, 2 * np.sqrt(way / limits.acceleration), (way + ramp) / limits.velocity)
     return float(time.max(axis=1).min()) + averaging_window(limits.acceleration, limits, dt)

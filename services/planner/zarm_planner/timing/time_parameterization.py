@@ -1,12 +1,12 @@
 """From a path to a trajectory within the limits of velocity, acceleration and jerk.
 
-Corners of the path are rounded by quintic curves that leave it by at most a stated distance; TOPPRA (Pham and Pham, "A New
-Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018) finds the fastest way along; a moving
-average over time turns its steps of acceleration into ramps (Biagiotti and Melchiorri, "FIR filters for online trajectory
-planning with time- and frequency-domain specifications", 2012). What is then still over a limit between two samples is
-cured by running the whole motion slower.
+Corners of the path are rounded by quintic curves that leave it by at most a stated distance; TOPPRA (Pham and Pham, "A
+New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", 2018) finds the fastest way along; a
+moving average over time turns its steps of acceleration into ramps (Biagiotti and Melchiorri, "FIR filters for online
+trajectory planning with time- and frequency-domain specifications", 2012). If a limit is still exceeded between two
+samples, the whole motion is slowed down.
 
-TOPPRA is imported where it is used: that takes a second, and most planners never need it.
+TOPPRA is imported only when used: that takes a second, and most planners never need it.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from zarm_trajectory.trajectory import TimedTrajectory
 _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
 _STEPS = 8
-"""At least so many of them on each straight piece and on each rounded corner."""
+"""Least number of these on each straight piece and on each rounded corner."""
 _CURVE_STEP = 0.025
-"""And on a curve through many points."""
+"""The same step (rad) on a curve through many points."""
 _ROUNDING = 3 / 16
 """A corner rounded from `leg` before it to `leg` after it is left by `_ROUNDING * leg * |u_after - u_before|`."""
 
 
 def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> TimedTrajectory:
-    """The fast motion from rest to rest along `path` (n, dof), sampled every `dt` s or a little less.
+    """The fast motion from rest to rest along `path` (n, dof), sampled every `dt` s or slightly less.
 
-    Corners of the polyline `path` are rounded and left by at most `deviation` (rad, Euclidean). With `deviation` 0, and
-    where that is faster, the motion stops at every corner. Limits are held within 0.1 %.
+    Corners of the polyline `path` are rounded, leaving it by at most `deviation` (rad, Euclidean). With `deviation` 0,
+    or if that is faster, the motion stops at every corner. Limits are held within 0.1 %.
 
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
@@ -54,7 +54,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
         and deviation > 0
         and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
     ):
-        with suppress(InvalidRequest):  # round a corner of next to no size it may be longer than stopping there ever is
+        with suppress(InvalidRequest):  # around a tiny corner it may take longer than stopping there
             trajectory = within(partial(fastest.sample, dt=dt), limits)
             if trajectory.duration < sum(edge.duration for edge in edges):
                 return trajectory
@@ -62,7 +62,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
 
 
 def _distinct(path: Array) -> Array:
-    """The path (n, dof) without rows that repeat the one before."""
+    """The path (n, dof) without consecutive duplicates."""
     keep: NDArray[np.bool_] = np.insert(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9, 0, True)
     return path[keep]
 
@@ -99,9 +99,10 @@ def through(points: Array) -> TimedTrajectory:
 
 
 def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajectory | None:
-    """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or a little less.
+    """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or slightly
+    less.
 
-    Limits are held within 0.1 %. None if TOPPRA's numbers fail.
+    Limits are held within 0.1 %. None if TOPPRA fails numerically.
 
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
@@ -111,8 +112,8 @@ def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajec
 
 @dataclass(frozen=True)
 class _Profile:
-    """How a curve is run along: velocity `sd` (m,) at lengths `s` (m,), reached at times `t` (m,), in between at constant
-    acceleration; all of that then averaged over `window` s, whereby it lasts longer by as much.
+    """The motion along a curve: velocity `sd` (m,) at lengths `s` (m,), reached at times `t` (m,), with constant
+    acceleration in between; all averaged over `window` s, which prolongs it by as much.
     """
 
     curve: TimedTrajectory
@@ -126,7 +127,7 @@ class _Profile:
         return float(self.t[-1]) + self.window
 
     def sample(self, factor: float, dt: float) -> TimedTrajectory:
-        """The motion at `factor` times its shortest duration, sampled every `dt` s or a little less."""
+        """The motion at `factor` times its shortest duration, sampled every `dt` s or slightly less."""
         t = sample_times(np.array([0.0, 0.5, 1.0]) * self.duration, factor, dt)
         area1, s1, sd1 = self._raw(t)
         area0, s0, sd0 = self._raw(t - self.window)
@@ -150,15 +151,15 @@ class _Profile:
 
 
 def _window(acceleration: Array, limits: Limits, dt: float) -> float:
-    """Seconds over which to average: from full acceleration to the opposite within the jerk limits.
+    """The averaging time (s): from full acceleration to the opposite within the jerk limits.
 
-    Two samples at least, for the quintic between two samples follows no step.
+    At least two samples, because a quintic between two samples cannot follow a step.
     """
     return max(2 * dt, float(np.max(2 * acceleration / limits.jerk)))
 
 
 def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
-    """From `a` to `b`: speed up, keep the speed if there is room for it, slow down."""
+    """From `a` to `b`: accelerate, keep the speed if there is room for it, brake."""
     edge = np.abs(b - a)
     length = float(np.linalg.norm(edge))
     with np.errstate(divide="ignore"):
@@ -174,7 +175,7 @@ def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
 
 
 class _ToppraPath:
-    """A curve as TOPPRA asks for it."""
+    """A curve in TOPPRA's interface."""
 
     def __init__(self, curve: TimedTrajectory) -> None:
         self._curve = curve
@@ -186,8 +187,8 @@ class _ToppraPath:
 
 
 def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, least: int) -> _Profile | None:
-    """TOPPRA under the limits on velocity and acceleration, at points not further apart than `step` (rad), `least` on each
-    piece of the curve; None if its numbers fail.
+    """TOPPRA under the limits on velocity and acceleration, at points at most `step` (rad) apart, `least` on each piece
+    of the curve; None if it fails numerically.
     """
     from zarm_planner.timing.toppra_without_plots import TOPPRA, JointAccelerationConstraint, JointVelocityConstraint
 
@@ -205,7 +206,7 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
 
 
 def joined(trajectories: Sequence[TimedTrajectory]) -> TimedTrajectory:
-    """Motions, each of which begins at rest where the one before came to rest, one after the other."""
+    """Motions in sequence, each beginning at rest where the previous one came to rest."""
     starts = np.cumsum([0.0, *(trajectory.duration for trajectory in trajectories[:-1])])
     first, *rest = trajectories
     return TimedTrajectory(

@@ -14,7 +14,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 def too_near(
     scene: PlanningScene, trajectory: TimedTrajectory, clearance: float, check: Callable[[], None]
 ) -> tuple[TooNear, ...]:
-    """What comes nearer to each other along a trajectory of this `clearance` (m) than the margins of the scene, in exact geometry.
+    """The pairs closer to each other along a trajectory of this `clearance` (m) than the scene's margins, in exact
+    geometry.
 
     `check` is called now and then and may raise.
     """

@@ -17,7 +17,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 _POSITION = 1e-6
 """Rad by which a motion may miss its start and its goal."""
 LOAD = 1 + 1.5 * TOLERANCE
-"""How far the limits may be used, as `sampling.load` has it: what timing makes, and some rounding."""
+"""Largest permitted `sampling.load`: that of the timing, and some rounding."""
 RANGE = 1e-4
 """Rad by which a joint may be outside its range: rounding, and interpolation between samples."""
 
@@ -38,10 +38,10 @@ def verify(
 ) -> float:
     """The trajectory's smallest distance (m) to the scene and to the robot itself, at most 1.
 
-    Raises VerificationFailed unless the trajectory leads from `start` to `goal` (dof,), from rest, or the velocity and
-    acceleration `motion` (2, dof) at the start, to rest, inside the joints'
-    ranges and `limits`, and free of collision: between the configurations looked at no point of the robot moves further
-    than `RESOLUTION`, and `constraint` is looked at there. `check` is called now and then and may raise.
+    Raises VerificationFailed unless the trajectory leads from `start` to `goal` (dof,), from rest, or from the velocity
+    and acceleration `motion` (2, dof), to rest, inside the joint ranges and `limits`, and free of collision. Between
+    the configurations checked, no point of the robot moves further than `RESOLUTION`; `constraint` is checked at the
+    same ones. `check` is called now and then and may raise.
     """
     model, joints = scene.model, scene.model.robot.descriptor.joints
     velocity, acceleration = np.zeros((2, model.dof)) if motion is None else motion

@@ -12,9 +12,9 @@ from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
 _STEP = 0.001
-"""Seconds between looks."""
+"""Interval (s) of the samples."""
 _LOOKS = 5000
-"""So many of them are worked on in one go, some milliseconds; a slow motion has many more."""
+"""Samples processed in one batch, some milliseconds; a slow motion has many more."""
 
 
 def passing_times(
@@ -25,10 +25,11 @@ def passing_times(
     angle_tolerance: float,
     check: Callable[[], None] = lambda: None,
 ) -> tuple[float, ...]:
-    """The times (s) at which the tip is nearest to its pose at any row of each of `waypoints` (n, dof), which are passed in this order.
+    """The times (s) at which the tip is nearest to its pose at any row of each of `waypoints` (n, dof), passed in this
+    order.
 
-    Raises VerificationFailed if one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad). `check` is called
-    now and then and may raise.
+    Raises VerificationFailed if one is not passed within `position_tolerance` (m) and `angle_tolerance` (rad). `check`
+    is called now and then and may raise.
     """
     t = np.linspace(0.0, trajectory.duration, int(trajectory.duration / _STEP) + 2)
     tips = np.concatenate([_tips(model, trajectory, t[k : k + _LOOKS], check) for k in range(0, len(t), _LOOKS)])
@@ -61,7 +62,7 @@ def _tips(model: RobotModel, trajectory: TimedTrajectory, times: Array, check: C
 
 
 def _apart(tips: Array, wanted: Array, check: Callable[[], None]) -> Array:
-    """How far poses (n, 4, 4) are from the one that is wanted (4, 4): (2, n), m and rad."""
+    """The distances (2, n), in m and rad, of poses (n, 4, 4) from the wanted one (4, 4)."""
     check()
     distance = np.linalg.norm(tips[:, :3, 3] - wanted[:3, 3], axis=-1)
     # |A - B| = 2 sqrt(2) sin(angle / 2) in the Frobenius norm, for rotations A and B.

@@ -12,7 +12,7 @@ Colour = tuple[float, float, float, float]
 
 
 def colour_of(request: AddObject.Request) -> Colour | None:
-    """The colour that a client gave; none where it left all four at 0, or gave one outside 0..1."""
+    """The colour that a client gave; None if all four are 0, or one is outside 0..1."""
     c = request.color
     colour = (c.r, c.g, c.b, c.a)
     return colour if any(colour) and all(0.0 <= part <= 1.0 for part in colour) else None

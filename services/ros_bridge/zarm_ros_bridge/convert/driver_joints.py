@@ -1,4 +1,4 @@
-"""A driver's joint states, as they arrive over DDS."""
+"""A driver's joint states in their DDS serialization."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from zarm_contract.messages import JointState
 from zarm_ros_bridge.convert.joints import driver_joint_state, places_of
 
 _LITTLE_ENDIAN = b"\x00\x01"
-"""How plain CDR begins that has its least significant byte first (DDSI-RTPS 2.5, 10.2). Two bytes of options follow."""
+"""Header of plain CDR in little-endian order (DDSI-RTPS 2.5, 10.2). Two bytes of options follow."""
 _BODY = 4
-"""Where the message itself begins; numbers are aligned from here, each to its own size."""
+"""Start of the message itself; numbers are aligned from here, each to its own size."""
 _STAMP = struct.Struct("<iI")
 _FRAME = _BODY + _STAMP.size
-"""Where the name of the frame begins, and after it those of the joints."""
+"""Start of the frame's name, which the names of the joints follow."""
 
 
 class DriverJointStates:
-    """Reads serialized messages of one driver: states of `joints`; `unnamed` are those of a message without names, by index.
+    """Reads serialized messages of one driver: states of `joints`; `unnamed` are those of a message without names, by
+    index.
 
-    rclpy takes 0.15 ms of CPU to make a message of Python, mostly for what is the same in all: frame and names. They are read from the
-    first message, and of later ones the numbers alone, as long as all bytes before them are the same.
+    rclpy takes 0.15 ms of CPU to build a Python message, mostly for what never changes: frame and names. These are read
+    from the first message, and only the numbers from later ones, as long as all bytes before them are the same.
     """
 
     def __init__(self, unnamed: Sequence[str], joints: Sequence[str]) -> None:
@@ -47,9 +48,10 @@ class DriverJointStates:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """What a message is like, beside its stamp and its numbers: the bytes up to these, and the place of each of `joints` among them.
+    """The layout of a message, without its stamp and its numbers: the bytes up to the numbers, and the index of each of
+    `joints` among them.
 
-    What DDS leaves between them for alignment is anything: `mask` has a 0 there, and a 1 in each other bit of `names`.
+    DDS alignment padding is arbitrary: `mask` has a 0 there, and a 1 in each other bit of `names`.
     """
 
     begin: int
@@ -62,13 +64,13 @@ class _Layout:
 
     @classmethod
     def of(cls, message: bytes, read: RosJointState, joints: tuple[str, ...], unnamed: Sequence[str]) -> Self:
-        """That of a message that was read."""
+        """The layout of a message that was read."""
         mask, count = bytearray(), len(read.position)
         for size, alignment in (
             (_length(read.header.frame_id), 4),
-            (4, 4),  # how many names
+            (4, 4),  # number of names
             *((_length(name), 4) for name in read.name),
-            (4, 4),  # how many positions
+            (4, 4),  # number of positions
             (0, 8),
         ):
             mask += bytes(-(_STAMP.size + len(mask)) % alignment) + b"\xff" * size
@@ -84,7 +86,7 @@ class _Layout:
         )
 
     def read(self, message: bytes) -> JointState | None:
-        """The joint state; None if the message is another, or has no stamp, or a number that is none."""
+        """The joint state; None if the message has another layout, no stamp, or a number that is not finite."""
         begin, count = self.begin, self.count
         if message[:2] != _LITTLE_ENDIAN or len(message) < begin + self.numbers.size:
             return None
@@ -102,5 +104,5 @@ class _Layout:
 
 
 def _length(text: str) -> int:
-    """Bytes of a string: its length, it, and a zero."""
+    """Bytes of a string: its length, its text, and a zero."""
     return 4 + len(text.encode()) + 1

@@ -16,7 +16,7 @@ def finite(value: float, field: str) -> float:
 
 
 def in_terms_of(error: ZarmError, fields: Mapping[str, str]) -> ZarmError:
-    """The same error with its field as the client on ROS knows it; `fields` are those of the bus, or beginnings of them."""
+    """The same error with its field under the name of the ROS client; `fields` are bus names, or prefixes of them."""
     at = error.problem.field or ""
     for known, name in fields.items():
         if at == known or at.startswith(f"{known}."):

@@ -1,6 +1,6 @@
 """Joints by name, in requests and from drivers.
 
-`joint1` is as good as `joint_1`: Doosan's drivers have had both, and their links too.
+`joint1` is accepted for `joint_1`: Doosan's drivers have used both, and so have their links.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def ros_positions(joints: Sequence[str], position: Iterable[float], velocity: It
 def positions_of(message: RosJointState, joints: Sequence[str], field: str) -> Positions:
     """The positions in a request's `field`, in the order of `joints`.
 
-    By name, whatever other joints the message has (a gripper's, for one); without names, by index. Raises InvalidRequest for
-    what fits neither and for what is no number.
+    By name, ignoring other joints in the message (such as a gripper's); without names, by index. Raises InvalidRequest
+    for anything else, and for values that are not finite.
     """
     values = list(message.position)
     if not message.name and len(values) != len(joints):
@@ -59,10 +59,11 @@ def is_empty(message: RosJointState) -> bool:
 
 
 def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: Sequence[str]) -> JointState:
-    """A driver's joint states: of `joints`, in its order, whatever others are there; without names, of `unnamed` by index.
+    """A driver's joint states: those of `joints`, in this order, ignoring others; without names, those of `unnamed` by
+    index.
 
-    Velocities that are left out or not finite are 0, as some drivers know none. A stamp of 0 is now. Raises InvalidRequest,
-    which names the field, for what cannot be read.
+    Missing velocities, or ones that are not finite, become 0, since some drivers report none. A stamp of 0 means now.
+    Raises InvalidRequest, which names the field, for what cannot be read.
     """
     names = message.name or unnamed
     places = places_of(names, joints, "name")
@@ -83,7 +84,9 @@ def driver_joint_state(message: RosJointState, unnamed: Sequence[str], joints: S
 
 
 def places_of(names: Sequence[str], joints: Sequence[str], field: str) -> dict[str, int]:
-    """Where each of `joints` stands in `names`, and each other name. Raises InvalidRequest if one is missing, or there twice."""
+    """The index of each of `joints` in `names`, and of each other name. Raises InvalidRequest if one is missing or
+    appears twice.
+    """
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         joint = known_as(name, joints)
@@ -99,7 +102,7 @@ def places_of(names: Sequence[str], joints: Sequence[str], field: str) -> dict[s
 
 
 def known_as(name: str, among: Collection[str]) -> str:
-    """Which of these joints or links is meant: `link6` is `link_6` where there is no other; a name that none has stays."""
+    """The joint or link that is meant: `link6` is `link_6` if there is no other; an unknown name is returned unchanged."""
     if name in among:
         return name
     return next((one for one in among if one.replace("_", "") == name.replace("_", "")), name)

@@ -21,7 +21,7 @@ SPHERE: Colour = (0.2, 0.5, 0.9, 0.35)
 
 
 def obstacle_markers(scene: Scene, base_link: str, tip_link: str, colours: Mapping[str, Colour]) -> MarkerArray:
-    """Everything in the scene, in place of whatever was shown before; what the robot carries moves with its tip."""
+    """Everything in the scene, replacing what was shown before; attached objects move with the tip."""
     markers = [Marker(action=Marker.DELETEALL)]
     for item in scene.objects:
         markers += _object(item, base_link, colours.get(item.name, OBSTACLE))
@@ -31,7 +31,7 @@ def obstacle_markers(scene: Scene, base_link: str, tip_link: str, colours: Mappi
 
 
 def sphere_markers(robot: RobotDescriptor) -> MarkerArray:
-    """The spheres that cover the robot, each in the frame of its link, so that they move with it."""
+    """The robot's collision spheres, each in the frame of its link, so that they move with it."""
     markers: list[Marker] = []
     for link, spheres in robot.spheres.items():
         for sphere in spheres:
@@ -68,7 +68,7 @@ def _object(item: SceneObject, frame: str, colour: Colour) -> Iterator[Marker]:
 
 
 def _mesh(item: Mesh, frame: str, colour: Colour) -> Marker:
-    """The mesh where its file is found here as well, else its name in its place."""
+    """The mesh if its file is found here as well, otherwise its name in its place."""
     folders = [Path(folder) for folder in os.environ.get("ZARM_MESHES", "").split(os.pathsep) if folder]
     file = next((path for folder in folders if (path := folder / item.file).is_file()), None)
     if file is None:

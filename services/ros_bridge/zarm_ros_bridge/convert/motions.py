@@ -14,19 +14,19 @@ from zarm_ros_bridge.convert.fields import finite
 from zarm_ros_bridge.convert.poses import is_given, pose_of
 
 MOST_SETS = 100
-"""Waypoints of one motion at most."""
+"""Most waypoints of one motion."""
 MOST_POSES = 64
-"""Poses of one goal set at most."""
+"""Most poses of one goal set."""
 
 _AXES = ("theta_x", "theta_y", "theta_z", "x", "y", "z")
 
 
 @dataclass(frozen=True)
 class MotionRequest:
-    """A motion to a goal that a client gave in `field`, from `start` (empty: from where the robot is).
+    """A motion to a goal that a client gave in `field`, from `start` (empty: from the robot's position).
 
-    The goal are positions of the `joints` (rad), or else `sets` of poses: one pose of each of them, in turn, or with `any_set` one
-    pose of all.
+    The goal is positions of the `joints` (rad), or `sets` of poses: one pose of each in turn, or with `any_set` one
+    pose of any.
     """
 
     field: str
@@ -38,7 +38,7 @@ class MotionRequest:
 
     @classmethod
     def to_joints(cls, field: str, request: Any, joints: Sequence[str], constraint: PathConstraint | None) -> Self:
-        """To the `target_joint_positions` of a request, one for each of `joints`. Raises InvalidRequest."""
+        """A motion to the `target_joint_positions` of a request, one for each of `joints`. Raises InvalidRequest."""
         values = request.target_joint_positions
         if len(values) != len(joints):
             raise InvalidRequest(
@@ -67,7 +67,7 @@ class MotionRequest:
         return PoseGoal(kind="pose", position=first.position, orientation=first.orientation, alternatives=tuple(others))
 
     def reached(self, plan: Plan) -> str:
-        """The goal as the client knows it: its field, and of several poses to choose from which one."""
+        """The goal as the client knows it: its field, and the index if there were several poses to choose from."""
         place = plan.selected_goal_index
         choice = self.any_set or any(len(poses) > 1 for poses in self.sets[-1:])
         if place is None or not choice:
@@ -79,9 +79,9 @@ class MotionRequest:
         return f"{self.field}[{last}].poses[{chosen[last]}]"
 
     def selected(self, plan: Plan | None, passed: Sequence[int] = ()) -> list[int]:
-        """The place of the pose that is reached in each goal set; -1 for a set of which none is.
+        """The index of the pose reached in each goal set; -1 for a set of which none is.
 
-        `passed` are the places in the sets before the last one, which the plan does not tell.
+        `passed` are the indices in the sets before the last one, which the plan does not report.
         """
         places = [-1] * len(self.sets)
         if plan is None or plan.selected_goal_index is None or not places:
@@ -107,9 +107,9 @@ def _is_filled(value: Any) -> bool:
 
 
 def motion_to(given: Sequence[str], reads: Mapping[str, str], planner: str, default: str = "target_pose") -> str:
-    """Which of the fields that are filled in is the goal: the one that the active planner reads, or the only one there is.
+    """The filled-in field that is the goal: the one that the active planner reads, or the only one there is.
 
-    Raises InvalidRequest if none is filled in, or if it could be either of two.
+    Raises InvalidRequest if none is filled in, or if two are possible.
     """
     wanted = reads.get(planner, default)
     if wanted in given:
@@ -137,7 +137,7 @@ def pose_sets(sets: Sequence[Sequence[Any]], field: str) -> tuple[tuple[Pose, ..
 
 
 def places_of(sets: Sequence[Sequence[Any]], field: str) -> Iterator[str]:
-    """How a client knows each of the poses: target_pose, target_poses[2], goalsets[0].poses[2]."""
+    """The client's name for each of the poses: target_pose, target_poses[2], goalsets[0].poses[2]."""
     for i, poses in enumerate(sets):
         for j in range(len(poses)):
             if field == "goalsets":
@@ -149,11 +149,11 @@ def places_of(sets: Sequence[Sequence[Any]], field: str) -> Iterator[str]:
 def path_constraint_of(
     whole: Sequence[int], each: Sequence[int], target: str, lists: Mapping[str, int]
 ) -> PathConstraint | None:
-    """What the whole motion to the field `target` keeps of the tip's pose at its start, in the base frame.
+    """The components of the start pose of the tip that the whole motion to the field `target` keeps, in the base frame.
 
-    `whole` are `trajectory_constraints`. `each` are `trajectories_contraints`, six for each of a list of goals; `lists` names the
-    field of that and how many there are. Since a motion holds an axis all the way or not at all, they must be the same for all, and
-    the same as `whole` where both are given. Raises InvalidRequest.
+    `whole` are `trajectory_constraints`. `each` are `trajectories_contraints`, six for each of a list of goals; `lists`
+    gives the field and the length of that list. Since a motion holds an axis throughout or not at all, they must be the
+    same for all goals, and equal `whole` if both are given. Raises InvalidRequest.
     """
     ((name, count),) = lists.items()
     axes = _axes(whole, "trajectory_constraints")

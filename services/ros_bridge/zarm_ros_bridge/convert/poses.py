@@ -12,7 +12,7 @@ from zarm_contract.messages import Pose
 from zarm_ros_bridge.convert.fields import finite
 
 UNIT = 1e-3
-"""How far the length of a quaternion may be from 1; it is normalised. The contract's own bound."""
+"""How far the norm of a quaternion may be from 1, as in the contract; it is normalised."""
 
 
 def ros_pose(pose: Pose) -> RosPose:
@@ -22,9 +22,10 @@ def ros_pose(pose: Pose) -> RosPose:
 
 
 def pose_of(message: RosPose, field: str) -> Pose:
-    """The pose in a request's `field`. An orientation left at `{0, 0, 0, 0}` is none, as everywhere in ROS.
+    """The pose in a request's `field`. An orientation of `{0, 0, 0, 0}` means none, as is usual in ROS.
 
-    Raises InvalidRequest for what is no number, and for a quaternion whose length is further than UNIT from 1.
+    Raises InvalidRequest for values that are not finite, and for a quaternion whose norm differs from 1 by more than
+    UNIT.
     """
     p, q = message.position, message.orientation
     position, orientation = (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
@@ -44,6 +45,6 @@ def pose_of(message: RosPose, field: str) -> Pose:
 
 
 def is_given(message: RosPose) -> bool:
-    """Whether a client filled in this pose: at its defaults it is at the origin and not turned, inside the robot's base."""
+    """Whether a client filled in this pose: the default is at the origin, unrotated, inside the robot's base."""
     p, q = message.position, message.orientation
     return any((p.x, p.y, p.z, q.x, q.y, q.z)) or q.w not in (0.0, 1.0)

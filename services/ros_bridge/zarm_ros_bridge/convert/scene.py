@@ -21,15 +21,16 @@ if TYPE_CHECKING:
     from curobo_msgs.srv import AddObject
 
 MOST_VOXELS = 4_000_000
-"""In one box, which is a message of four times as many bytes."""
+"""Most voxels in one box; its message has four times as many bytes."""
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
 def object_of(request: AddObject.Request) -> SceneObject:
     """The object that a request describes. Raises InvalidRequest.
 
-    `dimensions` are m: the full extents of a cuboid; in x the radius of a sphere, capsule or cylinder, and in z the length of
-    the last two (of a capsule between the centres of its ends); the scale of a mesh, where all zeros are 1.
+    `dimensions` are in m: the full extents of a cuboid; for a sphere, capsule or cylinder the radius in x, and for the
+    last two the length in z (of a capsule between the centres of its ends); for a mesh the scale, where all zeros mean
+    1.
     """
     name, pose, d = name_of(request.name), pose_of(request.pose, "pose"), request.dimensions
     at, turned = pose.position, pose.orientation
@@ -54,7 +55,7 @@ def object_of(request: AddObject.Request) -> SceneObject:
 
 
 def name_of(name: str) -> str:
-    """The name of an object of the scene. Raises InvalidRequest."""
+    """The name of a scene object. Raises InvalidRequest."""
     if not _NAME.fullmatch(name):
         raise InvalidRequest(f"{name!r}: a name is 1 to 64 letters, digits, _, . and -", field="name")
     return name
@@ -70,20 +71,21 @@ FIELDS = {
         f"edit.objects.0.{size}.{i}": f"dimensions.{axis}" for size in ("size", "scale") for i, axis in enumerate("xyz")
     },
 }
-"""Fields of an edit that adds one object, and what they are in AddObject."""
+"""Fields of an edit that adds one object, and their names in AddObject."""
 
 
 Corners = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 def fill_grid(grid: VoxelGrid, occupancy: Occupancy, frame: str, box: Corners | None) -> None:
-    """The voxels of a box (corners in m; None: the smallest that has all that are occupied) as 0 and 1, the index of x the slowest.
+    """The voxels of a box (corners in m; None: the smallest that contains all occupied ones) as 0 and 1, with the index
+    of x the slowest.
 
-    The box is widened to whole voxels; `origin` is its corner with the lowest coordinates. Raises InvalidRequest if it has more
-    than MOST_VOXELS.
+    The box is widened to whole voxels; `origin` is its corner with the lowest coordinates. Raises InvalidRequest if it
+    has more than MOST_VOXELS.
     """
     edge = occupancy.resolution
-    cells = np.array(occupancy.cells, np.int64).reshape(-1, 3)  # cell i is from i - 1/2 to i + 1/2
+    cells = np.array(occupancy.cells, np.int64).reshape(-1, 3)  # cell i extends from i - 1/2 to i + 1/2
     if box is not None:
         low, high = (np.array(corner) / edge for corner in box)
         first, last = np.floor(low + 0.5).astype(int), np.ceil(high - 0.5).astype(int)

@@ -17,7 +17,7 @@ from zarm_ros_bridge.convert.joints import known_as
 from zarm_ros_bridge.convert.poses import pose_of
 
 Send = Callable[[Any], None]
-"""Tells a session, Tracking or Jogging, where to go."""
+"""Sends a target to a session, Tracking or Jogging."""
 
 INVALID, NO_WARNING = -1, 0
 STATUS: Mapping[Limiting, int] = {
@@ -32,9 +32,9 @@ STATUS: Mapping[Limiting, int] = {
 
 
 def twist_of(message: TwistStamped, robot: RobotDescriptor) -> Send:
-    """Velocities of the tip (m/s, rad/s) along the axes of the base or of the tip, as `frame_id` says.
+    """Velocities of the tip (m/s, rad/s) along the axes of the base or of the tool, as `frame_id` says.
 
-    Raises InvalidRequest for another frame, and for what is no number.
+    Raises InvalidRequest for another frame, and for values that are not finite.
     """
     frame = _frame(message.header.frame_id, {robot.base_link: "base", robot.tip_link: "tool"})
     linear, angular = (_vector(getattr(message.twist, name), f"twist.{name}") for name in ("linear", "angular"))
@@ -46,7 +46,7 @@ def twist_of(message: TwistStamped, robot: RobotDescriptor) -> Send:
 
 
 def target_of(message: PoseStamped, robot: RobotDescriptor) -> Send:
-    """A pose of the tip in the base frame. Raises InvalidRequest for another frame, and for what is no pose."""
+    """A pose of the tip in the base frame. Raises InvalidRequest for another frame, and for an invalid pose."""
     _frame(message.header.frame_id, {robot.base_link: "base"})
     pose = pose_of(message.pose, "pose")
 
@@ -57,9 +57,10 @@ def target_of(message: PoseStamped, robot: RobotDescriptor) -> Send:
 
 
 def joint_speed_of(message: Any, robot: RobotDescriptor) -> Send:
-    """Joint speeds (rad/s), by name, of a sensor_msgs/JointState or a control_msgs/JointJog; joints that are not named stand still.
+    """Joint speeds (rad/s), by name, of a sensor_msgs/JointState or a control_msgs/JointJog; unnamed joints stand
+    still.
 
-    Raises InvalidRequest for a joint that the robot does not have, displacements, and what is no number.
+    Raises InvalidRequest for an unknown joint, displacements, and values that are not finite.
     """
     if hasattr(message, "joint_names"):
         names, speeds, field = message.joint_names, message.velocities, "velocities"
@@ -91,7 +92,7 @@ def _by_joint(names: Sequence[str], speeds: Sequence[float], joints: Sequence[st
 
 
 def _frame(frame_id: str, frames: Mapping[str, str]) -> str:
-    """Which of the frames is meant; none is the first of them, the base."""
+    """Which of the frames is meant; an empty one means the first, the base."""
     base = next(iter(frames))
     link = known_as(frame_id.removeprefix("/") or base, frames)
     if link not in frames:

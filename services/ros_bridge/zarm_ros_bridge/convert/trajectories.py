@@ -14,7 +14,7 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 
 def ros_joint_trajectory(motion: DriverCommand | Trajectory) -> JointTrajectory:
-    """A motion that begins when it arrives (stamp 0). A command without points is to stop."""
+    """A motion that begins on arrival (stamp 0). A command without points means stop."""
     points = []
     for index, at in enumerate(motion.time):
         point = JointTrajectoryPoint(
@@ -28,10 +28,10 @@ def ros_joint_trajectory(motion: DriverCommand | Trajectory) -> JointTrajectory:
 
 
 def ros_joint_states(trajectory: Trajectory, dt: float) -> list[RosJointState]:
-    """Positions and velocities every `dt` s from the start of a motion to its end, where it rests.
+    """Positions and velocities every `dt` s from the start of a motion to its end at rest.
 
-    Each is a shallow copy of the first, so that they share what is the same in all: the constructor, which makes every field
-    anew, takes as long as all the rest.
+    Each is a shallow copy of the first, sharing what never changes: the constructor, which makes every field anew,
+    takes as long as all the rest.
     """
     common = RosJointState(name=list(trajectory.joint_names))
     fields = [(slot, getattr(common, slot)) for slot in RosJointState.__slots__]

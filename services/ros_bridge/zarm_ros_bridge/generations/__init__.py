@@ -1,5 +1,5 @@
 """The generations of curobo_msgs in use, and what the bridge does differently for each.
 
-`curobo_msgs/` has their definitions: a folder is named after the generations that it belongs to. `definitions` reads them,
-`installed` finds out which of them is the package that is installed beside the bridge, and `a`, `b` and `c` are the adapters.
+`curobo_msgs/` has their definitions: a folder is named after the generations to which it belongs. `definitions` reads
+them, `installed` identifies the package installed beside the bridge, and `a`, `b` and `c` are the adapters.
 """

@@ -11,7 +11,7 @@ from zarm_ros_bridge.convert.motions import MotionRequest
 from zarm_ros_bridge.generations.generation import Generation
 
 _ROBOTS = {0: "doosan_m1013", 2: "ur10"}
-"""Numbers of SetRobotStrategy that stand for whole trajectories to the controller of this robot."""
+"""Numbers of SetRobotStrategy that mean whole trajectories to the controller of this robot."""
 _EMULATOR = 1
 
 
@@ -28,7 +28,7 @@ class GenerationA(Generation):
     def feedback(
         self, kind: type[Any], state: str, progress: float, joint_command: Any, convergence: Convergence | None = None
     ) -> Any:
-        """Where the joints are commanded to be, and how far that is."""
+        """The commanded joints, and the progress."""
         return kind(joint_command=joint_command, step_progression=progress)
 
     def strategy(self, request: Any, robot_type: str) -> str:

@@ -16,7 +16,7 @@ _STATES = {
     "cancelled": "FAILED",
     "aborted": "FAILED",
 }
-"""Where that is not EXECUTING."""
+"""States other than EXECUTING."""
 
 
 class GenerationB(Generation):
@@ -26,7 +26,7 @@ class GenerationB(Generation):
     planners = 7
 
     def goal(self, goal: Any, planner: str, joints: Sequence[str]) -> MotionRequest | None:
-        """To the goal in the field that the planner reads, or in the only one that is filled in."""
+        """The goal in the field that the planner reads, or in the only one filled in."""
         if not filled(goal, ("target_pose", "target_poses", "target_joint_positions")):
             return None
         return self.motion(goal, planner, joints)
@@ -34,7 +34,7 @@ class GenerationB(Generation):
     def feedback(
         self, kind: type[Any], state: str, progress: float, joint_command: Any, convergence: Convergence | None = None
     ) -> Any:
-        """The errors stay 0 and `on_target` false, as with every planner that closes no loop, where there is no convergence."""
+        """Without a `convergence`, as for every planner without a closed loop, the errors stay 0 and `on_target` false."""
         told = convergence or Convergence()
         return kind(
             state=_STATES.get(state, "EXECUTING"),

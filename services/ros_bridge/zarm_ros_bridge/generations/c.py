@@ -1,4 +1,4 @@
-"""Generation C, autumn 2026: goals are goal sets, of which the planner chooses one pose each."""
+"""Generation C, autumn 2026: goals are goal sets, from each of which the planner chooses one pose."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class GenerationC(GenerationB):
         return self.motion(goal, planner, joints) if filled(goal, _FIELDS) else None
 
     def tell_selected(self, response: Any, asked: MotionRequest, plan: Plan | None, passed: Sequence[int]) -> None:
-        """The place of the chosen pose in each goal set; -1 for one that is not reached."""
+        """The index of the chosen pose in each goal set; -1 for one that is not reached."""
         response.selected_goal_index = asked.selected(plan, passed)
 
     def box(self, request: Any) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """None for a box without extent, as a request at its defaults has."""
+        """None for a box without extent, the default in a request."""
         low = request.bbox_min_x, request.bbox_min_y, request.bbox_min_z
         high = request.bbox_max_x, request.bbox_max_y, request.bbox_max_z
         return (low, high) if all(a < b for a, b in zip(low, high, strict=True)) else None

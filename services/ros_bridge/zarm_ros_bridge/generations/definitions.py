@@ -10,14 +10,14 @@ GENERATIONS = ("a", "b", "c")
 FOLDER = Path(__file__).with_name("curobo_msgs")
 
 Fields = Mapping[str, str]
-"""Types by name, in the order of the wire, as `get_fields_and_field_types` of a message class tells them."""
+"""Types by name, in wire order, as in `get_fields_and_field_types` of a message class."""
 
 _PARTS = {".msg": ("",), ".srv": ("Request", "Response"), ".action": ("Goal", "Result", "Feedback")}
 _PYTHON = {"bool": "boolean", "float32": "float", "float64": "double"}
 
 
 def definitions(generation: str) -> dict[str, dict[str, Fields]]:
-    """For each type, like srv/AddObject, the fields of its parts: of a message the part "", of a service Request and Response."""
+    """For each type, like srv/AddObject, the fields of its parts: "" for a message, Request and Response for a service."""
     return {
         f"{path.parent.name}/{path.stem}": dict(
             zip(_PARTS[path.suffix], map(dict, map(_fields, _sections(path.read_text()))), strict=True)
@@ -36,7 +36,7 @@ def _sections(text: str) -> list[str]:
 def _fields(section: str) -> Iterator[tuple[str, str]]:
     for line in section.splitlines():
         words = line.partition("#")[0].split()
-        if words and "=" not in words:  # else a constant
+        if words and "=" not in words:  # otherwise a constant
             yield words[1], _python(words[0])
 
 

@@ -12,18 +12,18 @@ from zarm_ros_bridge.convert.motions import MotionRequest, filled, motion_to, pa
 from zarm_ros_bridge.ros import Ros
 
 _READS = {"batch": "target_poses", "multipoint": "target_poses", "joint_space": "target_joint_positions"}
-"""The goal that a planner reads where that is not `target_pose`."""
+"""The goal field of planners that do not read `target_pose`."""
 
 
 class Generation(ABC):
-    """One generation, as it is installed. `types` are the classes of what can be served, like srv/AddObject.
+    """One generation, as installed. `types` are the classes that can be served, like srv/AddObject.
 
-    `differences` says, a sentence each, what is installed in another way than this generation has it.
+    `differences` lists, one sentence each, how the installed package differs from this generation.
     """
 
     letter: ClassVar[str]
     planners: ClassVar[int]
-    """How many values SetPlanner has."""
+    """The number of values of SetPlanner."""
 
     def __init__(self, types: Mapping[str, Any], differences: Sequence[str]) -> None:
         self.types = types
@@ -34,16 +34,16 @@ class Generation(ABC):
         return f"curobo_msgs of generation {self.letter.upper()}{faults}"
 
     def serve(self, ros: Ros, kind: str, name: str, answer: Callable[[Any, Any], Any]) -> None:
-        """Serve `name` by the type `kind`, like AddObject, where that is installed as it should be."""
+        """Serve `name` with the type `kind`, like AddObject, if that is installed as expected."""
         if (service := self.types.get(f"srv/{kind}")) is not None:
             ros.serve(service, name, answer)
 
     def motion(self, request: Any, planner: str, joints: Sequence[str]) -> MotionRequest:
-        """What generate_trajectory, or a goal with the same fields, asks the planner for. Raises InvalidRequest."""
+        """The motion that generate_trajectory, or a goal with the same fields, requests. Raises InvalidRequest."""
         field = motion_to(filled(request, ("target_pose", "target_poses", "target_joint_positions")), _READS, planner)
         poses = request.target_poses if field == "target_poses" else ()
         constraint = path_constraint_of(
-            getattr(request, "trajectory_constraints", ()),  # which the goal of an action does not have
+            getattr(request, "trajectory_constraints", ()),  # which an action goal lacks
             getattr(request, "trajectories_contraints", ()),
             field,
             {"target_poses": len(poses)},
@@ -60,12 +60,14 @@ class Generation(ABC):
 
     @abstractmethod
     def goal(self, goal: Any, planner: str, joints: Sequence[str]) -> MotionRequest | None:
-        """What a goal of execute_trajectory asks the planner for; None: it executes the last plan. Raises InvalidRequest."""
+        """The motion that a goal of execute_trajectory requests; None: it executes the last plan. Raises
+        InvalidRequest.
+        """
 
     def tell_selected(  # noqa: B027  what most have nothing to tell
         self, response: Any, asked: MotionRequest, plan: Plan | None, passed: Sequence[int]
     ) -> None:
-        """Put into the response of generate_trajectory which poses of its goal sets are reached; without a plan none is.
+        """Put into the response of generate_trajectory which poses of its goal sets are reached; without a plan, none.
 
         `passed` are those of the goal sets on the way.
         """
@@ -74,12 +76,14 @@ class Generation(ABC):
     def feedback(
         self, kind: type[Any], state: str, progress: float, joint_command: Any, convergence: Convergence | None = None
     ) -> Any:
-        """The feedback of a goal. `state` is that of the executor's goal, or `planning`; in closed loop, where there is a
+        """The feedback of a goal. `state` is that of the executor's goal, or `planning`; in closed loop, with a
         `convergence`, `tracking`, `on_target` or `aborted`.
         """
 
     def strategy(self, request: Any, robot_type: str) -> str:
-        """The strategy that SetRobotStrategy asks for, of a robot with the v1 name `robot_type`. Raises InvalidRequest."""
+        """The strategy that SetRobotStrategy requests, for a robot with the v1 name `robot_type`. Raises
+        InvalidRequest.
+        """
         name: str = request.robot_strategy
         return name
 
@@ -88,5 +92,5 @@ class Generation(ABC):
         return strategy
 
     def box(self, request: Any) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """The corners (m) of the part of the scene that GetVoxelGrid asks for, None for all of it."""
+        """The corners (m) of the part of the scene that GetVoxelGrid requests, None for all of it."""
         return None

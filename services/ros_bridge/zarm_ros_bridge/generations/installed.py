@@ -16,7 +16,7 @@ from zarm_ros_bridge.generations.generation import Generation
 log = logging.getLogger(__name__)
 
 ADAPTERS: tuple[type[Generation], ...] = (GenerationB, GenerationC, GenerationA)
-"""All of them; where a package is as near to two, the first of them."""
+"""All adapters; if a package is equally close to two, the first counts."""
 SERVED_WHERE_THERE = ("srv/GetVoxelGrid", "srv/WarmupIK", "srv/WarmupFK")
 """Types that a package may lack: the first needs nav2_msgs, and not every package has the others."""
 NOT_SERVED = (
@@ -28,12 +28,12 @@ NOT_SERVED = (
     "srv/SceneGenerator",
 )
 _LATER = {"action/SendTrajectory": {"controller_position_error", "controller_orientation_error"}}
-"""Fields at the end of the feedback that an earlier B does not have."""
+"""Trailing feedback fields that an earlier B lacks."""
 _EMPTY = "structure_needs_at_least_one_member"
 
 
 def installed() -> Generation:
-    """The generation to which the installed package is nearest, and what of it can be served."""
+    """The generation closest to the installed package, and what of it can be served."""
     found = min((_compared(adapter) for adapter in ADAPTERS), key=lambda one: len(one.differences))
     log.info("messages package=%s", f"{found}".replace(" ", "_"))
     for difference in found.differences:

@@ -1,4 +1,4 @@
-"""Makes this whole process one of another zarm; Python imports this file first where its folder is on the path."""
+"""Makes this whole process one of another zarm version; Python imports this file first if its folder is on the path."""
 
 import os
 
