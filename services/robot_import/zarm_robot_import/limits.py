@@ -79,6 +79,6 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
         assumed.append("velocity")
     acceleration = min(velocity / RAMP, MOST_ACCELERATION)
     velocity, acceleration, jerk = (
-        float(f"{value:.5g}") for value in (velocity, acceleration, acceleration / JERK_RAMP)
+        float(f"{value:.6g}") for value in (velocity, acceleration, acceleration / JERK_RAMP)
     )
     return JointLimits(joint.name, lower, upper, velocity, acceleration, jerk, (*assumed, "acceleration", "jerk"))
