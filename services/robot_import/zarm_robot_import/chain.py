@@ -15,6 +15,10 @@ from zarm_robot_import.description import Description, Joint
 
 Array = NDArray[np.float64]
 
+LARGEST = 20.0
+"""What is larger, or further (m) from what carries it, is in mm."""
+FARTHEST = 100.0
+"""What stands at a joint without limits stands no further (rad, m)."""
 MOST_JOINTS = 32
 """The most that a descriptor takes."""
 _TIPS = ("tool0", "tcp", "ee_link", "tool", "flange", "end_effector")
@@ -42,7 +46,8 @@ class Chain:
 
     `carriers` (dof + 1) are the base link and the child of each moving joint. `origins` (dof, 4, 4) are the joints'
     frames in the preceding carrier. `fixed` are the joints that move in the URDF but stand still here, with their
-    positions; `free` are floating or planar joints, which stay at their origins.
+    positions; `free` are floating or planar joints, which stay at their origins. `mimics` says which of `fixed` are not
+    at the position that their <mimic> prescribes, and why.
     """
 
     base: str
@@ -53,6 +58,7 @@ class Chain:
     mounted: tuple[Mounted, ...]
     fixed: tuple[tuple[str, float], ...]
     free: tuple[Joint, ...]
+    mimics: tuple[str, ...]
 
     def poses(self, q: Array) -> dict[str, Array]:
         """The poses (n, 4, 4) of every link in the base frame, at joint positions (n, dof)."""
@@ -74,9 +80,8 @@ def choose_chain(
     tip = _known(robot, tip, "--tip") if tip else _tip(robot, base)
     path = robot.path(base, tip)
     if path is None:
-        raise InvalidRequest(
-            f"{robot.source.path}: {tip} is not connected to {base}; choose --base and --tip on one branch"
-        )
+        remedy = "swap them" if robot.path(tip, base) else "choose --base and --tip on one branch"
+        raise InvalidRequest(f"{robot.source.path}: the tip {tip} does not hang on the base {base}; {remedy}")
     start = next((joint for joint in path if joint.type != "fixed"), None)
     if start is not None and start.type not in ("floating", "planar"):
         start = None
@@ -93,8 +98,14 @@ def choose_chain(
         if joint.mimic:
             raise robot.source.fault(
                 joint.element,
-                f"joint {joint.name} of the chain mimics {joint.mimic[0]}, so it cannot be planned for; "
-                'give it type="fixed", drop <mimic>, or choose a --tip before it',
+                f"joint {joint.name} of the chain mimics {joint.mimic[0]}, so it has no drive of its own, and zarm plans only for joints "
+                'that have; give it type="fixed", drop <mimic> if a motor turns it, or end the chain before it: --tip '
+                f"{joint.parent}",
+            )
+        if (away := float(np.linalg.norm(joint.origin[:3, 3]))) > LARGEST:
+            raise robot.source.fault(
+                joint.element,
+                f"the origin of joint {joint.name} is {away:.4g} m from {joint.parent}, so it is in mm; divide every xyz by 1000",
             )
     if not joints and start is not None:
         raise robot.source.fault(
@@ -194,11 +205,19 @@ def _assembled(
 ) -> Chain:
     moving = {joint.name for joint in joints}
     every = {joint.name: joint for joint in robot.joint_of_child.values()}
-    for name in positions:
+    for name, value in positions.items():
         if name not in every or name in moving:
             why = "moves with the arm" if name in moving else "is not in the file"
             raise InvalidRequest(
-                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints beside the chain"
+                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints beside the chain", field="--fix"
+            )
+        low, high = every[name].lower, every[name].upper
+        if low is None or high is None or low >= high:
+            low, high = -FARTHEST, FARTHEST
+        if not low - 1e-6 <= value <= high + 1e-6:
+            raise InvalidRequest(
+                f"{robot.source.path}: {name}={value:g} is outside of the joint's limits, {low:g} to {high:g}; choose a position within",
+                field="--fix",
             )
 
     stands: dict[str, float] = {}
@@ -208,6 +227,8 @@ def _assembled(
             raise robot.source.fault(
                 joint.element, f"joint {joint.name} mimics itself, by way of {' and '.join(mimics)}; drop one <mimic>"
             )
+        if joint.type == "fixed":
+            return 0.0
         if joint.name in stands:
             return stands[joint.name]
         if joint.name in positions:
@@ -244,7 +265,17 @@ def _assembled(
     origins = tuple(np.linalg.inv(pose[carriers[i]]) @ pose[joint.child] for i, joint in enumerate(joints))
     fixed = tuple((name, value) for name, value in stands.items())
     free = tuple(joint for joint in every.values() if joint.type in ("floating", "planar"))
-    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, free)
+    mimics = []
+    for name in stands:
+        if name in positions or not (copied := every[name].mimic) or (copied[0] in every and copied[0] not in moving):
+            continue
+        why = "which is not in the file; correct <mimic>"
+        if copied[0] in moving:
+            why = "which moves with the arm, so what it carries is not where the planner takes it to be"
+        mimics.append(
+            f"{name}: it mimics {copied[0]}, {why}; here it stands at {stands[name]:g}, or where --fix has it"
+        )
+    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, free, tuple(mimics))
 
 
 def _outwards(robot: Description, base: str, order: Sequence[str]) -> list[str]:

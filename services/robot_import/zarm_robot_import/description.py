@@ -15,6 +15,10 @@ from zarm_robot_import.source import Source
 
 Array = NDArray[np.float64]
 
+_SHORTEST = 1e-9
+"""Length of an axis, at least."""
+_LONGEST = 200
+"""Characters of a link's name; YAML takes no key of more than 1024."""
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 
@@ -73,7 +77,8 @@ class Joint:
 
 @dataclass(frozen=True)
 class Description:
-    """A tree of links. `joint_of_child` holds the joint that carries each link, `children` the joints on each link."""
+    """A tree of links. `joint_of_child` holds the joint that carries each link, `children` the joints on each link; links in
+    `stray` have geometry, but hang on no joint, and are left out."""
 
     source: Source
     name: str
@@ -81,6 +86,7 @@ class Description:
     links: dict[str, Link]
     joint_of_child: dict[str, Joint]
     children: dict[str, list[Joint]] = field(default_factory=dict)
+    stray: tuple[str, ...] = ()
 
     def path(self, base: str, tip: str) -> list[Joint] | None:
         """The joints from `base` to `tip`, None if `tip` is not below `base`."""
@@ -150,16 +156,17 @@ def describe(source: Source) -> Description:
             links[roots[1]].element,
             f"{' and '.join(roots)} have no parent; a URDF has one root, so join them with a joint",
         )
-    kept = {roots[0]}
-    description = Description(source, root.get("name") or source.path.stem, roots[0], links, carried, children)
-    kept.update(description.below(roots[0]))
-    for stray in set(links) - kept:
-        del links[stray]
-    return description
+    name = root.get("name") or source.path.stem
+    kept = set(Description(source, name, roots[0], links, carried, children).below(roots[0]))
+    stray = tuple(link.name for link in links.values() if link.name not in kept and (link.visual or link.collision))
+    links = {link: links[link] for link in links if link in kept}
+    return Description(source, name, roots[0], links, carried, children, stray)
 
 
 def _link(source: Source, element: ET.Element) -> Link:
     name = _attribute(source, element, "name")
+    if len(name) > _LONGEST:
+        raise source.fault(element, f"the name of a link has {len(name)} characters, more than {_LONGEST}; shorten it")
     found = {tag: tuple(_geometries(source, element, tag, name)) for tag in ("visual", "collision")}
     return Link(name, element, **found)
 
@@ -210,9 +217,10 @@ def _joint(source: Source, element: ET.Element) -> Joint:
         ends.append(_attribute(source, end, "link"))
     axis = np.array(_numbers(source, element.find("axis"), "xyz", 3, f"joint {name}", (1.0, 0.0, 0.0)))
     if kind in ("revolute", "continuous", "prismatic"):
-        if not np.any(axis):
-            raise source.fault(element, f"joint {name} has the axis 0 0 0; give it a direction")
-        axis = axis / np.linalg.norm(axis)
+        if (length := math.hypot(*axis)) < _SHORTEST:
+            written = " ".join(f"{value:g}" for value in axis)
+            raise source.fault(element, f"joint {name} has the axis {written}; give it a direction, such as 0 0 1")
+        axis = axis / length
     limit = element.find("limit")
     bounds: dict[str, float | None] = {
         key: _numbers(source, limit, key, 1, f"joint {name}")[0] if limit is not None and limit.get(key) else None

@@ -18,6 +18,8 @@ from zarm_robot_import.contacts import SAMPLES
 Array = NDArray[np.float64]
 
 _STEP = 1e-4
+_SHORTEST = 0.001
+"""What reaches less far (m) is taken to reach so far."""
 _APART = 0.002
 """Least distance (m) between links at home."""
 
@@ -29,7 +31,8 @@ _LOOKED_AT = 200
 def choose_home(model: RobotModel) -> tuple[float, ...]:
     """The best of random configurations near the middle. Raises InvalidRequest if none is free of self-collision."""
     rng = np.random.default_rng(2)
-    lower, upper = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
+    middle = np.clip(0.0, model.lower, model.upper)
+    lower, upper = np.maximum(model.lower, middle - np.pi), np.minimum(model.upper, middle + np.pi)
     candidates = np.round(rng.uniform(lower, upper, (SAMPLES, model.dof)), 2)
     candidates = np.clip(candidates, lower, upper)
     best = sorted(zip(_score(model, candidates).tolist(), candidates.tolist(), strict=True), reverse=True)
@@ -57,7 +60,7 @@ def _score(model: RobotModel, q: Array) -> Array:
         moved = q.copy()
         moved[:, joint] += _STEP
         columns.append(_twist(tip, model.fk_tip(moved)) / _STEP)
-    reach = float(np.linalg.norm(tip[:, :3, 3], axis=1).max())
+    reach = max(float(np.linalg.norm(tip[:, :3, 3], axis=1).max()), _SHORTEST)
     jacobian = np.stack(columns, axis=2) / np.array([reach, reach, reach, 1, 1, 1])[:, None]
     smallest = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
     # The tip in front of the base and above it, with no joint turned further than necessary.

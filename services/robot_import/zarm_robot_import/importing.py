@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import shutil
 import tempfile
 import time
 import unicodedata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -43,6 +43,7 @@ class Options:
     fixed: Mapping[str, float] = field(default_factory=dict)
     geometry: str = "auto"
     spheres: int = BUDGET
+    overwrite: bool = False
 
 
 def import_robot(
@@ -53,6 +54,34 @@ def import_robot(
     `progress` is called with the step and the completed share. Raises InvalidRequest with the fault in the file and the
     remedy, Unavailable if a package is missing; then nothing is written.
     """
+    with _draft_of(folder) as work:
+        descriptor, report = _imported(file, folder, work, options, progress)
+        folder.mkdir(parents=True, exist_ok=True)
+        for made in sorted(work.iterdir()):
+            made.replace(folder / made.name)
+    progress("done", 1.0)
+    return folder / descriptor, report
+
+
+@contextmanager
+def _draft_of(folder: Path) -> Iterator[Path]:
+    """A folder for files on their way to `folder`, which need not exist yet. Raises InvalidRequest where nothing can be written."""
+    standing = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+    try:
+        draft = tempfile.TemporaryDirectory(dir=standing, prefix=".import-")
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InvalidRequest(
+            f"cannot write into {standing}: {reason}; name another folder with --output", field="--output"
+        ) from error
+    with draft as name:
+        yield Path(name)
+
+
+def _imported(
+    file: Path, folder: Path, work: Path, options: Options, progress: Callable[[str, float], None]
+) -> tuple[str, Report]:
+    """Make the files in the folder `work` as they are to stand in `folder`; returns the name of the descriptor."""
     begun = time.process_time()
     progress("reading", 0.0)
     robot = describe(read_source(file, options.packages, options.arguments))
@@ -62,7 +91,15 @@ def import_robot(
     name = _checked(options.name) if options.name else _name(robot.name)
     if (folder / f"{name}.urdf").resolve() == file.resolve():
         raise InvalidRequest(f"{file} would be overwritten; choose another --output or --name")
-    surfaces, left_out = [], []
+    if (folder / f"{name}.yaml").exists() and not options.overwrite:
+        raise InvalidRequest(
+            f"{folder / name}.yaml exists already, and may have been corrected; replace it with --overwrite, or choose another --output or "
+            "--name"
+        )
+    surfaces = []
+    left_out = [
+        f"{link}: it hangs on no joint, so it is left out; add the joint that carries it" for link in robot.stray
+    ]
     for index, mounted in enumerate(chain.mounted):
         progress(f"meshes of {mounted.link}", 0.2 * index / len(chain.mounted))
         link = robot.links[mounted.link]
@@ -75,7 +112,9 @@ def import_robot(
     if not surfaces:
         raise robot.source.fault(
             robot.source.root,
-            left_out[0] if left_out else "no link of the arm has geometry; zarm needs <collision> or <visual> elements",
+            left_out[-1]
+            if left_out
+            else "no link of the arm has geometry; zarm needs <collision> or <visual> elements",
         )
     contacts = Contacts(chain, limits, surfaces)
     surfaces = without_contradictions(surfaces, contacts)
@@ -89,44 +128,38 @@ def import_robot(
     standing = [mounted.link for mounted in chain.mounted if mounted.body == 0]
     fitted = fit(surfaces, options.spheres, standing, counted)
     meshes = {surface.link: surface.triangles for surface in surfaces}
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".import-") as draft:
-        work = Path(draft)
-        (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder), encoding="utf-8")
-        descriptor = work / f"{name}.yaml"
+    (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder), encoding="utf-8")
+    descriptor = work / f"{name}.yaml"
 
-        def write(home: Sequence[float], pairs: Sequence[Pair]) -> RobotModel:
-            text = descriptor_text(name, file, chain, limits, fitted, home, pairs, controller)
-            descriptor.write_text(text, encoding="utf-8")
-            return RobotModel.of(load_robot(str(descriptor)))
+    def write(home: Sequence[float], pairs: Sequence[Pair]) -> RobotModel:
+        text = descriptor_text(name, file, chain, limits, fitted, home, pairs, controller)
+        descriptor.write_text(text, encoding="utf-8")
+        return RobotModel.of(load_robot(str(descriptor)))
 
-        middle = [min(max(0.0, limit.lower), limit.upper) for limit in limits]
-        progress("pairs of links", 0.7)
-        pairs = Pairs(contacts, fitted).judged()
-        progress("home", 0.9)
-        home = choose_home(write(middle, pairs))
-        model = write(home, pairs)
-        progress("picture", 0.95)
-        draw(work / f"{name}.png", model, home, meshes, fitted)
-        source = file.name
-        report = Report(
-            name,
-            source,
-            chain,
-            surfaces,
-            fitted,
-            limits,
-            pairs,
-            home,
-            left_out,
-            time.process_time() - begun,
-            controller,
-        )
-        (work / f"{name}.md").write_text(report.markdown(), encoding="utf-8")
-        for made in sorted(work.iterdir()):
-            shutil.move(made, folder / made.name)
-    progress("done", 1.0)
-    return folder / f"{name}.yaml", report
+    middle = [min(max(0.0, limit.lower), limit.upper) for limit in limits]
+    progress("pairs of links", 0.7)
+    pairs = Pairs(contacts, fitted).judged()
+    progress("home", 0.9)
+    home = choose_home(write(middle, pairs))
+    model = write(home, pairs)
+    progress("picture", 0.95)
+    draw(work / f"{name}.png", model, home, meshes, fitted)
+    source = file.name
+    report = Report(
+        name,
+        source,
+        chain,
+        surfaces,
+        fitted,
+        limits,
+        pairs,
+        home,
+        left_out,
+        time.process_time() - begun,
+        controller,
+    )
+    (work / f"{name}.md").write_text(report.markdown(), encoding="utf-8")
+    return descriptor.name, report
 
 
 def _name(text: str) -> str:

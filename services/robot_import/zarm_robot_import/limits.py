@@ -17,9 +17,13 @@ JERK_RAMP = 0.1
 MOST_ACCELERATION = 5.0
 """Highest acceleration assumed (rad/s²): what the driver of the UR arms calls conservative."""
 
+UNLIMITED = 1e4
+"""A limit beyond this (rad) stands for none."""
+SMALLEST = 1e-3
+"""What has a smaller range (rad, m) or velocity (rad/s, m/s) hardly moves."""
 WIDEST, FASTEST = 100.0, 30.0
 """No joint turns further (rad), slides further (m), or moves faster (rad/s, m/s); larger limits are most likely in
-degrees.
+degrees or mm.
 """
 
 
@@ -46,6 +50,14 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
     lower, upper = joint.lower, joint.upper
     if joint.type == "continuous":
         lower, upper = -2 * math.pi, 2 * math.pi
+    elif lower is not None and upper is not None and max(-lower, upper) >= UNLIMITED and joint.type == "revolute":
+        lower, upper = -2 * math.pi, 2 * math.pi
+        assumed.append("range")
+    elif lower is not None and upper is not None and lower == upper and lower:
+        raise robot.source.fault(
+            joint.element,
+            f'joint {joint.name} has both its limits at {lower:g}, so it cannot move; correct them, or give it type="fixed"',
+        )
     elif lower is not None and upper is not None and lower > upper:
         raise robot.source.fault(
             joint.element,
@@ -58,17 +70,17 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
             )
         lower, upper = -math.pi, math.pi
         assumed.append("range")
+    for what in ("velocity", "effort"):
+        if (most := getattr(joint, what)) is not None and most < 0.0:
+            raise robot.source.fault(
+                joint.element, f"joint {joint.name} has a limit of {most:g} for its {what}; write it positive"
+            )
     velocity = joint.velocity
-    if not velocity or velocity <= 0.0:
+    if not velocity:
         velocity = VELOCITY[joint.type]
         assumed.append("velocity")
     acceleration = min(velocity / RAMP, MOST_ACCELERATION)
-    return JointLimits(
-        joint.name,
-        lower,
-        upper,
-        round(velocity, 4),
-        round(acceleration, 4),
-        round(acceleration / JERK_RAMP, 4),
-        (*assumed, "acceleration", "jerk"),
+    velocity, acceleration, jerk = (
+        float(f"{value:.6g}") for value in (velocity, acceleration, acceleration / JERK_RAMP)
     )
+    return JointLimits(joint.name, lower, upper, velocity, acceleration, jerk, (*assumed, "acceleration", "jerk"))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_robot_import.chain import LARGEST
 from zarm_robot_import.description import Geometry, Link
 from zarm_robot_import.kernels.winding import winding
 from zarm_robot_import.source import Source
@@ -25,8 +26,8 @@ MOST_KEPT = 200_000
 """Most triangles of a link used in computations."""
 SMALLEST = 1e-3
 """A link smaller than this (m) in all directions is ignored."""
-LARGEST = 20.0
-"""A link larger than this (m) must be in millimetres."""
+_FLATTEST = 1e-9
+"""A smaller scale collapses a mesh."""
 CONTAINED = 0.001
 """Collision geometry counts as containing the visual one if that protrudes by at most this (m)."""
 _THINNED = 2000
@@ -93,7 +94,11 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
                 files.append(file)
             parts.append(triangles @ geometry.pose[:3, :3].T + geometry.pose[:3, 3])
         if parts:
-            found[kind] = _cleaned(np.concatenate(parts))
+            found[kind], lost = _cleaned(np.concatenate(parts))
+            if lost:
+                warnings.append(
+                    f"{lost} triangles of its {kind} geometry have coordinates that are no numbers, and are left out; export the mesh again"
+                )
     for kind, text in missing.items():
         # A partial link is useless: drop this kind if the other one is complete.
         other = "visual" if kind == "collision" else "collision"
@@ -107,8 +112,13 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
     for kind, triangles in found.items():
         if (size := _size(triangles)) > LARGEST:
             raise InvalidRequest(
-                f"{source.place(link.element)}: link {link.name} is {size:.0f} m large, so its {kind} meshes are in mm; "
+                f"{source.place(link.element)}: link {link.name} is {size:.4g} m large, so its {kind} meshes are in mm; "
                 'write scale="0.001 0.001 0.001" into its <mesh> elements'
+            )
+        if (far := float(np.abs(triangles).max())) > LARGEST:
+            raise InvalidRequest(
+                f"{source.place(link.element)}: the {kind} geometry of link {link.name} is {far:.4g} m from the link's origin, so it is in "
+                "mm; divide the xyz of its <origin> by 1000"
             )
     surface = _chosen(link, found, prefer)
     surface.warnings[:0], surface.files[:0] = warnings, files
@@ -208,10 +218,10 @@ def _size(triangles: Array) -> float:
     return float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) if len(triangles) else 0.0
 
 
-def _cleaned(triangles: Array) -> Array:
-    """The finite ones."""
+def _cleaned(triangles: Array) -> tuple[Array, int]:
+    """The finite ones, and the number of the others."""
     kept: Array = triangles[np.isfinite(triangles).all(axis=(1, 2))]
-    return kept
+    return kept, len(triangles) - len(kept)
 
 
 def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Path | None]:
@@ -223,15 +233,17 @@ def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Pa
         return _primitive(geometry), None
     file = source.file(geometry.file)
     if file is None:
-        remedy = (
-            "name the folder that holds its package with --packages"
-            if geometry.file.startswith(("package://", "model://"))
-            else "correct the path, which is relative to the URDF"
-        )
+        scheme = geometry.file.rpartition("://")[0]
+        remedy = {
+            "": "correct the path, which is relative to the URDF",
+            "file": "correct the path",
+            "package": "name the folder that holds its package with --packages",
+            "model": "name the folder that holds its package with --packages",
+        }.get(scheme, "zarm fetches nothing: download it, and write its path")
         raise _Missing(f"{place}: link {link}: there is no file {geometry.file}; {remedy}")
     if file.suffix.lower() not in SUFFIXES:
         raise InvalidRequest(f"{place}: link {link}: {file.name} is of no known format; convert it to STL, OBJ or DAE")
-    if any(factor == 0.0 for factor in geometry.scale):
+    if any(abs(factor) < _FLATTEST for factor in geometry.scale):
         raise InvalidRequest(f"{place}: link {link}: the scale {geometry.scale} collapses the mesh; write 1 1 1")
     try:
         triangles = _load(file)
@@ -250,11 +262,13 @@ class _Unreadable(Exception):
 def _load(file: Path) -> Array:
     """The triangles of a file, in m if the file states its unit."""
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
-    with file.open("rb") as opened:
-        if opened.read(len(_POINTER)) == _POINTER:
-            raise _Unreadable(
-                f"{file} is not the mesh but a pointer of Git LFS; run `git lfs pull` where it was cloned"
-            )
+    try:
+        with file.open("rb") as opened:
+            start = opened.read(len(_POINTER))
+    except OSError as error:
+        raise _Unreadable(f"{file} cannot be read: {error.strerror}; look at its permissions") from error
+    if start == _POINTER:
+        raise _Unreadable(f"{file} is not the mesh but a pointer of Git LFS; run `git lfs pull` where it was cloned")
     try:
         loaded = trimesh.load_scene(file, process=False, skip_materials=True)
         meshes = loaded.dump()
@@ -268,6 +282,8 @@ def _load(file: Path) -> Array:
     if not parts or not sum(map(len, parts)):
         raise _Unreadable(f"{file} holds no triangles; export it again")
     count = sum(map(len, parts))
+    if not any(np.isfinite(part).all(axis=(1, 2)).any() for part in parts):
+        raise _Unreadable(f"{file} holds coordinates that are no numbers; export it again")
     if count > MOST_TRIANGLES:
         raise _Unreadable(f"{file} has {count} triangles, more than {MOST_TRIANGLES}; simplify it")
     triangles = np.concatenate(parts)

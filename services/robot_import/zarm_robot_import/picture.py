@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.robot_model import RobotModel
-from zarm_geometry.rows import distances
 from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.meshes import points_on
 from zarm_robot_import.primitives import triangles_of
-from zarm_robot_import.spheres import ball_rows
+from zarm_robot_import.spheres import ball_rows, below
 
 Array = NDArray[np.float64]
 
@@ -53,7 +52,7 @@ def draw(
         axes.set_aspect("equal")
         axes.set_title(title)
         axes.set_axis_off()
-    figure.tight_layout()
+    figure.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.93, wspace=0.02)
     figure.savefig(path)
 
 
@@ -73,7 +72,7 @@ def _of_rows(rows: Array) -> tuple[Array, Array]:
     points, normals = [], []
     for i, row in enumerate(rows):
         on, normal = _of_mesh(triangles_of(row), _POINTS // 4 // len(rows))
-        outer = distances(on, np.delete(rows, i, axis=0)).min(axis=1, initial=np.inf) > -1e-6
+        outer = ~below(on, np.delete(rows, i, axis=0))
         points.append(on[outer])
         normals.append(normal[outer])
     return np.concatenate(points), np.concatenate(normals)

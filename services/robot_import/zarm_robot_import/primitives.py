@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 from itertools import combinations
 from typing import NamedTuple, Self
 
@@ -92,15 +93,27 @@ def triangles_of(row: Array) -> Array:
     """The surface (n, 3, 3) of a primitive (17,), in its link's frame, to 1 % of its radius."""
     core, disc, rounding = row[12:15], row[15], row[16]
     if disc:
-        mesh = trimesh.creation.cylinder(disc, 2 * core[2], sections=48)
+        placed = _cylinder() * (disc, disc, core[2])
     elif rounding:
         mesh = trimesh.creation.capsule(2 * core[2], rounding, count=[24, 24])
-        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+        placed = mesh.triangles - mesh.bounds.mean(axis=0)
     else:
-        mesh = trimesh.creation.box(2 * core)
+        placed = _box() * core
     frame = row[:12].reshape(3, 4)
-    found: Array = (mesh.triangles - frame[:, 3]) @ frame[:, :3]
+    found: Array = (placed - frame[:, 3]) @ frame[:, :3]
     return found
+
+
+@cache
+def _cylinder() -> Array:
+    """The surface (n, 3, 3) of a cylinder of radius 1 and length 2."""
+    return np.array(trimesh.creation.cylinder(1.0, 2.0, sections=48).triangles)
+
+
+@cache
+def _box() -> Array:
+    """The surface (n, 3, 3) of a cube of size 2."""
+    return np.array(trimesh.creation.box((2.0, 2.0, 2.0)).triangles)
 
 
 @dataclass(eq=False)
@@ -118,6 +131,11 @@ class _Cell:
     row: Array
     out: float
     final: bool = False
+
+    @cached_property
+    def box(self) -> tuple[list[float], list[float]]:
+        """The lower and upper corner (3,) of the box around it."""
+        return self.corners.min(axis=0).tolist(), self.corners.max(axis=0).tolist()
 
 
 def fit_primitives(body: Body) -> list[CollisionPrimitive]:
@@ -168,8 +186,9 @@ def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> li
         made = [(a, b, union) for a, b in pairs if (union := unions[a, b])]
         for a, b, union in sorted(made, key=lambda one: one[2].out - one[0].out - one[1].out):
             rest = [cell for cell in cells if cell not in (a, b)]
-            out = measure.one(union.row, _rows(rest))
-            if out.most <= max(MOST, outs[a].most, outs[b].most) and out.total <= spare + outs[a].total + outs[b].total:
+            most = max(MOST, outs[a].most, outs[b].most)
+            out = measure.one(union.row, _rows(rest), most)
+            if out.most <= most and out.total <= spare + outs[a].total + outs[b].total:
                 cells = [*rest, union]
                 outs = {cell: outs[cell] for cell in rest if not _adjoin(cell, union)}
                 break
@@ -221,17 +240,24 @@ class Measure:
         """For each primitive (17,), without the parts inside the body or another one."""
         return [self.one(row, np.array([*rows[:i], *rows[i + 1 :]]).reshape(-1, 17)) for i, row in enumerate(rows)]
 
-    def one(self, row: Array, others: Array) -> Out:
+    def one(self, row: Array, others: Array, most: float = np.inf) -> Out:
         """For one primitive (17,), without the parts inside the body or one of `others` (n, 17); sampled, so an upper
-        bound.
+        bound. If it protrudes further than `most` (m), the answer says no more than that.
         """
         skin = self._skin(row)
         outer = np.flatnonzero(~within(skin.points, others, 1e-5))
-        unsure = outer[skin.unsure[outer]]
-        skin.out[unsure[np.abs(winding(skin.points[unsure], self._coarse)) > 0.5]] = 0.0
-        skin.unsure[unsure] = False
+        # Whether a point is within the body takes the longest to tell: first of those that decide.
+        self._tell(skin, outer[skin.out[outer] > most])
+        if skin.out[outer].max(initial=0.0) <= most:
+            self._tell(skin, outer)
         out = skin.out[outer]
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
+
+    def _tell(self, skin: _Skin, some: NDArray[np.intp]) -> None:
+        """Tell of some points whether they are within the body."""
+        unsure = some[skin.unsure[some]]
+        skin.out[unsure[np.abs(winding(skin.points[unsure], self._coarse)) > 0.5]] = 0.0
+        skin.unsure[unsure] = False
 
     def outside(self, row: Array) -> tuple[Array, Array]:
         """Points (n, 3) on a primitive (17,) outside the body, and for each the integral (n,) of the distance cost over
@@ -325,10 +351,8 @@ def _union(a: _Cell, b: _Cell, axes: Array, body: Body) -> _Cell:
 
 def _adjoin(a: _Cell, b: _Cell) -> bool:
     """Whether the boxes around two cells touch."""
-    return bool(
-        (a.corners.min(axis=0) <= b.corners.max(axis=0) + _TOUCHING).all()
-        and (b.corners.min(axis=0) <= a.corners.max(axis=0) + _TOUCHING).all()
-    )
+    (low, high), (other_low, other_high) = a.box, b.box
+    return all(low[i] <= other_high[i] + _TOUCHING and other_low[i] <= high[i] + _TOUCHING for i in range(3))
 
 
 def _hull(points: Array) -> Array:
@@ -346,10 +370,10 @@ def _cell(triangles: Array, corners: Array, points: Array, axes: Array, body: Bo
     which, out = _tightest(points, form, body.around(points))
     one = [which % len(axes)]
     shapes = around(corners, form.turn[one], form.box[one], form.axis[one], form.middle)
-    return _Cell(triangles, corners, points, axes, _grown(shapes[which // len(axes)], body.off), out)
+    return _Cell(triangles, corners, points, axes, grown(shapes[which // len(axes)], body.off), out)
 
 
-def _grown(row: Array, by: float) -> Array:
+def grown(row: Array, by: float) -> Array:
     """A primitive (17,) that contains all points within `by` (m) of one without triangles."""
     row = row.copy()
     if row[16]:

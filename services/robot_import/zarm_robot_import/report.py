@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from zarm_robot_import.chain import Chain
 from zarm_robot_import.fitting import Fitted
-from zarm_robot_import.limits import FASTEST, WIDEST, JointLimits
+from zarm_robot_import.limits import FASTEST, SMALLEST, WIDEST, JointLimits
 from zarm_robot_import.meshes import Surface
 from zarm_robot_import.self_collision import Pair
 
@@ -35,19 +35,22 @@ class Report:
     @property
     def warnings(self) -> list[str]:
         """What should be reviewed."""
-        found = [*self.left_out]
+        found = [*self.left_out, *self.chain.mimics]
         found += [f"{surface.link}: {warning}" for surface in self.surfaces for warning in surface.warnings]
-        for limit in self.limits:
+        for joint, limit in zip(self.chain.joints, self.limits, strict=True):
             for what in ("range", "velocity"):
                 if what in limit.assumed:
                     found.append(
                         f"{limit.joint}: the URDF gives no {what}, so it is assumed; correct it in the descriptor or URDF"
                     )
-            if limit.upper - limit.lower > WIDEST or limit.velocity > FASTEST:
-                found.append(
-                    f"{limit.joint}: a range from {limit.lower:g} to {limit.upper:g} at a velocity of {limit.velocity:g} is most likely in "
-                    "degrees; write rad and rad/s into the URDF"
-                )
+            stated = (
+                f"{limit.joint}: a range from {limit.lower:g} to {limit.upper:g} at a velocity of {limit.velocity:g}"
+            )
+            if max(-limit.lower, limit.upper, limit.upper - limit.lower) > WIDEST or limit.velocity > FASTEST:
+                wrong, unit = ("mm", "m") if joint.type == "prismatic" else ("degrees", "rad")
+                found.append(f"{stated} is most likely in {wrong}; write {unit} and {unit}/s into the URDF")
+            elif min(limit.upper - limit.lower, limit.velocity) < SMALLEST:
+                found.append(f'{stated} lets it hardly move; correct the limits in the URDF, or give it type="fixed"')
         found += [f"{joint.name}: it is {joint.type}; here it stands at its origin" for joint in self.chain.free]
         return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 import xml.etree.ElementTree as ET
@@ -21,6 +22,8 @@ _ABOVE = 6
 _ALIKE = 4
 """Least length of a folder's name that may match the beginning of a package's name."""
 _PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+_MARKS = codecs.BOM_UTF8 + codecs.BOM_UTF16 + b"\0 \t\r\n"
+"""What may stand before the first element, in any encoding."""
 _NO_VALUE = re.compile(r"Undefined substitution argument (\w+)")
 
 
@@ -64,11 +67,18 @@ def read_source(path: Path, packages: Sequence[Path] = (), arguments: Mapping[st
     """
     path = path.resolve()
     packages = tuple(packages)
+    for folder in packages:
+        if not folder.is_dir():
+            raise InvalidRequest(f"there is no folder {folder}; name one that holds ROS packages", field="--packages")
     try:
         text = path.read_bytes()
     except OSError as error:
         raise InvalidRequest(f"cannot read {path}: {error.strerror or error}") from error
-    expanded = b"xacro:" in text or path.suffix == ".xacro"
+    if not text.strip():
+        raise InvalidRequest(f"{path} is empty; name a URDF or xacro")
+    if not text.lstrip(_MARKS).startswith(b"<"):
+        raise InvalidRequest(f"{path} is no XML; name a URDF or xacro")
+    expanded = b"xacro:" in text or b"${" in text or path.suffix == ".xacro"
     if expanded:
         text = _expanded(path, packages, arguments or {})
     elif arguments:
@@ -85,6 +95,8 @@ def read_source(path: Path, packages: Sequence[Path] = (), arguments: Mapping[st
     parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(text, True)
+    except (LookupError, ValueError) as error:  # of an encoding that Python does not know
+        raise InvalidRequest(f"{path}: {error}; save the file as UTF-8") from error
     except expat.ExpatError as error:
         raise InvalidRequest(
             f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}; correct this line"

@@ -21,8 +21,9 @@ from scipy.stats import qmc
 from zarm_geometry.rows import distances
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.kernels.middles import middles
+from zarm_robot_import.kernels.outside import within
 from zarm_robot_import.meshes import areas, points_on
-from zarm_robot_import.primitives import triangles_of
+from zarm_robot_import.primitives import grown, triangles_of
 
 Array = NDArray[np.float64]
 
@@ -91,9 +92,13 @@ def outer_points(rows: Array, count: int) -> Array:
     for i, (surface, number) in enumerate(zip(surfaces, counts.tolist(), strict=True)):
         corners = np.unique(surface.reshape(-1, 3), axis=0)
         points = np.concatenate([points_on(surface, number)[0], corners])
-        others = np.delete(rows, i, axis=0)
-        found.append(points[distances(points, others).min(axis=1, initial=np.inf) > -1e-6])
+        found.append(points[~below(points, np.delete(rows, i, axis=0))])
     return np.concatenate(found)
+
+
+def below(points: Array, rows: Array) -> NDArray[np.bool_]:
+    """Which points (n, 3) are more than 1 um below the surface of one of the shapes (m, 17)."""
+    return within(points, np.array([grown(row, -1e-6) for row in rows]).reshape(-1, 17), 0.0)
 
 
 @dataclass

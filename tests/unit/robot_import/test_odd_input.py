@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,6 +106,103 @@ def test_a_file_that_is_no_mesh_is_said_with_its_place(tmp_path: Path, content: 
         surface(tmp_path, content)
     assert sentence in refused.value.problem.message
     assert "\n" not in refused.value.problem.message
+
+
+def test_a_mesh_without_numbers_is_refused_and_one_with_some_is_named(tmp_path: Path) -> None:
+    nothing = np.full((3, 3), np.nan)
+    with pytest.raises(InvalidRequest, match="holds coordinates that are no numbers; export it again"):
+        surface(tmp_path, trimesh.Trimesh(nothing, [[0, 1, 2]], process=False))
+    (tmp_path / "some").mkdir()
+    corners = np.concatenate([BOX.vertices, nothing])
+    faces = np.concatenate([BOX.faces, [np.arange(3) + len(BOX.vertices)]])
+    found = surface(tmp_path / "some", trimesh.Trimesh(corners, faces, process=False))
+    assert len(found.triangles) == len(BOX.faces)
+    assert found.warnings[0].startswith("1 triangles of its visual geometry have coordinates that are no numbers")
+
+
+def two_joints(limit: str = 'lower="-2" upper="2" velocity="1"', more: str = "") -> str:
+    """An arm of boxes."""
+    shape = '<collision><origin xyz="0 0 0.15"/><geometry><box size="0.05 0.05 0.2"/></geometry></collision>'
+    links = [f'<link name="l{i}">{shape}</link>' for i in range(3)]
+    joints = [
+        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="0 0 0.3"/>'
+        f'<axis xyz="0 1 0"/><limit {limit}/></joint>'
+        for i in range(2)
+    ]
+    return f'<robot name="arm">{"".join(links + joints)}{more}</robot>'
+
+
+FINGER = (
+    '<link name="finger"/><joint name="slide" type="prismatic"><parent link="l2"/><child link="finger"/>'
+    '<limit lower="0" upper="0.04" velocity="1"/></joint>'
+)
+XACRO = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "sentence"),
+    [
+        (b" \n", {}, "is empty; name a URDF or xacro"),
+        (b"hello", {}, "is no XML; name a URDF or xacro"),
+        (b"\x89PNG\r\n", {}, "is no XML; name a URDF or xacro"),
+        (b'<?xml version="1.0" encoding="klingon"?><robot/>', {}, "save the file as UTF-8"),
+        (XACRO.format('<link name="${size}"/>'), {}, "name 'size' is not defined when evaluating"),
+        (XACRO.format('<xacro:include filename="none.xacro"/>'), {}, "none.xacro"),
+        (two_joints(), {"packages": [Path("/none")]}, "there is no folder /none; name one that holds ROS packages"),
+        (two_joints(), {"base": "l2", "tip": "l1"}, "the tip l1 does not hang on the base l2; swap them"),
+        (two_joints(more=FINGER), {"fixed": {"slide": 4.0}}, "outside of the joint's limits, 0 to 0.04"),
+        (two_joints(more=FINGER), {"fixed": {"slide": math.nan}}, "outside of the joint's limits, 0 to 0.04"),
+    ],
+)
+def test_what_cannot_be_imported_is_said_in_one_sentence_and_leaves_nothing(
+    tmp_path: Path, content: bytes | str, options: dict[str, Any], sentence: str
+) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InvalidRequest) as refused:
+        import_robot(file, tmp_path / "out", Options(**options))
+    assert sentence in refused.value.problem.message
+    assert "\n" not in refused.value.problem.message
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_descriptor_that_is_there_is_not_replaced_unasked(tmp_path: Path) -> None:
+    file, there = tmp_path / "a.urdf", tmp_path / "out" / "arm.yaml"
+    file.write_text(two_joints())
+    there.parent.mkdir()
+    there.write_text("corrected by hand")
+    with pytest.raises(InvalidRequest, match=r"arm\.yaml exists already.*--overwrite"):
+        import_robot(file, there.parent, Options())
+    assert there.read_text() == "corrected by hand"
+    assert list(there.parent.iterdir()) == [there]
+
+
+def test_a_folder_in_which_nothing_can_be_written_is_said_before_anything_is_computed(tmp_path: Path) -> None:
+    (file := tmp_path / "a.urdf").write_text(two_joints())
+    with pytest.raises(InvalidRequest, match=r"cannot write into .*; name another folder with --output"):
+        import_robot(file, file / "out", Options(), pytest.fail)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("text", "warning"),
+    [
+        (two_joints('lower="90" upper="180" velocity="1"'), "is most likely in degrees"),
+        (two_joints('lower="0" upper="1e-6" velocity="1"'), "lets it hardly move"),
+        (
+            two_joints(more='<link name="stray"><visual><geometry><sphere radius="1"/></geometry></visual></link>'),
+            "stray: it hangs on no",
+        ),
+    ],
+    ids=["far from 0", "hardly any range", "stray link"],
+)
+def test_an_odd_arm_is_imported_with_a_warning(tmp_path: Path, text: str, warning: str) -> None:
+    (file := tmp_path / "a.urdf").write_text(text)
+    descriptor, report = import_robot(file, tmp_path / "out", Options())
+    robot = load_robot(str(descriptor))
+    assert np.all((robot.lower <= robot.descriptor.home) & (robot.descriptor.home <= robot.upper))
+    assert any(warning in found for found in report.warnings)
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.lengthy

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -20,7 +22,7 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: st
     return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
 
 
-def urdf(*joints: str, links: str = "abcd", geometry: str = "") -> str:
+def urdf(*joints: str, links: Iterable[str] = "abcd", geometry: str = "") -> str:
     return "\n".join(
         ['<robot name="Arm é">', *(f'<link name="{link}">{geometry}</link>' for link in links), *joints, "</robot>"]
     )
@@ -71,11 +73,32 @@ def imported(folder: Path, text: str, **options: str) -> Chain:
         (urdf(joint("one", "a", "b", inside='<limit lower="1" upper="-1"/>'), links="ab"), 4, "above its upper limit"),
         (urdf(joint("one", "a", "b", inside='<axis xyz="0 0 0"/>'), links="ab"), 4, "axis 0 0 0"),
         (
+            urdf(joint("one", "a", "b", inside='<axis xyz="0 1e-10 0"/>'), links="ab"),
+            4,
+            "has the axis 0 1e-10 0; give",
+        ),
+        (urdf(joint("one", "a", "b", inside='<origin xyz="0 0 300"/>'), links="ab"), 4, "300 m from a, so it is in mm"),
+        (urdf(joint("one", "a", "b", inside='<limit lower="1" upper="1"/>'), links="ab"), 4, "both its limits at 1"),
+        (
+            urdf(joint("one", "a", "b", inside='<limit lower="-1" upper="1" velocity="-1"/>'), links="ab"),
+            4,
+            "a limit of -1 for its velocity; write it positive",
+        ),
+        (
+            urdf(joint("one", "a", "b", inside='<limit lower="-1" upper="1" effort="-5"/>'), links="ab"),
+            4,
+            "a limit of -5 for its effort; write it positive",
+        ),
+        (
             urdf(joint("one", "a", "b", "planar"), joint("two", "b", "c"), joint("three", "c", "d", "planar")),
             8,
             "is planar",
         ),
-        (urdf(*THREE[:2], joint("three", "c", "d", inside=LIMIT + '<mimic joint="one"/>')), 8, "mimics one"),
+        (
+            urdf(*THREE[:2], joint("three", "c", "d", inside=LIMIT + '<mimic joint="one"/>')),
+            8,
+            "end the chain before it: --tip c",
+        ),
         (
             urdf(
                 *THREE, geometry='<collision><geometry><mesh filename="package://none/a.stl"/></geometry></collision>'
@@ -93,6 +116,20 @@ def imported(folder: Path, text: str, **options: str) -> Chain:
             2,
             "must be 3 finite numbers",
         ),
+        (
+            urdf(*THREE, geometry='<visual><geometry><mesh filename="https://arm.org/a.stl"/></geometry></visual>'),
+            2,
+            "zarm fetches nothing: download it",
+        ),
+        (
+            urdf(
+                *THREE,
+                geometry='<visual><origin xyz="150 0 0"/><geometry><box size="1 1 1"/></geometry></visual>',
+            ),
+            2,
+            "divide the xyz of its <origin> by 1000",
+        ),
+        (urdf(*THREE, links=["a", "b", "c", "d", "e" * 201]), 6, "has 201 characters, more than 200; shorten it"),
     ],
 )
 def test_what_is_wrong_is_said_with_file_and_line(tmp_path: Path, text: str, line: int, sentence: str) -> None:
@@ -119,6 +156,38 @@ def test_fingers_are_no_joints_of_the_arm_and_stand_still(tmp_path: Path) -> Non
     chain = imported(tmp_path, urdf(*THREE[:2], left, right, links="abcde"))
     assert [one.name for one in chain.joints] == ["one", "two"]
     assert dict(chain.fixed) == {"left": 0.0, "right": 0.0}
+
+
+def test_a_mimic_that_leads_nowhere_or_to_the_arm_is_named(tmp_path: Path) -> None:
+    lost, gear, bolt = (
+        joint(name, "d", child, inside=LIMIT + f'<mimic joint="{master}" offset="0.1"/>')
+        for name, child, master in (("lost", "e", "nobody"), ("gear", "f", "one"), ("finger", "g", "bolted"))
+    )
+    text = urdf(*THREE, lost, gear, bolt, joint("bolted", "d", "h", "fixed"), links="abcdefgh")
+    chain = imported(tmp_path, text, tip="d")
+    first, second = chain.mimics
+    assert first.startswith("lost: it mimics nobody, which is not in the file; correct <mimic>; here it stands at 0")
+    assert second.startswith("gear: it mimics one, which moves with the arm")
+    assert dict(chain.fixed) == {"lost": 0.0, "gear": 0.0, "finger": 0.1}
+
+
+@pytest.mark.parametrize("limit", [1e6, 1e300])
+def test_a_range_so_wide_that_it_means_none_is_assumed(tmp_path: Path, limit: float) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf(joint("one", "a", "b", inside=f'<limit lower="-{limit}" upper="{limit}"/>'), links="ab"))
+    robot = describe(read_source(file))
+    (limits,) = limits_of(robot, choose_chain(robot).joints)
+    assert (limits.lower, limits.upper) == pytest.approx((-2 * math.pi, 2 * math.pi))
+    assert "range" in limits.assumed
+
+
+def test_a_low_velocity_is_kept(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf(joint("one", "a", "b", inside='<limit lower="-1" upper="1" velocity="1e-5"/>'), links="ab"))
+    robot = describe(read_source(file))
+    (limits,) = limits_of(robot, choose_chain(robot).joints)
+    assert limits.velocity == pytest.approx(1e-5)
+    assert limits.jerk > 0.0
 
 
 def test_of_several_arms_one_must_be_chosen(tmp_path: Path) -> None:
