@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pty
 import select
@@ -238,6 +239,33 @@ def test_targets_out_of_order_and_a_clock_that_was_set_back_are_refused_by_field
         eventually(lambda: refused(7, 50.0) == "sequence", "the same number again is refused")
         eventually(lambda: refused(8, 40.0) == "stamp", "what was made before is refused")
     assert cell.client.stands()
+
+
+def test_a_number_and_a_stamp_far_ahead_are_refused_and_the_targets_after_them_lead_the_robot(cell: Cell) -> None:
+    with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
+
+        def say(sequence: int, stamp: float) -> None:
+            target = '{"kind": "twist", "frame": "base", "linear": [0, 0.05, 0]}'
+            session.put(
+                KEYS.servo_target,
+                f'{{"goal_id": "{jogging.goal_id}", "sequence": {sequence}, "stamp": {stamp}, "target": {target}}}',
+            )
+
+        numbers = itertools.count(1)
+
+        def follows(refused: str | None) -> bool:
+            """Send one more target; whether the robot moves after one of the last, and this field of another was refused."""
+            number = next(numbers)
+            say(number, time.monotonic())
+            state = jogging.state
+            follows = state is not None and state.moving and state.sequence >= number - 10
+            return follows and refused == (state.refused and state.refused.field)
+
+        eventually(lambda: follows(None), "the robot follows")
+        say(10**9, time.monotonic())
+        eventually(lambda: follows("sequence"), "the number is refused")
+        say(next(numbers), 1e12)
+        eventually(lambda: follows("stamp"), "the stamp is refused")
 
 
 def test_of_a_thousand_targets_a_second_the_newest_counts_and_the_robot_never_jumps(cell: Cell) -> None:
