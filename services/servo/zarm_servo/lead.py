@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 
-SHORTEST, LONGEST = 0.04, 0.4
+SHORTEST, LONGEST = 0.06, 0.4
 """Bounds of the lead (s)."""
 _SPARE = 1.25
 """The lead is so many times the longest of the last times."""
-_LATER = 1.5
-"""What came too late would have taken so many times as long as it was given, at a guess."""
-_REMEMBERED = 4
+_LATER = 2.0
+"""After one that was too late the lead is so many times as long, until one is in time."""
+_REMEMBERED = 8
 """So many times are remembered."""
 
 
@@ -19,16 +19,19 @@ class Lead:
 
     def __init__(self) -> None:
         self._took: deque[float] = deque(maxlen=_REMEMBERED)
+        self._longer = 1.0
 
     @property
     def seconds(self) -> float:
         """A new trajectory takes over so long (s) after it was asked for."""
-        return min(max(_SPARE * max(self._took, default=0.0), SHORTEST), LONGEST)
+        lead = max(_SPARE * max(self._took, default=0.0), SHORTEST)
+        return min(lead * self._longer, LONGEST)
 
     def in_time(self, took: float) -> None:
         """A trajectory was there after so long (s)."""
         self._took.append(took)
+        self._longer = 1.0
 
     def too_late(self) -> None:
         """A trajectory was not there in time."""
-        self._took.append(_LATER * self.seconds)
+        self._longer = min(self._longer * _LATER, LONGEST / SHORTEST)
