@@ -9,7 +9,7 @@ import select
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -25,12 +25,13 @@ from support.planner.client import load
 from support.trajectories import HOME, KEYS, ROBOT
 from zarm.servoing import PERIOD, Jogging
 from zarm_contract.errors import Busy, DeadlineExceeded, from_problem
-from zarm_contract.messages import Accepted, Cuboid, SceneObject, ServoSession, ServoStart, Sphere
+from zarm_contract.messages import Accepted, Cuboid, SceneObject, ServoSession, ServoStart, Sphere, StreamChunk
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
+from zarm_servo.session import CHUNK
 
 MODEL = RobotModel.of(ROBOT)
 MARGIN = 0.01
@@ -149,14 +150,24 @@ def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) 
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08)
     scene = ExactScene(MODEL, World([ball], 0.0))
     load(cell.bus, ball)
+    chunks: list[StreamChunk] = []
+    unsubscribe = cell.bus.subscribe(KEYS.stream, StreamChunk, lambda _, chunk: chunks.append(chunk))
     with cell.robot.jog() as jogging:
         assert cell.repeat(jogging, "blocked", linear=(0.1, 0.0, 0.0)).object == "ball"
         cell.repeat(jogging, "free", linear=(-0.1, 0.0, 0.0))
-    measured = [state.position for state in cell.client.measured[::5]]
-    distances = np.array([scene.nearest(np.array(position), itself=False).distance for position in measured])
-    assert distances[0] < 0.0
-    assert distances[-1] > MARGIN - PRECISION
-    assert np.diff(np.minimum(distances, MARGIN)).min() > -1e-4
+    unsubscribe()
+
+    def distances(positions: Iterable[tuple[float, ...]]) -> np.ndarray:
+        return np.array([scene.nearest(np.array(position), itself=False).distance for position in positions])
+
+    assert chunks
+    for chunk in chunks:  # its steps, and the braking after them
+        commanded = distances(chunk.trajectory.position[::CHUNK])
+        assert np.diff(np.minimum(commanded, MARGIN)).min(initial=0.0) > -1e-5
+    measured = distances(state.position for state in cell.client.measured[::5])
+    assert measured[0] < 0.0
+    assert measured[-1] > MARGIN - PRECISION
+    assert np.diff(np.minimum(measured, MARGIN)).min() > -PRECISION
 
 
 def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
