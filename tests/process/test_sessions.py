@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pty
 import select
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -23,13 +24,14 @@ from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.planner.client import load
 from support.trajectories import HOME, KEYS, ROBOT
 from zarm.servoing import PERIOD, Jogging
-from zarm_contract.errors import Busy, DeadlineExceeded
-from zarm_contract.messages import Accepted, Cuboid, SceneObject, ServoSession, ServoStart, Sphere
+from zarm_contract.errors import Busy, DeadlineExceeded, from_problem
+from zarm_contract.messages import Accepted, Cuboid, SceneObject, ServoSession, ServoStart, Sphere, StreamChunk
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_runtime.bus import Bus
 from zarm_runtime.session import open_client
+from zarm_servo.session import CHUNK
 
 MODEL = RobotModel.of(ROBOT)
 MARGIN = 0.01
@@ -148,14 +150,24 @@ def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) 
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08)
     scene = ExactScene(MODEL, World([ball], 0.0))
     load(cell.bus, ball)
+    chunks: list[StreamChunk] = []
+    unsubscribe = cell.bus.subscribe(KEYS.stream, StreamChunk, lambda _, chunk: chunks.append(chunk))
     with cell.robot.jog() as jogging:
         assert cell.repeat(jogging, "blocked", linear=(0.1, 0.0, 0.0)).object == "ball"
         cell.repeat(jogging, "free", linear=(-0.1, 0.0, 0.0))
-    measured = [state.position for state in cell.client.measured[::5]]
-    distances = np.array([scene.nearest(np.array(position), itself=False).distance for position in measured])
-    assert distances[0] < 0.0
-    assert distances[-1] > MARGIN - PRECISION
-    assert np.diff(np.minimum(distances, MARGIN)).min() > -1e-4
+    unsubscribe()
+
+    def distances(positions: Iterable[tuple[float, ...]]) -> np.ndarray:
+        return np.array([scene.nearest(np.array(position), itself=False).distance for position in positions])
+
+    assert chunks
+    for chunk in chunks:  # its steps, and the braking after them
+        commanded = distances(chunk.trajectory.position[::CHUNK])
+        assert np.diff(np.minimum(commanded, MARGIN)).min(initial=0.0) > -1e-5
+    measured = distances(state.position for state in cell.client.measured[::5])
+    assert measured[0] < 0.0
+    assert measured[-1] > MARGIN - PRECISION
+    assert np.diff(np.minimum(measured, MARGIN)).min() > -5e-4  # blends of the executor included
 
 
 def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
@@ -203,23 +215,26 @@ def test_a_session_beside_a_goal_is_refused_and_a_stop_ends_a_session(cell: Cell
 
 
 @pytest.mark.parametrize(
-    ("target", "field"),
+    ("target", "problem"),
     [
-        ('{"kind": "twist", "linear": [0.1, 0, 0]}', "target.frame"),
-        ('{"kind": "twist", "frame": "base", "linear": [NaN, 0, 0]}', "target.linear.0"),
-        ('{"kind": "joint_speed", "velocity": [0.1]}', "target.velocity"),
+        ('{"kind": "twist", "linear": [0.1, 0, 0]}', 'write "base" or "tool" (target.frame)'),
+        (
+            '{"kind": "twist", "frame": "base", "linear": [NaN, 0, 0]}',
+            "Input should be a finite number (target.linear.0)",
+        ),
+        ('{"kind": "joint_speed", "velocity": [0.1]}', "1 values, and this robot has 6 joints (target.velocity)"),
     ],
 )
-def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cell, target: str, field: str) -> None:
+def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cell, target: str, problem: str) -> None:
     with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
         text = f'{{"goal_id": "{jogging.goal_id}", "sequence": 1, "stamp": 1.0, "target": {target}}}'
 
         def refused() -> str | None:
             session.put(KEYS.servo_target, text)
             state = jogging.state
-            return None if state is None or state.refused is None else state.refused.field
+            return None if state is None or state.refused is None else str(from_problem(state.refused))
 
-        assert eventually(refused, "the target is refused") == field
+        assert eventually(refused, "the target is refused").endswith(problem)
     assert cell.client.stands()
 
 
@@ -238,6 +253,33 @@ def test_targets_out_of_order_and_a_clock_that_was_set_back_are_refused_by_field
         eventually(lambda: refused(7, 50.0) == "sequence", "the same number again is refused")
         eventually(lambda: refused(8, 40.0) == "stamp", "what was made before is refused")
     assert cell.client.stands()
+
+
+def test_a_number_and_a_stamp_far_ahead_are_refused_and_the_targets_after_them_lead_the_robot(cell: Cell) -> None:
+    with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
+
+        def say(sequence: int, stamp: float) -> None:
+            target = '{"kind": "twist", "frame": "base", "linear": [0, 0.05, 0]}'
+            session.put(
+                KEYS.servo_target,
+                f'{{"goal_id": "{jogging.goal_id}", "sequence": {sequence}, "stamp": {stamp}, "target": {target}}}',
+            )
+
+        numbers = itertools.count(1)
+
+        def follows(refused: str | None) -> bool:
+            """Send one more target; whether the robot moves after one of the last, and this field of another was refused."""
+            number = next(numbers)
+            say(number, time.monotonic())
+            state = jogging.state
+            follows = state is not None and state.moving and state.sequence >= number - 10
+            return follows and refused == (state.refused and state.refused.field)
+
+        eventually(lambda: follows(None), "the robot follows")
+        say(10**9, time.monotonic())
+        eventually(lambda: follows("sequence"), "the number is refused")
+        say(next(numbers), 1e12)
+        eventually(lambda: follows("stamp"), "the stamp is refused")
 
 
 def test_of_a_thousand_targets_a_second_the_newest_counts_and_the_robot_never_jumps(cell: Cell) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
 
 TAGS = ("kind", "op")
 """The fields that distinguish the members of a union, in every model of zarm."""
@@ -34,3 +38,56 @@ def one_line(text: str) -> str:
 def sentence(message: str) -> str:
     """Pydantic's message without its prefix to our own rules."""
     return message.removeprefix("Value error, ")
+
+
+def remedy(model: type[BaseModel], location: Sequence[int | str], kind: str) -> str:
+    """What to write where something is missing in data for `model`, from the `loc` and `type` of pydantic's error; "" for other faults."""
+    if kind not in ("missing", "union_tag_not_found"):
+        return ""
+    found: Any = model
+    for part in location:
+        found = _inside(found, part)
+    choices = [f'"{choice}"' for each in _members(found) for choice in (_tags(each) or _literals(each))]
+    if not choices:
+        return "; docs/reference/messages.md explains what to write here"
+    *others, last = choices
+    return f"; write {', '.join(others)} or {last}" if others else f"; write {last}"
+
+
+def _inside(annotation: Any, part: int | str) -> Any:
+    """The annotation of a part of the data for another one: of a field, of the union's member with this tag, or of a row's values."""
+    members = tuple(_members(annotation))
+    for member in members:
+        if part in _tags(member):
+            return member
+    for member in members:
+        if isinstance(member, type) and issubclass(member, BaseModel):
+            if part in member.model_fields:
+                return member.model_fields[str(part)].annotation
+        elif isinstance(part, int) and get_args(member):
+            return get_args(member)[0]
+    return None
+
+
+def _members(annotation: Any) -> Iterator[Any]:
+    """Those of a union, or the annotation alone."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        yield from _members(get_args(annotation)[0])
+    elif origin in (Union, UnionType):
+        for member in get_args(annotation):
+            yield from _members(member)
+    else:
+        yield annotation
+
+
+def _tags(member: Any) -> tuple[str, ...]:
+    """The tags of a union's member."""
+    if not (isinstance(member, type) and issubclass(member, BaseModel)):
+        return ()
+    fields = [member.model_fields[tag] for tag in TAGS if tag in member.model_fields]
+    return tuple(choice for field in fields for choice in _literals(field.annotation))
+
+
+def _literals(annotation: Any) -> tuple[str, ...]:
+    return get_args(annotation) if get_origin(annotation) is Literal else ()

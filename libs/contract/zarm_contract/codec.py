@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from zarm_contract._faults import TAGS, field_path, sentence
+from zarm_contract._faults import TAGS, field_path, remedy, sentence
 from zarm_contract._model import Message
 from zarm_contract.errors import InvalidRequest
 
@@ -85,9 +85,8 @@ def decode(model: type[M], payload: bytes) -> M:
         first = error.errors(include_url=False, include_input=False)[0]
         path = field_path(first["loc"], json.loads(payload) if first["loc"] and _tagged(payload) else None)
         more = f"; and {error.error_count() - 1} more" if error.error_count() > 1 else ""
-        raise InvalidRequest(
-            f"{model.__name__}: {_cut(sentence(first['msg']))}{more}", field=_cut(".".join(map(str, path))) or None
-        ) from error
+        said = _cut(sentence(first["msg"])) + remedy(model, first["loc"], first["type"])
+        raise InvalidRequest(f"{model.__name__}: {said}{more}", field=_cut(".".join(map(str, path))) or None) from error
 
 
 def _look_over(model: type[Message], payload: bytes) -> None:
@@ -97,7 +96,7 @@ def _look_over(model: type[Message], payload: bytes) -> None:
             raise InvalidRequest(f"{model.__name__}: more than {most} {what}; send less at once", field="payload")
     for name, field in model.model_fields.items():
         if field.is_required() and f'"{name}"'.encode() not in payload:
-            raise InvalidRequest(f"{model.__name__}: Field required", field=name)
+            raise InvalidRequest(f"{model.__name__}: Field required{remedy(model, (name,), 'missing')}", field=name)
 
 
 def _tagged(payload: bytes) -> bool:

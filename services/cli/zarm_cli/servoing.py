@@ -27,6 +27,8 @@ HOLD = 0.6
 """How long (s) a key press counts: at least until a terminal repeats it."""
 LINEAR, ANGULAR, JOINT = 0.1, 0.5, 0.3
 """Speeds (m/s, rad/s, rad/s) at the scale 1."""
+SETTLED = 0.3
+"""What limits a robot between two obstacles, or at the margin, changes many times a second: what has lasted so long (s) is shown."""
 _SLOWEST, _FASTEST, _FACTOR = 0.05, 2.0, 1.25
 _AXES = {
     "w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "r": (2, 1), "f": (2, -1),
@@ -85,6 +87,28 @@ class Keys:
         jogging.twist(values[:3], values[3:6], frame=self.frame)
 
 
+class Shown:
+    """Which of the states that a session goes through is shown: one at a time, until others have had `SETTLED` s more than twice its
+    time.
+    """
+
+    def __init__(self) -> None:
+        self._what, self._others = "", 0.0
+        self._before: tuple[str, float] | None = None
+
+    def changes(self, what: str, now: float) -> bool:
+        """Whether to show what limits the session from the moment `now` (s, monotonic) on."""
+        if self._before is not None:
+            before, since = self._before
+            lasted = now - since
+            self._others = max(0.0, self._others - 2 * lasted) if before == self._what else self._others + lasted
+        self._before = what, now
+        if what == self._what or self._others < SETTLED:
+            return False
+        self._what, self._others = what, 0.0
+        return True
+
+
 def jog(
     margin: Margin = 0.01,
     velocity_scale: VelocityScale = None,
@@ -138,14 +162,11 @@ def track(
     with connected(connect, name) as robot:
         goal = typed.joints if typed.joints is not None else _pose(robot, typed.poses[0])
         scale = 1.0 if velocity_scale is None else velocity_scale
-        before = ""
+        shown = Shown()
         with robot.track(margin=margin, velocity_scale=scale, take_over=take_over) as tracking:
 
             def show(state: ServoSession) -> None:
-                nonlocal before
-                now = limited(state).partition(",")[0]
-                if now != before:
-                    before = now
+                if shown.changes(limited(state).partition(",")[0], time.monotonic()):
                     err.print(f"zarm: {limited(state)}", soft_wrap=True)
 
             tracking.reach(goal, timeout=timeout, on_progress=show)

@@ -19,6 +19,12 @@ _DRIFT = 1e-3
 """Two clocks drift by less than this (s per s): NTP slews by 0.5e-3 at most."""
 _JUMP = 2.0, 6.0
 """A pose that moves faster than this (m/s, rad/s) from one target to the next has jumped."""
+_SKIPPED = 1000
+"""At most one second's targets are lost between two that arrive; if more are missing, the number is wrong."""
+_AHEAD = 1.0
+"""A stamp further ahead (s) than the time since the previous target comes from a clock that is wrong or was set."""
+_REORDERED = 1.0
+"""Targets that arrive out of order do so within this time (s)."""
 _MOST = 1000.0
 """A larger number (m, rad, m/s, rad/s) is not a valid target: it is in another unit, or the result of a division by
 zero.
@@ -37,6 +43,7 @@ class Inbox:
         self._message: m.ServoTarget | None = None
         self._arrived = self._under_way = 0.0
         self._least: float | None = None
+        self._odd: tuple[m.ServoTarget, float] | None = None  # refused last for its number or stamp, and when it came
         self._refusal = Refusal()
 
     @property
@@ -72,17 +79,7 @@ class Inbox:
 
     def _take(self, message: m.ServoTarget, now: float) -> None:
         before = self._message
-        if message.sequence <= self.sequence:
-            raise InvalidRequest(
-                f"target {message.sequence} came after target {self.sequence}; number them upwards from 1",
-                field="sequence",
-            )
-        if before is not None and message.stamp <= before.stamp:
-            raise InvalidRequest(
-                f"target {message.sequence} was made {before.stamp - message.stamp:.3f} s before target {before.sequence}; "
-                "do not set the clock of the client while a session is open",
-                field="stamp",
-            )
+        self._demand_order(message, now)
         offset = now - message.stamp
         least = offset if self._least is None else min(self._least + _DRIFT * (now - self._arrived), offset)
         under_way = offset - least
@@ -93,12 +90,33 @@ class Inbox:
                 field="stamp",
             )
         target = self._read(message)
-        passed = None if before is None else message.stamp - before.stamp
+        passed = None if before is None or self._least is None else message.stamp - before.stamp
         told = message.target
         if isinstance(target, PoseTarget) and isinstance(told, m.PoseTarget) and told.linear is told.angular is None:
             target = _moving(self._target, target, passed)
         self._message, self._target, self._least = message, target, least
         self._arrived, self._under_way = now, under_way
+        self._odd = None
+
+    def _demand_order(self, message: m.ServoTarget, now: float) -> None:
+        """Refuse a target that does not follow the newest one.
+
+        One that was overtaken is refused for good. Any other has a wrong number or stamp, or the client numbers its targets anew, or its
+        clock was set: the next target shows which, as it follows the newest one or that one. Then the clock is learnt anew.
+        """
+        before, odd = self._message, self._odd
+        if before is None:
+            return
+        fault = _fault(message, before, now - self._arrived)
+        if fault is None:
+            return
+        overtaken = message.sequence <= before.sequence and message.stamp <= before.stamp
+        if overtaken and now - self._arrived <= _REORDERED:
+            raise fault
+        self._odd = message, now
+        if odd is None or _fault(message, odd[0], now - odd[1]) is not None:
+            raise fault
+        self._least = None
 
     def _read(self, message: m.ServoTarget) -> Target:
         for field, values in message.target:
@@ -123,6 +141,34 @@ class Inbox:
         if len(values) != self._joints:
             raise InvalidRequest(f"{len(values)} values, and this robot has {self._joints} joints", field=field)
         return np.array(values)
+
+
+def _fault(message: m.ServoTarget, before: m.ServoTarget, passed: float) -> InvalidRequest | None:
+    """Why a target cannot have been made after another one that came `passed` s before it, if it cannot."""
+    if message.sequence <= before.sequence:
+        return InvalidRequest(
+            f"target {message.sequence} came after target {before.sequence}; number them upwards from 1",
+            field="sequence",
+        )
+    if message.sequence - before.sequence > _SKIPPED:
+        return InvalidRequest(
+            f"target {message.sequence} came next after target {before.sequence}, more than {_SKIPPED} before it; number them one by one",
+            field="sequence",
+        )
+    ahead = message.stamp - before.stamp
+    if ahead <= 0.0:
+        return InvalidRequest(
+            f"target {message.sequence} was made {-ahead:.3f} s before target {before.sequence}; "
+            "do not set the clock of the client while a session is open",
+            field="stamp",
+        )
+    if ahead - passed > _AHEAD:
+        return InvalidRequest(
+            f"target {message.sequence} was made {ahead:.3f} s after target {before.sequence}, but came {passed:.3f} s after it; "
+            "stamp all targets of a session on one clock (s)",
+            field="stamp",
+        )
+    return None
 
 
 def _moving(before: Target | None, target: PoseTarget, passed: float | None) -> PoseTarget:

@@ -223,13 +223,48 @@ def test_of_a_row_of_faults_only_the_first_is_looked_at(cls: type[Message], payl
     assert not re.search(r"and \d{3,} more", str(refusal.value))
 
 
+TARGET = '{"goal_id": "jog", "sequence": 1, "stamp": 1.0, "target": %s}'
+
+
+@pytest.mark.parametrize(
+    ("cls", "payload", "problem"),
+    [
+        (
+            m.ServoTarget,
+            TARGET % '{"kind": "twist"}',
+            'ServoTarget: Field required; write "base" or "tool" (target.frame)',
+        ),
+        (
+            m.ServoTarget,
+            TARGET % '{"kind": "pose", "position": [0.5, 0, 0.5], "orientation": [0, 0, 0, 1]}',
+            'ServoTarget: Field required; write "base" (target.frame)',
+        ),
+        (m.ServoTarget, TARGET % "{}", '; write "pose", "twist", "joint_speed" or "joints" (target)'),
+        (
+            m.SceneEdit,
+            '{"edit": {"op": "add", "objects": [{"name": "a"}]}}',
+            '"mesh", "voxels" or "cloud"; and 1 more (edit.objects.0)',
+        ),
+        (
+            m.SceneEdit,
+            '{"edit": {"op": "attach"}}',
+            "SceneEdit: Field required; docs/reference/messages.md explains what to write here (edit.name)",
+        ),
+    ],
+)
+def test_what_is_missing_is_named_with_what_to_write_there(cls: type[Message], payload: str, problem: str) -> None:
+    with pytest.raises(InvalidRequest) as refusal:
+        decode(cls, payload.encode())
+    assert str(refusal.value).endswith(problem)
+
+
 def test_no_more_fields_are_read_than_the_largest_scene_has() -> None:
     many = b"{%s}" % b",".join(b'"a%d": 0' % number for number in range(100_001))
     with pytest.raises(InvalidRequest, match="more than 100000 fields"):
         decode(m.ExecuteRequest, many)
     with pytest.raises(InvalidRequest, match="more than 1000000 values"):
         decode(m.ExecuteRequest, b"[%s]" % (b"0," * 1_000_001))
-    with pytest.raises(InvalidRequest, match=r"Field required \(plan_id\)"):
+    with pytest.raises(InvalidRequest, match=r"Field required; .* \(plan_id\)"):
         decode(m.Plan, b'{"trajectory": [%s 0]}' % (b"[], " * 100_000))
     ball = m.Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 0.0), radius=1.0)
     scene = m.Scene(

@@ -55,6 +55,58 @@ def test_what_comes_out_of_order_or_far_too_late_or_for_another_robot_is_refused
 
 
 @pytest.mark.parametrize(
+    ("sequence", "stamp", "field"),
+    [(10**9, 0.06, "sequence"), (4, 1e9, "stamp"), (4, 1.5, "stamp"), (10**9, 1e9, "sequence")],
+)
+def test_a_number_or_stamp_far_ahead_is_refused_by_field_and_the_targets_after_it_go_on(
+    inbox: Inbox, sequence: int, stamp: float, field: str
+) -> None:
+    for number in (1, 2, 3):
+        inbox.hear(told(number, 0.02 * number), 10.0 + 0.02 * number)
+    inbox.hear(told(sequence, stamp), 10.08)
+    assert refused(inbox) == field
+    inbox.hear(told(4, 0.08), 10.081)
+    assert inbox.sequence == 4
+    _, age = inbox.newest(10.081)
+    assert age == pytest.approx(0.001, abs=1e-3)
+
+
+@pytest.mark.parametrize("jump", [-20.0, -0.05, 20.0])
+def test_a_clock_that_is_set_costs_a_target_or_two(inbox: Inbox, jump: float) -> None:
+    inbox.hear(told(1, 30.0), 10.0)
+    inbox.hear(told(2, 30.02 + jump), 10.02)
+    assert refused(inbox) == "stamp"
+    inbox.hear(told(3, 30.04 + jump), 10.04)
+    assert inbox.sequence == 3
+    inbox.hear(told(4, 30.06 + jump), 10.09)
+    _, age = inbox.newest(10.09)
+    assert age == pytest.approx(0.03, abs=1e-3)
+
+
+def test_numbers_that_begin_anew_cost_a_target(inbox: Inbox) -> None:
+    inbox.hear(told(500, 0.0), 10.0)
+    inbox.hear(told(1, 0.02), 10.02)
+    assert refused(inbox) == "sequence"
+    inbox.hear(told(2, 0.04), 10.04)
+    assert inbox.sequence == 2
+
+
+def test_a_first_target_with_a_number_and_a_stamp_far_ahead_counts_for_a_second(inbox: Inbox) -> None:
+    inbox.hear(told(10**9, 1e9), 10.0)
+    for number in range(1, 60):
+        inbox.hear(told(number, 0.02 * number), 10.0 + 0.02 * number)
+    assert inbox.sequence == 59
+
+
+def test_targets_that_were_overtaken_are_refused_however_many_they_are(inbox: Inbox) -> None:
+    inbox.hear(told(9, 0.18), 10.18)
+    for number in range(1, 9):
+        inbox.hear(told(number, 0.02 * number), 10.18 + 0.01 * number)
+        assert refused(inbox) == "sequence"
+    assert inbox.sequence == 9
+
+
+@pytest.mark.parametrize(
     ("target", "field"),
     [
         (pose(1e300), "target.position"),
@@ -87,4 +139,7 @@ def test_a_pose_goes_on_as_it_was_seen_to_move_and_one_that_jumps_does_not(inbox
     inbox.hear(told(2, 0.02, pose(0.502)), 10.02)
     assert velocity() == pytest.approx(0.1)
     inbox.hear(told(3, 0.04, pose(0.8)), 10.04)
+    assert velocity() == 0.0
+    inbox.hear(told(4, -9.0, pose(0.801)), 10.06)
+    inbox.hear(told(5, -8.98, pose(0.802)), 10.08)
     assert velocity() == 0.0
