@@ -58,7 +58,8 @@ def encode(message: Message) -> bytes:
     """A message as compact UTF-8 JSON, without fields that are None; numbers may be NumPy's."""
     import orjson  # not by a short command, which only reads
 
-    return orjson.dumps(message, default=_fields, option=orjson.OPT_SERIALIZE_NUMPY)
+    content = orjson.dumps(message, default=_fields, option=orjson.OPT_SERIALIZE_NUMPY)
+    return bytes(memoryview(content))  # of its own size: orjson cuts its from larger blocks, and kept, they fragment the heap
 
 
 def _fields(message: object) -> dict[str, object]:
