@@ -59,7 +59,8 @@ def encode(message: Message) -> bytes:
     import orjson  # not by a short command, which only reads
 
     content = orjson.dumps(message, default=_fields, option=orjson.OPT_SERIALIZE_NUMPY)
-    return bytes(memoryview(content))  # of its own size: orjson cuts its from larger blocks, and kept, they fragment the heap
+    # A copy of its own size: orjson cuts its bytes from larger blocks, which fragment the heap where they are kept.
+    return bytes(memoryview(content))
 
 
 def _fields(message: object) -> dict[str, object]:
