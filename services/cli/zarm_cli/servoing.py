@@ -28,7 +28,7 @@ HOLD = 0.6
 LINEAR, ANGULAR, JOINT = 0.1, 0.5, 0.3
 """Speeds (m/s, rad/s, rad/s) at the scale 1."""
 SETTLED = 0.3
-"""What limits a robot between two obstacles, or at the margin, changes many times a second: what has lasted so long (s) is shown."""
+"""A limit is shown once it has lasted this long (s): between two obstacles, or at the margin, it changes many times a second."""
 _SLOWEST, _FASTEST, _FACTOR = 0.05, 2.0, 1.25
 _AXES = {
     "w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "r": (2, 1), "f": (2, -1),
@@ -88,9 +88,7 @@ class Keys:
 
 
 class Shown:
-    """Which of the states that a session goes through is shown: one at a time, until others have had `SETTLED` s more than twice its
-    time.
-    """
+    """Debounces the states of a session: a new one is shown when others have lasted `SETTLED` s longer than twice the shown one."""
 
     def __init__(self) -> None:
         self._what, self._others = "", 0.0

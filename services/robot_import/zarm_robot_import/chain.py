@@ -16,9 +16,9 @@ from zarm_robot_import.description import Description, Joint
 Array = NDArray[np.float64]
 
 LARGEST = 20.0
-"""What is larger, or further (m) from what carries it, is in mm."""
+"""A link larger than this, or a joint further than this (m) from its parent link, must be in millimetres."""
 FARTHEST = 100.0
-"""What stands at a joint without limits stands no further (rad, m)."""
+"""Largest position (rad, m) at which a joint without limits may be fixed."""
 MOST_JOINTS = 32
 """The most that a descriptor takes."""
 _TIPS = ("tool0", "tcp", "ee_link", "tool", "flange", "end_effector")

@@ -18,9 +18,9 @@ MOST_ACCELERATION = 5.0
 """Highest acceleration assumed (rad/s²): what the driver of the UR arms calls conservative."""
 
 UNLIMITED = 1e4
-"""A limit beyond this (rad) stands for none."""
+"""A joint with a limit beyond this (rad) counts as unlimited."""
 SMALLEST = 1e-3
-"""What has a smaller range (rad, m) or velocity (rad/s, m/s) hardly moves."""
+"""A joint with a smaller range (rad, m) or velocity (rad/s, m/s) hardly moves."""
 WIDEST, FASTEST = 100.0, 30.0
 """No joint turns further (rad), slides further (m), or moves faster (rad/s, m/s); larger limits are most likely in
 degrees or mm.

@@ -254,7 +254,7 @@ class Measure:
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
 
     def _tell(self, skin: _Skin, some: NDArray[np.intp]) -> None:
-        """Tell of some points whether they are within the body."""
+        """Decide which of these points are within the body."""
         unsure = some[skin.unsure[some]]
         skin.out[unsure[np.abs(winding(skin.points[unsure], self._coarse)) > 0.5]] = 0.0
         skin.unsure[unsure] = False
