@@ -28,8 +28,10 @@ _BRAKING = 0.3
 """Share of the joint acceleration used to bound the approach speed."""
 _KEPT = 0.0003
 """A step keeps this much more (m) than the margin, because the check is conservative."""
-_SAMPLE = 0.01
-"""Interval (s) at which a braking motion is checked."""
+_SAMPLES, _SAMPLE = 10, 0.01
+"""A braking motion is checked at so many positions or every so many s, whichever is finer, but at most once a period:
+a check allows for how far a joint may swing between two positions, so that beside a wall coarse ones block every step.
+"""
 _ROUNDS = 20
 """Iterations of the projection onto the bounds; the check catches any remaining error."""
 _EXACT = 1e-5
@@ -140,7 +142,8 @@ class Controller:
 
     def _obstruction(self, braking: SpeedChange, around: Surroundings) -> Limitation | None:
         """Why the way to the start of `braking`, or the braking itself, is not free; None if it is."""
-        times = np.append(np.arange(0.0, braking.duration, _SAMPLE), braking.duration + 1e-6)
+        interval = np.clip(braking.duration / _SAMPLES, PERIOD, _SAMPLE)
+        times = np.append(np.arange(0.0, braking.duration, interval), braking.duration + 1e-6)
         positions = np.vstack((self.state[0], braking.sample(times)[0]))
         if np.any(positions < self._limits.lower) or np.any(positions > self._limits.upper):
             return Limitation("joint_limit")

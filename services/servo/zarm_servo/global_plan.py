@@ -14,11 +14,11 @@ from zarm_servo.targets import JointTarget, PoseTarget
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
-PlanFor = Callable[[PlanRequest], Plan]
-"""Asks the planner. Raises the planner's error, and Unavailable if there is no planner."""
+PlanFor = Callable[[PlanRequest, float], Plan]
+"""Asks the planner, which has the given time (s). Raises the planner's error, and Unavailable if there is no planner."""
 
 TIMEOUT = 0.5
-"""Time limit (s) for the planner."""
+"""Time limit (s) for the planner when a target is first asked for, and for poses near it."""
 _ROOM = 0.005
 """Extra clearance (m) of a plan beyond the margin, where possible, so that following it never gets stuck."""
 _RINGS = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -65,36 +65,37 @@ def find_global_plan(
     target: PoseTarget | JointTarget,
     start: Array,
     distance: float,
+    timeout: float,
 ) -> GlobalPlan:
-    """A plan from rest at `start` (J,) to a target, `margin` (m) away from everything.
+    """A plan from rest at `start` (J,) to a target, `margin` (m) away from everything, found within `timeout` (s).
 
     If a pose, `distance` (m) away, cannot be reached, the plan leads to a pose with the same orientation that is closer
     to it than the robot. Raises the planner's error for the target.
     """
 
-    def plan(goal: PoseGoal | JointGoal, margin: float) -> Array:
+    def plan(goal: PoseGoal | JointGoal, margin: float, timeout: float) -> Array:
         request = PlanRequest(
             goal=goal,
             start=tuple(start.tolist()),
             margin=margin,
             self_margin=margin,
-            timeout=TIMEOUT,
+            timeout=timeout,
             optimize_s=0.0,
             publish=False,
         )
-        trajectory = TimedTrajectory.of(ask(request).trajectory, joints)
+        trajectory = TimedTrajectory.of(ask(request, timeout).trajectory, joints)
         return trajectory.positions(np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / _SAMPLE)))
 
     refusal: ZarmError | None = None
     goal = _goal(target)
     for kept in (margin + _ROOM, margin):
         try:
-            return GlobalPlan(plan(goal, kept), target)
+            return GlobalPlan(plan(goal, kept, timeout), target)
         except (PlanningFailed, DeadlineExceeded) as error:
             refusal = error
     for nearer in _nearer(target, distance):
         try:
-            return GlobalPlan(plan(nearer, margin + _ROOM), target, refusal)
+            return GlobalPlan(plan(nearer, margin + _ROOM, TIMEOUT), target, refusal)
         except (PlanningFailed, DeadlineExceeded):
             continue
     raise refusal or PlanningFailed("there is no plan", code="no_path")

@@ -11,13 +11,13 @@ from zarm_contract.errors import Busy, DeadlineExceeded, InternalError, Problem,
 from zarm_contract.messages import SceneRevision
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.controller import PERIOD
-from zarm_servo.global_plan import GlobalPlan
+from zarm_servo.global_plan import TIMEOUT, GlobalPlan
 from zarm_servo.targets import JointTarget, PoseTarget, Target, rotation_vector
 from zarm_trajectory.quintic import Array
 
-Find = Callable[[PoseTarget | JointTarget, Array, float], GlobalPlan]
-"""Finds a plan to a target from a position (J,) that is the given distance (m) away from it. Raises ZarmError if there
-is none.
+Find = Callable[[PoseTarget | JointTarget, Array, float, float], GlobalPlan]
+"""Finds a plan to a target from a position (J,) that is the given distance (m) away from it, within a time limit (s).
+Raises ZarmError if there is none.
 """
 Free = Callable[[Array, Array], bool]
 """Whether the straight line between two positions (J,) keeps the margin."""
@@ -51,8 +51,10 @@ _LOOKS = 5
 """Steps after which the point is chosen again."""
 _ATTEMPTS = 4
 """Plans tried per target and scene; if the robot gets stuck on all of them, it stays at rest."""
-_RETRIES = 1.0
-"""A planner that timed out or did not answer is asked again after this time (s)."""
+_TIMEOUTS = TIMEOUT, 8 * TIMEOUT
+"""Time limit (s) of the planner for a target, at first and at most: it doubles each time it runs out. A planner that
+timed out or did not answer is asked again twice its time limit after it was asked.
+"""
 
 
 class LocalGoal:
@@ -68,7 +70,7 @@ class LocalGoal:
         self._steps = self._asked_at = 0
         self._anchor, self._anchored = np.full(model.dof, np.inf), 0
         self._before: tuple[int, PoseTarget | JointTarget | None, float] = 0, None, np.inf
-        self._attempts = 0
+        self._attempts, self._timeout = 0, _TIMEOUTS[0]
         self._revision: SceneRevision | None = None
         self.problem: Problem | None = None
 
@@ -92,7 +94,7 @@ class LocalGoal:
         if self._must_ask(wanted, position, revision):
             distance = self._errors(wanted, position)[0]
             self._asked, self._asked_for, self._asked_at = (
-                self._pool.submit(self._find, wanted, position.copy(), distance),
+                self._pool.submit(self._find, wanted, position.copy(), distance, self._timeout),
                 wanted,
                 self._steps,
             )
@@ -107,7 +109,7 @@ class LocalGoal:
     def _compare(self, wanted: PoseTarget | JointTarget, revision: SceneRevision | None) -> None:
         """If the target or the scene has changed, allow all attempts again."""
         if self._asked_for is None or revision != self._revision or _apart(wanted, self._asked_for, _SAME):
-            self._attempts = 0
+            self._attempts, self._timeout = 0, _TIMEOUTS[0]
             self.problem = None
 
     def _take(self) -> None:
@@ -117,22 +119,23 @@ class LocalGoal:
             return
         self._asked = None
         error = asked.exception()
+        self._plan = asked.result() if error is None else None
+        if self._plan is not None:
+            self._point, self._anchored = None, self._steps
+            error = self._plan.refusal
         if error is None:
-            self._plan, self._point = asked.result(), None
-            self._anchored = self._steps
-            if self._plan.refusal is not None:
-                self.problem, self._attempts = self._plan.refusal.problem, _ATTEMPTS
-        else:
-            self._plan = None
-            known = error if isinstance(error, ZarmError) else InternalError(f"{type(error).__name__}: {error}")
-            self.problem = known.problem
-            self._attempts = 0 if isinstance(error, Busy | DeadlineExceeded | Unavailable) else _ATTEMPTS
+            return
+        known = error if isinstance(error, ZarmError) else InternalError(f"{type(error).__name__}: {error}")
+        self.problem = known.problem
+        self._attempts = 0 if isinstance(error, Busy | DeadlineExceeded | Unavailable) else _ATTEMPTS
+        if isinstance(error, DeadlineExceeded):
+            self._timeout = min(2 * self._timeout, _TIMEOUTS[1])
 
     def _must_ask(self, wanted: PoseTarget | JointTarget, position: Array, revision: SceneRevision | None) -> bool:
         since = (self._steps - self._asked_at) * PERIOD
         if self._asked is not None or self._attempts >= _ATTEMPTS or since < _REFRESHED:
             return False
-        if self.problem is not None and since < _RETRIES:
+        if self.problem is not None and since < 2 * self._timeout:
             return False
         plan = self._plan
         if plan is not None and (revision != self._revision or _apart(wanted, plan.target, _SAME)):

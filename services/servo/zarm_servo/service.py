@@ -35,7 +35,6 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_servo.check import Checker, SceneCheck
-from zarm_servo.global_plan import TIMEOUT
 from zarm_servo.guard import Guard
 from zarm_servo.replanning import Replanner
 from zarm_servo.sessions import Sessions
@@ -47,8 +46,8 @@ PLANNER_PERIOD = 1.0
 """Interval (s) at which the servo checks that there is a planner."""
 ANSWER = 0.2
 """Extra time (s) for an answer to arrive after the deadline of the request."""
-PLAN_TIMEOUT = 4 * TIMEOUT
-"""A planner that has not answered a request for a global plan after this time (s) counts as gone."""
+GONE = 1.5
+"""A planner that has not answered a request for a global plan this long (s) after its deadline counts as gone."""
 SWITCH_INTERVAL = 0.0005
 """Longest time (s) for which a thread reading a message may hold the interpreter while a session's cycle waits
 (Python's default: 0.005).
@@ -90,8 +89,8 @@ def start(service: Service) -> Iterator[None]:
         )
         chunks = command_bus.publisher(keys.stream, StreamChunk, realtime=True)
 
-        def plan(request: PlanRequest) -> Plan:
-            return bus.call(keys.plan, request, Plan, timeout=PLAN_TIMEOUT)
+        def plan(request: PlanRequest, deadline: float) -> Plan:
+            return bus.call(keys.plan, request, Plan, timeout=deadline + GONE)
 
         sessions = Sessions(service.robot, check, guard, measured, chunks, plan, service.metrics)
 

@@ -59,8 +59,10 @@ class Tracker:
         self._motions.set_world(World(list(objects), 0.0))
         self._margin, joints = margin, model.robot.descriptor.joints
 
-        def find(target: PoseTarget | JointTarget, start: Array, distance: float) -> GlobalPlan:
-            return find_global_plan(planner.plan, joints, margin, target, start, distance)
+        def find(target: PoseTarget | JointTarget, start: Array, distance: float, timeout: float) -> GlobalPlan:
+            return find_global_plan(
+                lambda request, _: planner.plan(request), joints, margin, target, start, distance, timeout
+            )
 
         self.local_goal = LocalGoal(model, find, self._free, AtOnce())
         self.controller = Controller(model, self._motions, soft(Limits.of(model.robot)), start, margin=margin)

@@ -33,11 +33,14 @@ TIP = MODEL.fk_tip(START)
 class Session:
     """A controller and what it has commanded."""
 
-    def __init__(self, *objects: SceneObject, start: Array = START, margin: float = MARGIN) -> None:
-        self.world, self.margin = World(objects, 0.0), margin
-        check = MotionCheck(MODEL)
+    def __init__(
+        self, *objects: SceneObject, start: Array = START, margin: float = MARGIN, model: RobotModel = MODEL
+    ) -> None:
+        self.world, self.margin, self.model = World(objects, 0.0), margin, model
+        self.limits = Limits.of(model.robot)
+        check = MotionCheck(model)
         check.set_world(self.world)
-        self.controller = Controller(MODEL, check, LIMITS, start, margin=margin)
+        self.controller = Controller(model, check, self.limits, start, margin=margin)
         self.steps: list[Step] = []
         self.states = [self.controller.state]
 
@@ -50,12 +53,12 @@ class Session:
     def assert_sound(self) -> None:
         """Inside every limit, and never nearer than the margin by an exact check of each commanded configuration."""
         position, velocity, acceleration = np.swapaxes(self.states, 0, 1)
-        assert np.all((position >= LIMITS.lower) & (position <= LIMITS.upper))
-        assert np.all(np.abs(velocity) <= LIMITS.velocity * (1 + 1e-6))
-        assert np.all(np.abs(acceleration) <= LIMITS.acceleration * (1 + 1e-6))
-        assert np.all(np.abs(np.diff(acceleration, axis=0)) <= LIMITS.jerk * PERIOD * (1 + 1e-6))
+        assert np.all((position >= self.limits.lower) & (position <= self.limits.upper))
+        assert np.all(np.abs(velocity) <= self.limits.velocity * (1 + 1e-6))
+        assert np.all(np.abs(acceleration) <= self.limits.acceleration * (1 + 1e-6))
+        assert np.all(np.abs(np.diff(acceleration, axis=0)) <= self.limits.jerk * PERIOD * (1 + 1e-6))
         # Between two of them the tip moves by less than 7 mm.
-        scene, margin = ExactScene(MODEL, self.world), self.margin - PRECISION
+        scene, margin = ExactScene(self.model, self.world), self.margin - PRECISION
         assert not scene.too_near(position, 0.0, margin, margin)
         assert scene.nearest(position).distance > 0.0
 
@@ -128,6 +131,21 @@ def test_along_a_wall_it_slides_and_says_what_slows_it() -> None:
 
 
 @pytest.mark.lengthy
+def test_at_the_margin_strong_joints_still_move_along_a_wall() -> None:
+    model = RobotModel.of(load_robot("panda"))
+    start = np.array((0.54, -1.06, -0.94, -3.06, 2.39, 0.71, 2.4))
+    along = start + (-0.004, -0.062, -0.014, 0.004, -0.1, 0.057, -0.011)
+    wall = Cuboid(kind="cuboid", name="wall", position=(2.05, 0.0, 0.0), size=(0.1, 4.0, 4.0))
+    check = MotionCheck(model)
+    check.set_world(World([wall], 0.0))
+    away = min(pair.distance for pair in check.nearby(start, within=3.0) if pair.object == "wall")
+    near = wall.model_copy(update={"position": (2.05 - (away - MARGIN - 0.0007), 0.0, 0.0)})
+    session = Session(near, start=start, model=model)
+    session.follow(JointTarget(along), 1.0)
+    np.testing.assert_allclose(session.states[-1][0], along, atol=1e-3)
+    session.assert_sound()
+
+
 def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
     session = Session(wall(0.15))
     session.follow(PoseTarget(moved(0.3, 0.0, 0.0)), 3.0)

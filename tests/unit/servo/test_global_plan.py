@@ -16,12 +16,12 @@ MARGIN = 0.03
 def test_a_way_is_asked_for_that_steps_can_follow_with_room_first_and_then_without() -> None:
     asked: list[PlanRequest] = []
 
-    def ask(request: PlanRequest) -> Plan:
+    def ask(request: PlanRequest, _timeout: float) -> Plan:
         asked.append(request)
         raise PlanningFailed("there is a wall", code="no_path")
 
     with pytest.raises(PlanningFailed):
-        find_global_plan(ask, ("a", "b"), MARGIN, JointTarget(np.ones(2)), np.zeros(2), 1.0)
+        find_global_plan(ask, ("a", "b"), MARGIN, JointTarget(np.ones(2)), np.zeros(2), 1.0, 0.5)
     kept = [(request.margin, request.self_margin) for request in asked]
     assert len(kept) == 2
     assert min(kept[0]) > MARGIN  # type: ignore[type-var]

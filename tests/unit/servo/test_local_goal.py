@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zarm_contract.errors import PlanningFailed
+from zarm_contract.errors import DeadlineExceeded, PlanningFailed
 from zarm_contract.robot import load_robot
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.global_plan import GlobalPlan
@@ -41,16 +41,25 @@ class AtOnce(Executor):
 
 
 class Stuck:
-    """The local goal of a robot, and how often it asked for a plan; `known` says whether there is one."""
+    """The local goal of a robot, and the time limits of what it asked for; `known` says whether there is a plan, and
+    `takes` how long (s) a planner needs for it.
+    """
 
-    def __init__(self, *, known: bool = True) -> None:
-        self.asked, self.known = 0, known
+    def __init__(self, *, known: bool = True, takes: float = 0.0) -> None:
+        self.limits: list[float] = []
+        self.known, self.takes = known, takes
         self.local_goal = LocalGoal(MODEL, self._find, lambda *_: True, AtOnce())
 
-    def _find(self, target: PoseTarget | JointTarget, _start: Array, _distance: float) -> GlobalPlan:
-        self.asked += 1
+    @property
+    def asked(self) -> int:
+        return len(self.limits)
+
+    def _find(self, target: PoseTarget | JointTarget, _start: Array, _distance: float, timeout: float) -> GlobalPlan:
+        self.limits.append(timeout)
         if not self.known:
             raise PlanningFailed("there is a wall", code="goal_in_collision")
+        if timeout < self.takes:
+            return GlobalPlan(PATH[:2], target, DeadlineExceeded("the goal is in a narrow place"))
         return GlobalPlan(PATH, target)
 
     def stay(self, target: Target, at: Array = START, steps: int = SECOND, revision: str = "1-a") -> Target | None:
@@ -113,6 +122,22 @@ def test_what_cannot_be_reached_is_told_and_asked_for_again_only_in_another_scen
     robot.known = True
     assert isinstance(robot.stay(TARGET, revision="2-a"), JointTarget)
     assert robot.local_goal.problem is None
+
+
+def test_a_planner_whose_time_runs_out_leads_the_robot_near_and_has_twice_as_long_the_next_time() -> None:
+    robot = Stuck(takes=1.5)
+    point = robot.stay(TARGET, steps=10 * SECOND)
+    assert robot.limits[0] < robot.takes
+    assert robot.limits == [robot.limits[0] * 2**ask for ask in range(len(robot.limits))]
+    assert robot.limits[-1] >= robot.takes
+    assert isinstance(point, JointTarget)
+
+
+def test_a_planner_that_never_has_time_enough_is_asked_again_and_again_but_not_for_longer_and_longer() -> None:
+    robot = Stuck(takes=np.inf)
+    robot.stay(TARGET, steps=60 * SECOND)
+    assert len(robot.limits) > 6
+    assert robot.limits[-1] == robot.limits[-3] < 10.0
 
 
 def test_who_jogs_is_never_led_elsewhere() -> None:
