@@ -81,13 +81,17 @@ class Executor:
             goal_id = self._named(request.goal_id)
             if request.preempt:
                 turn.preempt(goal_id)
-                scene = self._present.demand(chosen.name, chosen.scene_revision)  # coming to rest may take a while
+                scene = self._present.demand(
+                    chosen.name, chosen.scene_revision
+                )  # the robot may have taken a while to come to rest
             trajectory = startable(trajectory, self._admission.joint_state(), time.monotonic(), self._robot)
             monitor = Monitor(trajectory, self._robot.descriptor)
             goal = Goal(goal_id, chosen.plan_id, trajectory, monitor, scene, verified=chosen.scene_revision)
             goal.replan, goal.tip = request.replan, chosen.tip
             turn.start(goal)
-        RateBounds.of(trajectory, RateLimits.of(self._robot.descriptor)).prepare()  # no tick has to compute them
+        RateBounds.of(
+            trajectory, RateLimits.of(self._robot.descriptor)
+        ).prepare()  # so that no tick has to compute them
         return Accepted(goal_id=goal_id)
 
     def replace(self, request: ReplaceTrajectory) -> Accepted:
@@ -109,7 +113,7 @@ class Executor:
         return Accepted(goal_id=request.goal_id)
 
     def _named(self, goal_id: str | None) -> str:
-        running = self._reporter.publish().goal_id  # from here on, a goal that has just ended is known
+        running = self._reporter.publish().goal_id  # also records a goal that has just ended
         if goal_id is not None and (goal_id == running or self._reporter.knows(goal_id)):
             raise InvalidRequest(
                 f"there has been a goal {goal_id} already; give every goal a new goal_id", field="goal_id"
@@ -164,7 +168,7 @@ class Executor:
         try:
             self._kept_speed.save(self._speed())
         except Unavailable as error:  # the robot slows down at once, even if the file cannot be written
-            log.warning("the speed will not outlive this process reason=%s", error)
+            log.warning("the speed is not saved and will be lost on restart reason=%s", error)
 
     def publish_speed(self) -> None:
         """Publish the robot's share of the planned speed."""

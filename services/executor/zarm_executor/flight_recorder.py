@@ -100,4 +100,4 @@ class FlightRecorder:
             for old in (*drafts, *sorted(self._folder.glob("*.mcap"))[:-KEPT]):
                 old.unlink()
         except OSError as error:
-            log.warning("old records stay folder=%s reason=%s", self._folder, error.strerror or error)
+            log.warning("old records cannot be removed folder=%s reason=%s", self._folder, error.strerror or error)

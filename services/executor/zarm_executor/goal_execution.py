@@ -187,7 +187,7 @@ class GoalExecution:
             )
         return self._strategy
 
-    # -- what is --
+    # -- state --
 
     def state(self) -> GoalState:
         """The goal's current state."""
@@ -247,7 +247,7 @@ class GoalExecution:
             if not self.goal.monitor.at_rest(now, progress, measured):
                 return None
         except ExecutionFailed as failure:
-            self.fail(failure)  # the robot had its time to stop; the strategy keeps telling it to
+            self.fail(failure)  # the time allowed for stopping is over; the strategy keeps commanding the stop
         if self.goal.outcome is not None:
             return self._finish(self.goal.outcome)
         if self.goal.pausing:

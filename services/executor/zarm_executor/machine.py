@@ -64,7 +64,7 @@ class Machine:
         self._motion: GoalExecution | None = None
         self._successor: str | None = None
         self._problem: Problem | None = None
-        self._faulty: Goal | None = None  # ended in the present fault
+        self._faulty: Goal | None = None  # the goal that ended in the current fault
         self._switching = False
         self._ending = False
         self._last_tick: float | None = None
@@ -364,7 +364,7 @@ class Machine:
                 self._strategy.close()
                 self._open = False
 
-    # -- what is --
+    # -- state --
 
     def state(self) -> ExecutorState:
         """The robot's current state."""

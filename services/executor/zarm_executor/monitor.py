@@ -86,7 +86,7 @@ class Monitor:
         return True
 
     def _wait_for_joints(self, now: float, dt: float, measured: Measured | None) -> None:
-        if self._heard_at is None or dt > CATCH_UP:  # what came during a pause of the executor is still unread
+        if self._heard_at is None or dt > CATCH_UP:  # messages from a pause of the executor are still unread
             self._heard_at = now
         if now - self._heard_at > self._execution.hold_timeout:
             age = np.inf if measured is None else now - measured.time

@@ -91,7 +91,7 @@ class Plans:
         newest = self._ask()
         if newest is not None and newest.plan_id == plan_id:
             return newest
-        with self._changed:  # it may be older than the newest
+        with self._changed:  # an older plan may still be on its way
             self._changed.wait_for(lambda: plan_id in self._plans, PUBLICATION_PATIENCE)
             plan = self._plans.get(plan_id)
         if plan is None:

@@ -30,7 +30,7 @@ rounding up. Measured with short payloads: 265.
 @dataclass
 class _Segment:
     began: float
-    before: dict[str, Entry]  # values at its beginning of the keys that are published only on change
+    before: dict[str, Entry]  # values at the start of the segment, for keys that are published only on change
     entries: list[Entry] = field(default_factory=list)
     size: int = 0
 

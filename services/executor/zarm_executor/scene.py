@@ -35,7 +35,7 @@ class PresentScene:
         except Unavailable:
             return self._machine.scene
         with self._telling:
-            if self._machine.scene == before:  # otherwise a publication that came meanwhile may be newer
+            if self._machine.scene == before:  # otherwise a newer publication may have arrived meanwhile
                 self._machine.scene = answer
         return answer
 

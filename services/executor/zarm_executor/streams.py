@@ -65,7 +65,7 @@ class Streams:
                 planned = executable(chunk.trajectory, self._robot)
                 trajectory, at = placed(planned, self._admission.joint_state(), time.monotonic(), self._robot)
                 self._turns = trajectory.start - planned.start
-                # From the robot's position, which may be a tolerance off, blend over as between two chunks.
+                # The robot may be off by the start tolerance: blend from its position as between two chunks.
                 trajectory = blended(TimedTrajectory.standing(at.position), 0.0, trajectory, 0.0, self._limits)
                 monitor = Monitor(trajectory, self._robot.descriptor)
                 piece = self._chunk(chunk, trajectory, received)

@@ -98,12 +98,12 @@ class Handlers:
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
         self.moved = MovedObjects(lambda: store.scene)
-        # attached objects, ignored links, and the robot with these
+        # The robot with attached objects and ignored links, cached by both.
         self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model
         # Scenes ready for planning with their objects in place: those of the latest plan and of the latest edit.
         self._ready: _Ready | None = None
         self._edited: _Ready | None = None
-        self._world: World | None = None  # the newest one, whose unchanged parts the next one reuses
+        self._world: World | None = None  # the newest world; the next one reuses its unchanged parts
 
     def warm_up(self, report: Callable[[str], None]) -> None:
         """Compile or load the kernels used by plans; `report` is told what comes next."""

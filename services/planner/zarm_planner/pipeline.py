@@ -100,7 +100,7 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
             best = _verified(context, problem, trajectory)
         except VerificationFailed:
             continue
-        except (DeadlineExceeded, InvalidRequest):  # the second: a detour exceeds the message size
+        except (DeadlineExceeded, InvalidRequest):  # InvalidRequest: a detour exceeds the message size
             break
     return best
 
@@ -113,7 +113,7 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
     times: tuple[float, ...] = ()
     if isinstance(problem.goal, WaypointsGoal):
-        # All ends that reach the same pose are the same waypoint.
+        # Ends with the same pose belong to the same waypoint.
         waypoints = [np.array([*{end.pose: end.asked for end in ends}.values()]) for ends in problem.targets]
         tolerances = problem.goal.position_tolerance, problem.goal.angle_tolerance
         times = passing_times(context.model, trajectory, waypoints, *tolerances, check)

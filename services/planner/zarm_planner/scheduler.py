@@ -75,7 +75,7 @@ class Scheduler:
         try:
             if has_left and self._is_there(job.client):
                 self._left.pop(job.client, None)
-            elif has_left:  # the news that the client has left overtook its last requests
+            elif has_left:  # the notice that the client left arrived before its last requests
                 job.deadline.cancel()
             while not job.turn.wait(_POLL):
                 job.deadline.check()
@@ -153,7 +153,7 @@ class Scheduler:
         running more.
         """
         with self._changed:
-            if waiting.began is not None:  # it was just given its turn
+            if waiting.began is not None:  # its turn has just come
                 return
             running_of = self._running_by_client()
             for job in self._jobs:

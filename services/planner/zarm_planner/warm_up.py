@@ -69,7 +69,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
         break
     begin("the verification of motions")
     exact = ExactScene(model, world)
-    with suppress(VerificationFailed):  # if the robot collides with itself beside its home
+    with suppress(VerificationFailed):  # the robot may collide with itself near its home
         verify(trajectory, home, away, limits, exact, lambda: None)
     begin("ways out of tight places")
     context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)

@@ -1,4 +1,4 @@
-"""What kernels compute on: a robot and a world in packed arrays, and the view of both that the inner loops use."""
+"""The data of the kernels: a robot and a world in packed arrays, and the view of both that the inner loops use."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from zarm_geometry.kernels.simd import LANES, pointer
 Single = NDArray[np.float32]
 Index = NDArray[np.int32]
 Pointer = Any
-"""To the first element of an array, inside kernels only."""
+"""Pointer to the first element of an array; exists only inside kernels."""
 
 SHAPE = 17
-"""Numbers per obstacle, see WorldArrays."""
+"""Numbers per row of `WorldArrays.shapes`."""
 DEEPEST = 32
-"""Levels of a tree of boxes, at most: with 4 children a node those of more shapes than can be counted."""
+"""Maximum depth of a bounding volume hierarchy. At 4 children per node it suffices for any number of shapes."""
 
 
 class RobotArrays(NamedTuple):
     """A robot as the collision kernels read it; links are sorted by the joint that carries them.
 
-    `origin` (dof, 3, 4): frame of each joint in the one before, its axis along z; `revolute` (dof,).
-    `link_joint` (links,): the joint that carries the link, -1 for the base; `link_first` (links + 1,): where its spheres
-    start. `spheres` (n, 4): x, y, z, radius in the frame of that joint; `bounds` (links, 4): one sphere around them all.
-    `pairs` (m, 2): links that can meet, the one nearer to the base first, and `apart` (m,): how far (m) their spheres have to
-    keep from each other. `reach` (dof, balls): how far (m) a ball's centre
-    moves at most when the joint moves by 1 rad (by 1 m where prismatic); the balls are the bounding spheres of the links,
-    then the spheres, then zeros up to a multiple of 16.
+    `origin` (dof, 3, 4): each joint's frame in the frame of the previous joint, with the joint's axis along z;
+    `revolute` (dof,): 0 for prismatic joints. `link_joint` (links,): the joint that carries a link, -1 for the base;
+    `link_first` (links + 1,): the index of its first sphere. `spheres` (n, 4): x, y, z, radius (m) in the frame of that
+    joint; `bounds` (links, 4): one sphere that encloses all of a link. `pairs` (m, 2): links that can collide, the one
+    nearer to the base first; `apart` (m,): the distance (m) that their spheres must keep. `reach` (dof, balls): the
+    most (m) that a ball's centre moves when the joint moves by 1 rad (1 m if prismatic). The balls are the bounding
+    spheres of the links, then the spheres, then zeros up to a multiple of 16.
     """
 
     origin: Single
@@ -45,14 +45,15 @@ class RobotArrays(NamedTuple):
 
 
 class WorldArrays(NamedTuple):
-    """Obstacles as the collision kernels read them, in a tree of axis-aligned boxes; all keep `margin` (m) besides.
+    """Obstacles as the collision kernels read them, in a bounding volume hierarchy of axis-aligned boxes. Checks
+    inflate every obstacle by `margin` (m).
 
-    `shapes` (n, 17): the base frame in the obstacle's (3, 4), row by row; then half extents x, y, z of its core, the
-    radius of the core about z, and what is added all around. So a cuboid is its extents, a sphere a point, a capsule a
-    segment, each with a rounding, and a cylinder a segment with a radius. A radius below 0 marks a triangle: (0, 0), (b, 0),
-    (c, d) in the plane z = 0, with b, c, d in place of the half extents, and a rounding.
-    `boxes` (m, 6): centre and half extents of the tree's nodes, depth first; `skip` (m,): the node after the subtree;
-    `leaf` (m,): the obstacle in a leaf, -1 for an inner node. The tree is no deeper than DEEPEST.
+    `shapes` (n, 17): the base frame in the obstacle's frame (3, 4), row by row; then half extents x, y, z of its core,
+    the radius of a disc about z that widens the core, and the rounding added all around. So a cuboid is its extents, a
+    sphere a point with a rounding, a capsule a segment with a rounding, and a cylinder a segment with a disc. If the
+    radius is negative, the core is the triangle (0, 0), (b, 0), (c, d) in the plane z = 0, and b, c, d replace the half
+    extents. `boxes` (m, 6): centre and half extents of the nodes, depth first; `skip` (m,): the node that follows the
+    subtree; `leaf` (m,): the obstacle in a leaf, -1 for an inner node. The tree is at most DEEPEST levels deep.
     """
 
     shapes: Single
@@ -65,10 +66,12 @@ class WorldArrays(NamedTuple):
 class Space(NamedTuple):
     """Robot, world and working memory as counts and pointers, for the inner loops.
 
-    Of the edge in hand: `start` and `step` (dof,); `motion` (dof + 1, balls): how far each ball moves along it at most, by
-    the joints from this row's on. `centers` (balls, 48): x, y and z in 16 lanes. `middle` and `half` (65 * 16,): stretches
-    of the edge, 16 in hand and then a stack of those that are still to be checked. `active` and `until` (DEEPEST,): of the node
-    in hand and those above it, which of up to 64 spheres come near, and where its subtree ends.
+    Of the edge being checked: `start` and `step` (dof,): its first configuration and the difference to its last;
+    `motion` (dof + 1, balls): in row k, the most (m) that joints k and beyond move each ball along it. `centers`
+    (balls, 48): x, y and z of each ball in 16 lanes. `middle` and `half` (65 * 16,): middle and half length of
+    intervals of the edge; the first 16 are being checked, the rest is a stack of intervals yet to be checked. `active`
+    and `until` (DEEPEST,): for the current node of the tree and its ancestors, a bit mask of the up to 64 spheres that
+    come near it, and the node that follows its subtree.
     """
 
     dof: int
@@ -101,7 +104,7 @@ class Space(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Working memory of one kernel call."""
+    """Working memory of one kernel call; shapes and meaning as in `Space`."""
 
     start: Single
     step: Single
@@ -114,7 +117,7 @@ class Memory(NamedTuple):
 
 
 def memory(robot: RobotArrays) -> Memory:
-    """Working memory for one call of a kernel for this robot."""
+    """Allocate the working memory of one kernel call for this robot."""
     dof, balls = robot.reach.shape
     sizes = (dof, dof, (dof + 1) * balls, balls * 3 * LANES, 65 * LANES, 65 * LANES)
     start, step, motion, centers, middle, half = (np.empty(size, np.float32) for size in sizes)
@@ -124,7 +127,7 @@ def memory(robot: RobotArrays) -> Memory:
 
 @inlined
 def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
-    """The view of all that a kernel was given; it lives no longer than the kernel's arguments."""
+    """The view of a kernel's arguments; it must not outlive them."""
     return Space(
         robot.origin.shape[0],
         robot.link_joint.shape[0],

@@ -1,9 +1,10 @@
-"""The smallest distance of the robot's exact shapes to the world and to each other along a motion, branch and bound.
+"""The smallest distance of the robot's exact shapes to the world and to each other along a motion, by branch and bound.
 
-On a stretch of the motion two things come no nearer than their distance in its middle minus what they travel from there
-(Schwarzer, Saha and Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots in complex
-environments", 2005). The stretch that may hold the smallest distance is looked at first, its middle lowers the bound on
-what is searched, and it is cut in two there; once no stretch can hold anything smaller, the rest is proven.
+During an interval of the motion, two bodies never come closer than their distance at its middle sample minus how far
+they travel from there (Schwarzer, Saha and Latombe, "Adaptive dynamic collision checking for single and multiple
+articulated robots in complex environments", 2005). The search always examines the interval with the smallest lower
+bound next. The distance at its middle may lower the smallest distance found so far, and the interval is split there.
+Once no interval left can contain a smaller distance, the result is proven.
 """
 
 from __future__ import annotations
@@ -23,29 +24,30 @@ from zarm_geometry.kernels.simd import lowest_bit
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
 Stretch = tuple[int, int, int]
-"""The first, the middle and the last sample of a stretch of a motion."""
+"""An interval of a motion: its first, middle and last sample."""
 Kept = tuple[float, float]
-"""What is sure to be kept clear (m) up to the middle of a stretch, and from there on."""
+"""Two bounds (m), for the part of an interval before its middle sample and for the part after it."""
 
 
 ROUGH = 0.2
-"""Part by which a distance that matters for nothing but how far to go on may be too small."""
+"""Lower bounds that only decide which boxes to enter, and never the result, may be too small by this fraction."""
 _PARTS = 64
-"""Parts of a link that are looked at together."""
+"""Parts of a link that descend the tree together."""
 
 
 class RobotParts(NamedTuple):
     """A robot's exact shapes.
 
-    `origin` (dof, 3, 4), `revolute` (dof,): as in `kinematics.joint_frames`. By link: `link_joint` (links,) is the joint
-    that carries it, -1 for the base; `offset` (links, 4, 4) its frame in that joint's; `around` (links, 4) a sphere around
-    it, x, y, z, radius in its frame, and `spread` (links,) how far from its centre the cores of the parts reach; `first`
-    (links + 1,) where its parts start. By part: `pose` (parts, 4, 4) in the link's frame, and `extents` (parts, 6): four
-    of the core as in `convex`, the rounding, the radius from the centre to the farthest point. `pairs` (m, 2): links that
-    can meet.
+    `origin` (dof, 3, 4), `revolute` (dof,): as in `kinematics.joint_frames`. Per link: `link_joint` (links,): the joint
+    that carries it, -1 for the base; `offset` (links, 4, 4): its frame in that joint's frame; `around` (links, 4): its
+    bounding sphere, x, y, z, radius in its frame; `spread` (links,): the distance (m) from that sphere's centre to the
+    farthest point of its parts' cores; `first` (links + 1,): the index of its first part. Per part: `pose` (parts, 4,
+    4) in the link's frame; `extents` (parts, 6): four numbers of the core as in `convex`, the rounding, the distance
+    from the centre to the farthest point. `pairs` (m, 2): links that can collide, the one nearer to the base first.
 
-    Subjects are the links, each against the world, and then the pairs. `reach` (subjects, dof): how far (m) one moves at
-    most per rad (m where prismatic) of each joint, the second link of a pair as seen from the first.
+    The subjects of a check are the links, each against the world, followed by the pairs. `reach` (subjects, dof): the
+    most (m) that a subject moves per rad (per m if prismatic) of each joint; for a pair, the second link relative to
+    the first.
     """
 
     origin: Array
@@ -64,7 +66,7 @@ class RobotParts(NamedTuple):
 class Obstacles(NamedTuple):
     """A world: `rows` (n, 17) as `WorldArrays.shapes`, without margin, and the tree of `WorldArrays` over them.
 
-    Its boxes, in single precision, may be too small by `slack` (m).
+    The boxes are in single precision and may be too small by `slack` (m).
     """
 
     rows: Array
@@ -75,13 +77,13 @@ class Obstacles(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A motion and how far the look at it has come.
+    """A motion and the state of the search along it.
 
-    `q` (n, dof); `moved` (n, dof): how far each joint has moved since the first sample, there and back. Of the samples that
-    are `known` (n,): `frames` (n, links, 3, 4), and `axes` (n, dof, 6) of the joints, direction and a point. `keys` and
-    `stretches`, which has the columns subject, first sample, last sample + 1, are a heap of `size[0]` stretches with what
-    they are sure to keep clear. `joints` (dof, 3, 4), `centers` (parts, 3), `rates` (parts, dof, 2), `active` and `until`
-    (DEEPEST,) are working memory.
+    `q` (n, dof); `moved` (n, dof): the path length of each joint since the first sample, in rad (m if prismatic).
+    Computed for the samples that are `known` (n,): `frames` (n, links, 3, 4), and `axes` (n, dof, 6): direction of and
+    a point on each joint's axis. `keys` and `stretches` are a heap of `size[0]` intervals, ordered by a lower bound (m)
+    on their distances; the columns of `stretches` are subject, first sample, last sample + 1. `joints` (dof, 3, 4),
+    `centers` (parts, 3), `rates` (parts, dof, 2), `active` and `until` (DEEPEST,) are working memory.
     """
 
     q: Array
@@ -101,7 +103,7 @@ class Course(NamedTuple):
 
 @brief
 def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
-    """The motion `q` (n, dof), not looked at yet; `asked` (subjects,) are looked at."""
+    """Start a search along the motion `q` (n, dof); only subjects that are `asked` (subjects,) are checked."""
     samples, dof = q.shape
     count = 0
     for subject in range(asked.shape[0]):
@@ -110,7 +112,7 @@ def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
     for k in range(1, samples):
         for joint in range(dof):
             moved[k, joint] = moved[k - 1, joint] + abs(q[k, joint] - q[k - 1, joint])
-    # Stretches of one subject do not overlap, so no heap grows larger than this.
+    # The intervals of one subject do not overlap, so the heap never grows larger than this.
     keys, stretches = np.empty(samples * count), np.empty((samples * count, 3), np.int32)
     size = np.zeros(1, np.int64)
     for subject in range(asked.shape[0]):
@@ -138,7 +140,7 @@ def course(body: RobotParts, q: Array, asked: NDArray[np.bool_]) -> Course:
 
 @inlined
 def _push(course: Course, key: float, subject: int, low: int, high: int) -> None:
-    """Add a stretch to the heap."""
+    """Add an interval to the heap."""
     i = course.size[0]
     course.size[0] = i + 1
     while i > 0 and course.keys[(i - 1) // 2] > key:
@@ -153,7 +155,7 @@ def _push(course: Course, key: float, subject: int, low: int, high: int) -> None
 
 @inlined
 def _drop_top(course: Course) -> None:
-    """Take the stretch with the smallest key off the heap."""
+    """Remove the interval with the smallest key from the heap."""
     size = course.size[0] - 1
     course.size[0] = size
     key = course.keys[size]
@@ -175,7 +177,7 @@ def _drop_top(course: Course) -> None:
 
 @inlined
 def _arm(course: Course, k: int, joint: int, x: float, y: float, z: float) -> float:
-    """How far (m) a point is from the axis of a joint at sample `k`."""
+    """Distance (m) of a point from the axis of a joint at sample `k`."""
     a = course.axes
     dx, dy, dz = x - a[k, joint, 3], y - a[k, joint, 4], z - a[k, joint, 5]
     along = dx * a[k, joint, 0] + dy * a[k, joint, 1] + dz * a[k, joint, 2]
@@ -186,11 +188,11 @@ def _arm(course: Course, k: int, joint: int, x: float, y: float, z: float) -> fl
 def _travel(
     body: RobotParts, course: Course, subject: int, stretch: Stretch, x: float, y: float, z: float, core: float
 ) -> Kept:
-    """How far (m) what is within `core` of a point of a subject moves at most, from the first sample of a stretch to its middle
-    and from there to the last; the point is at x, y, z in the middle.
+    """Upper bounds (m) on how far the points within `core` (m) of a point of a subject move from the first sample of an
+    interval to its middle, and from there to the last. At the middle the point is at x, y, z (base frame).
 
-    A joint moves it by the distance from its axis. On the way that may grow by what the joints further out move it by, but never
-    beyond `RobotParts.reach`.
+    A joint moves them by at most its rotation times their distance from its axis. Joints further out may increase that
+    distance by as much as they move the points, but it never exceeds `RobotParts.reach`.
     """
     low, k, high = stretch
     moved = course.moved
@@ -210,9 +212,11 @@ def _travel(
 
 @inlined
 def _rate(body: RobotParts, course: Course, stretch: Stretch, i: int, first: int, last: int, step: int) -> None:
-    """How far (m/rad, 1 where prismatic) each joint from `first` to `last` turns a part at most, before the middle of a stretch and after it.
+    """Write to `course.rates` upper bounds on how far each joint from `first` to `last` moves a part, in m/rad (1 for
+    prismatic joints), before and after the middle of an interval.
 
-    The joints are taken from the part on: what those before move it by may take it further from an axis.
+    The loop starts at the joint next to the part: the joints already visited may carry the part further away from the
+    axis of the next one.
     """
     low, k, high = stretch
     rates, moved = course.rates, course.moved
@@ -231,7 +235,7 @@ def _rate(body: RobotParts, course: Course, stretch: Stretch, i: int, first: int
 
 @inlined
 def _place(body: RobotParts, course: Course, k: int) -> None:
-    """The frames of all links at sample `k`."""
+    """Compute the joint axes and the frames of all links at sample `k`, unless they are known."""
     if course.known[k]:
         return
     course.known[k] = True
@@ -257,7 +261,7 @@ def _place(body: RobotParts, course: Course, k: int) -> None:
 
 @inlined
 def _at(frames: Array, k: int, link: int, x: float, y: float, z: float) -> Vector:
-    """A point of a link, in the base frame."""
+    """A point, given in a link's frame, in the base frame at sample `k`."""
     return (
         frames[k, link, 0, 0] * x + frames[k, link, 0, 1] * y + frames[k, link, 0, 2] * z + frames[k, link, 0, 3],
         frames[k, link, 1, 0] * x + frames[k, link, 1, 1] * y + frames[k, link, 1, 2] * z + frames[k, link, 1, 3],
@@ -267,7 +271,7 @@ def _at(frames: Array, k: int, link: int, x: float, y: float, z: float) -> Vecto
 
 @inlined
 def _place_parts(body: RobotParts, course: Course, k: int, link: int) -> None:
-    """The centres of a link's parts."""
+    """Compute the centres of a link's parts in the base frame at sample `k`."""
     for i in range(body.first[link], body.first[link + 1]):
         x, y, z = _at(course.frames, k, link, body.pose[i, 0, 3], body.pose[i, 1, 3], body.pose[i, 2, 3])
         course.centers[i, 0], course.centers[i, 1], course.centers[i, 2] = x, y, z
@@ -275,7 +279,7 @@ def _place_parts(body: RobotParts, course: Course, k: int, link: int) -> None:
 
 @inlined
 def _part_turn(body: RobotParts, course: Course, k: int, link: int, i: int) -> Turn:
-    """The axes of a part in the base frame."""
+    """The axes of a part in the base frame at sample `k`."""
     f = course.frames
     turn = (
         f[k, link, 0, 0], f[k, link, 0, 1], f[k, link, 0, 2],
@@ -296,7 +300,11 @@ def _core(table: Array, i: int, at: int) -> Extents:
 
 @inlined
 def _note(found: Array, lower: float, upper: float, part: int, other: int, k: int, best: float) -> tuple[Array, float]:
-    """Keep what may be the smallest distance: `found[0, 0]` counts the rows from 1 on."""
+    """Append a pair to `found` if it collides or may have the smallest distance; rows start at 1 and `found[0, 0]`
+    counts them.
+
+    Returns `found`, moved to a larger array when full, and the smallest upper bound so far.
+    """
     if not (upper < best or upper <= 0.0 or lower < best - PRECISION):
         return found, best
     count = int(found[0, 0]) + 1
@@ -314,7 +322,7 @@ def _note(found: Array, lower: float, upper: float, part: int, other: int, k: in
 
 @inlined
 def _box_distance(world: Obstacles, node: int, x: float, y: float, z: float) -> float:
-    """Square of the distance of a point to a box of the world's tree."""
+    """Squared distance of a point to the box of a node."""
     b = world.boxes
     dx = max(abs(x - b[node, 0]) - b[node, 3] - world.slack, 0.0)
     dy = max(abs(y - b[node, 1]) - b[node, 4] - world.slack, 0.0)
@@ -325,7 +333,9 @@ def _box_distance(world: Obstacles, node: int, x: float, y: float, z: float) -> 
 
 @inlined
 def _closest_row(world: Obstacles, x: float, y: float, z: float, within: float) -> int:
-    """A row near a point: down the tree by way of the nearest boxes; -1 where no box is nearer than `within` (m)."""
+    """An obstacle near a point, found by descending to the nearest box on each level; -1 if the whole tree is at least
+    `within` (m) away.
+    """
     child, end, enough = 0, world.boxes.shape[0], within * within
     while True:
         node, nearest = -1, enough
@@ -343,7 +353,9 @@ def _closest_row(world: Obstacles, x: float, y: float, z: float, within: float) 
 def _to_row(
     body: RobotParts, world: Obstacles, course: Course, link: int, k: int, i: int, row: int, limit: float
 ) -> tuple[float, float]:
-    """Bounds of the distance of a part to a row of the world, or a lower one that is `limit` (m) at least and infinity."""
+    """Lower and upper bound (m) on the distance of a part to an obstacle. Once the lower one reaches `limit` (m) it
+    need not be tight, and the upper one may be infinite.
+    """
     r = world.rows
     core, rounding = _core(r, row, 12), r[row, 16]
     turn = (
@@ -371,7 +383,7 @@ def _to_row(
 def _to_box(
     body: RobotParts, world: Obstacles, course: Course, link: int, k: int, i: int, node: int, limit: float
 ) -> float:
-    """What a part keeps at least from a box of the world's tree; exact below `limit` (m) only for balls."""
+    """A lower bound (m) on the distance of a part to the box of a node; below `limit` (m) it is exact for balls only."""
     b = world.boxes
     half = (b[node, 3] + world.slack, b[node, 4] + world.slack, b[node, 5] + world.slack, 0.0)
     center = (
@@ -394,11 +406,12 @@ def _to_box(
 def _to_world(
     body: RobotParts, world: Obstacles, course: Course, found: Array, link: int, k: int, enough: float, best: float
 ) -> tuple[float, Array, float]:
-    """A distance that a link keeps at least to the world, at most `enough`; all that may be below `best` is noted.
+    """A lower bound (m), at most `enough`, on the distance of a link to the world; pairs that may be closer than `best`
+    are appended to `found`.
 
-    What is near the middle of the link is looked at first: so what is left of the tree is little. Down the tree go only the
-    parts that come near its boxes. Above `best` a distance need not be exact: boxes that can hide no more than a part
-    ROUGH of it are not entered.
+    The obstacle near the link's centre is examined first, so that its distance prunes most of the tree. Only the parts
+    that come near a node's box descend into it. Distances above `best` need not be exact: boxes that could reduce the
+    smallest lower bound by no more than the fraction ROUGH are not entered.
     """
     lowest = nearest = enough
     a = body.around
@@ -470,9 +483,10 @@ def _to_each_other(
     travel: Kept,
     best: float,
 ) -> tuple[Kept, Array, float]:
-    """What two links keep clear of each other; a part of `other`, which is further in, is noted as -1 minus its index.
+    """Lower bounds (m) on the distance of two links before and after the middle of an interval. `one` is the outer
+    link; pairs that may be closer than `best` are appended to `found`, where a part of `other` is -1 minus its index.
 
-    A joint turns two points nearer to each other by no more than the distance of either one from its axis.
+    A joint brings two points closer by at most its rotation times the smaller of their distances from its axis.
     """
     low, k, high = stretch
     before = after = max(best, 0.0)
@@ -528,12 +542,13 @@ def _to_each_other(
 
 @kernel
 def look(body: RobotParts, world: Obstacles, course: Course, best: float, most: int) -> tuple[Array, float, bool]:
-    """Look at up to `most` stretches for a distance below `best` (m).
+    """Examine up to `most` intervals in search of distances below `best` (m).
 
-    Returns what may be the smallest one, rows of: lower and upper bound (m), part, row of the world (or -1 minus another
-    part), sample; the smallest upper bound so far; and whether the look is over. Then no other distance of any two shapes
-    at any sample is smaller than the smallest of the rows' by more than PRECISION. Below 0 a lower bound is minus a bound
-    on the depth of penetration. Of one sample all collisions are found; along a motion the look ends at the first.
+    Returns the pairs that may have the smallest distance, as rows of lower and upper bound (m), part, row of the world
+    (or -1 minus another part), sample; the smallest upper bound so far; and whether the search is complete. If it is,
+    no distance of any two shapes at any sample is more than PRECISION smaller than the smallest in these rows. A
+    negative lower bound is minus an upper bound on the penetration depth. At a single sample all collisions are found;
+    along a motion the search ends at the first.
     """
     links = body.link_joint.shape[0]
     found = np.empty((64, 5))

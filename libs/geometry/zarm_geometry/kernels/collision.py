@@ -1,4 +1,4 @@
-"""Collision of the sphere model with itself and the world, 16 configurations at once."""
+"""Collision checks of the sphere model against itself and the world, for 16 configurations at once."""
 
 from __future__ import annotations
 
@@ -27,18 +27,22 @@ from zarm_geometry.kernels.simd import (
 )
 
 RESOLUTION = 0.01
-"""No sphere centre moves further (m) between two checked configurations of an edge than this, unless it is proven free
-there. So what lies between is at most half of it away from what was checked: within the default margin of 0.005 m."""
+"""The most (m) that a sphere centre moves between two neighbouring checked configurations of an edge, unless the
+interval between them is proven free. So any configuration in between is at most half of this away from a checked one:
+within the default margin of 0.005 m.
+"""
 
 
 Bits = Any
-"""One bit for each of up to 64 spheres."""
+"""A bit mask of up to 64 spheres."""
 _SPHERES = 64
 
 
 @inlined
 def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
-    """Sine and cosine to 1e-6 for |x| < 10: reduced to +-pi/2, then minimax polynomials fitted to that interval."""
+    """Sine and cosine, accurate to 1e-6 for |x| < 10: reduces x to +-pi/2 and evaluates minimax polynomials fitted to
+    that interval.
+    """
     half_turns = nearest(x * 0.31830988618379067)
     y = x - half_turns * 3.141592653589793
     sign = 1.0 - 2.0 * magnitude(half_turns - 2.0 * nearest(half_turns * 0.5))
@@ -54,9 +58,9 @@ def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
 
 @inlined
 def squared_distance_in_plane(b: float, c: float, d: float, x: Lanes, y: Lanes) -> Lanes:
-    """Squared distance from points of a plane to the triangle (0, 0), (b, 0), (c, d) in it, b and d > 0; 0 inside.
+    """Squared distance of points to the triangle (0, 0), (b, 0), (c, d) in the same plane, with b and d > 0; 0 inside.
 
-    Outside, it is that to the nearest of the edges.
+    Outside, it is the squared distance to the nearest edge.
     """
     zero, one = splat(0.0), splat(1.0)
     right, left = c - b, np.float32(1.0) / (c * c + d * d)
@@ -76,7 +80,7 @@ def squared_distance_in_plane(b: float, c: float, d: float, x: Lanes, y: Lanes) 
 
 @inlined
 def squared_distance(shape: Pointer, i: int, x: Lanes, y: Lanes, z: Lanes) -> Lanes:
-    """Squared distance from points to the core of the obstacle that starts at `shape[i]`; 0 inside."""
+    """Squared distance of points to the core of the obstacle whose row starts at `shape[i]`; 0 inside."""
     zero = splat(0.0)
     px = shape[i] * x + shape[i + 1] * y + shape[i + 2] * z + shape[i + 3]
     py = shape[i + 4] * x + shape[i + 5] * y + shape[i + 6] * z + shape[i + 7]
@@ -95,14 +99,18 @@ def squared_distance(shape: Pointer, i: int, x: Lanes, y: Lanes, z: Lanes) -> La
 
 @inlined
 def _slack(half: Lanes, motion: float) -> Lanes:
-    """How far (m) a ball moves on each stretch, at most; 0 where that is too little to matter."""
+    """Upper bound (m) on how far a ball moves from the middle of each lane's interval; 0 where it is below half of
+    RESOLUTION, so that the interval needs no further subdivision.
+
+    `half` is half the length of the intervals, `motion` (m) bounds the ball's motion along the whole edge.
+    """
     slack = half * motion
     return where_positive(slack - 0.5 * RESOLUTION, slack)
 
 
 @inlined
 def _in_box(space: Space, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes) -> Mask:
-    """Lanes in which a box of the world's tree is nearer than `reach` to a point."""
+    """The lanes in which a point is within `reach` (m) of the box of a node."""
     zero = splat(0.0)
     box = 6 * node
     dx = larger(magnitude(x - space.boxes[box]) - space.boxes[box + 3], zero)
@@ -113,7 +121,7 @@ def _in_box(space: Space, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes)
 
 @inlined
 def _reached(space: Space, first: int, active: Bits, node: int, half: Lanes) -> Bits:
-    """Which of the `active` spheres, counted from `first` on, come near a box of the world's tree."""
+    """The subset of the `active` spheres, numbered from `first`, that come near the box of a node in any lane."""
     reached = np.uint64(0)
     while active != 0:
         bit = active & (~active + np.uint64(1))
@@ -130,9 +138,10 @@ def _reached(space: Space, first: int, active: Bits, node: int, half: Lanes) -> 
 
 @inlined
 def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
-    """Lanes in which a link touches an obstacle (the first such found), and in which one is near enough to matter.
+    """The lanes in which a link touches an obstacle (only those of the first contact found), and the lanes in which it
+    is so near to one that the interval is not proven free.
 
-    Down the tree go only the spheres that come near its boxes.
+    Only the spheres that come near a node's box descend into it.
     """
     zero = splat(0.0)
     at = link * 3 * LANES
@@ -185,17 +194,19 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
                     hit = below(apart, splat(radius * radius))
                     if hit != 0:
                         return hit, near
-            if near != found:  # those stretches are divided in any case: of them only contacts matter now
+            if near != found:  # these intervals will be subdivided anyway: from now on only their contacts matter
                 half = without(near, half)
     return np.uint32(0), near
 
 
 @inlined
 def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
-    """Lanes in which two links come too near to each other, and in which they are near enough to matter."""
+    """The lanes in which two links come too close to each other (only those of the first contact found), and the lanes
+    in which they are so close that the interval is not proven free.
+    """
     zero, near = splat(0.0), np.uint32(0)
     a, b, kept = space.pair[2 * pair], space.pair[2 * pair + 1], space.apart[pair]
-    motion = (space.link_joint[a] + 1) * space.balls  # the joints up to that of `a` move both links as one
+    motion = (space.link_joint[a] + 1) * space.balls  # the joints up to that of `a` move both links together
     i = a * 3 * LANES
     ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
     j = b * 3 * LANES
@@ -233,10 +244,11 @@ def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
 
 @inlined
 def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
-    """Check the edge's configurations at `t` (0..1), each standing for the stretch from `t - half` to `t + half`.
+    """Check the edge's configurations at `t` (0..1), each for the interval from `t - half` to `t + half`.
 
-    Returns one bit per lane: those that collide (of the first contact found, then the rest is left out; so only a 0 is
-    about all lanes), and those where something is so near that the stretch is not proven free and has to be divided.
+    Returns two masks: the lanes that collide, and the lanes in which something is so near that the interval is not
+    proven free and must be subdivided. The check ends at the first contact found, so only an empty first mask is a
+    statement about all lanes.
     """
     zero, one = splat(0.0), splat(1.0)
     xx, xy, xz = one, zero, zero

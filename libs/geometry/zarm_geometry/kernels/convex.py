@@ -1,8 +1,8 @@
-"""Bounds on the distance of two convex shapes, in float64, that are proven whatever rounds of work went into them.
+"""Lower and upper bounds on the distance of two convex shapes, in float64; they hold after any number of iterations.
 
-A shape is what a row of `WorldArrays.shapes` describes: its core, all around which `rounding` is added. Cores alone are
-handled here, each by its extents: half extents x, y, z of a box, and the radius of a disc about z by which it is widened;
-or, where that is below 0, b, c, d of the triangle (0, 0), (b, 0), (c, d) in the plane z = 0.
+A shape is a row of `WorldArrays.shapes`: a core, and a `rounding` added all around it. The functions here handle cores
+only, each given by its extents: half extents x, y, z of a box, and the radius of a disc about z that widens it; or, if
+the radius is negative, b, c, d of the triangle (0, 0), (b, 0), (c, d) in the plane z = 0.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ Turn = tuple[float, float, float, float, float, float, float, float, float]
 """A rotation matrix, row by row."""
 
 PRECISION = 1e-5
-"""Distances are not told apart where they differ by less (m)."""
+"""Differences of distances below this (m) are ignored."""
 _ROUNDS = 100
-"""After so many the bounds stay apart: 1 in 100 random pairs of capsules, cylinders and boxes, of which a third are parallel
-to a few degrees."""
+"""Maximum number of iterations. After that many, the bounds of 1 in 100 random pairs of capsules, cylinders and boxes
+have not met, where a third of the pairs are parallel to within a few degrees.
+"""
 
 
 @inlined
 def turned(turn: Turn, v: Vector) -> Vector:
-    """A vector out of the frame whose axes are the columns of `turn`."""
+    """Rotate a vector out of the frame whose axes are the columns of `turn`."""
     return (
         turn[0] * v[0] + turn[1] * v[1] + turn[2] * v[2],
         turn[3] * v[0] + turn[4] * v[1] + turn[5] * v[2],
@@ -35,7 +36,7 @@ def turned(turn: Turn, v: Vector) -> Vector:
 
 @inlined
 def turned_back(turn: Turn, v: Vector) -> Vector:
-    """A vector into that frame."""
+    """Rotate a vector into the frame whose axes are the columns of `turn`."""
     return (
         turn[0] * v[0] + turn[3] * v[1] + turn[6] * v[2],
         turn[1] * v[0] + turn[4] * v[1] + turn[7] * v[2],
@@ -45,7 +46,7 @@ def turned_back(turn: Turn, v: Vector) -> Vector:
 
 @inlined
 def _segment_point(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> tuple[float, float, float]:
-    """The point of the segment from a to b that is nearest to (x, y), and the square of how near it is."""
+    """The point of the segment from a to b that is nearest to (x, y), and its squared distance from there."""
     ux, uy = bx - ax, by - ay
     t = min(max(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy), 0.0), 1.0)
     ux, uy = ax + t * ux, ay + t * uy
@@ -54,7 +55,9 @@ def _segment_point(x: float, y: float, ax: float, ay: float, bx: float, by: floa
 
 @inlined
 def triangle_point(p: Vector, b: float, c: float, d: float) -> Vector:
-    """The point of a triangle that is nearest to `p`: below it, or on one of the edges."""
+    """The point of a triangle that is nearest to `p`: its projection onto the plane if that is inside, otherwise on an
+    edge.
+    """
     x, y = p[0], p[1]
     if y >= 0.0 and d * x - c * y >= 0.0 and (c - b) * y - d * (x - b) >= 0.0:
         return x, y, 0.0
@@ -70,7 +73,7 @@ def triangle_point(p: Vector, b: float, c: float, d: float) -> Vector:
 
 @inlined
 def core_point(p: Vector, core: Extents) -> Vector:
-    """The point of a core that is nearest to `p`: `p` itself inside."""
+    """The point of a core that is nearest to `p`; `p` itself if it is inside."""
     if core[3] < 0.0:
         return triangle_point(p, core[0], core[1], core[2])
     x = min(max(p[0], -core[0]), core[0])
@@ -85,7 +88,9 @@ def core_point(p: Vector, core: Extents) -> Vector:
 
 @inlined
 def core_reach(n: Vector, core: Extents) -> float:
-    """How far a core reaches from its centre, a triangle from its first corner, along the unit vector `n`."""
+    """Support function: how far a core extends from its centre, or a triangle from its first corner, along the unit
+    vector `n`.
+    """
     if core[3] < 0.0:
         return max(0.0, n[0] * core[0], n[0] * core[1] + n[1] * core[2])
     return (
@@ -103,9 +108,11 @@ def core_distance(p: Vector, core: Extents) -> float:
 
 @inlined
 def separation(n: Vector, c: Vector, turn: Turn, a: Extents, b: Extents) -> float:
-    """How far apart a slab across the unit vector `n` keeps two cores, `b` and `a` with its axes `turn` and centre `c`.
+    """The width of the slab normal to the unit vector `n` that separates two cores: `b`, and `a` with axes `turn` and
+    centre `c` in the frame of `b`.
 
-    For every `n` the distance is at least that; where it is negative, moving one by so much along `n` parts them.
+    It is a lower bound on the distance for every `n`. If it is negative, moving one core by that much along `n`
+    separates them.
     """
     back = turned_back(turn, (-n[0], -n[1], -n[2]))
     return n[0] * c[0] + n[1] * c[1] + n[2] * c[2] - core_reach(n, b) - core_reach(back, a)
@@ -113,13 +120,15 @@ def separation(n: Vector, c: Vector, turn: Turn, a: Extents, b: Extents) -> floa
 
 @inlined
 def core_gap(c: Vector, turn: Turn, a: Extents, b: Extents, enough: float) -> tuple[float, float, Vector]:
-    """Bounds of the distance of core `a`, its axes `turn` and centre `c` in the frame of core `b`: lower, upper, a unit vector.
+    """Lower and upper bound on the distance of core `a`, with axes `turn` and centre `c` in the frame of core `b`, to
+    core `b`; and the unit vector in that frame, from `b` to `a`, whose slab proves the lower one.
 
-    Points of both are taken nearest to each other in turn (Cheney and Goldstein, "Proximity maps for convex sets", 1959),
-    which is a gradient descent and made faster as such (Nesterov's momentum, restarted as by O'Donoghue and Candes,
-    "Adaptive restart for accelerated gradient schemes", 2015). Their distance is the upper bound, and the slab across
-    their difference, the unit vector, proves the lower one; so both hold wherever the rounds end: once they meet, or the lower one is
-    `enough`, or cores are found to overlap (upper bound 0, and a depth of at most minus the lower bound).
+    Alternating projections find the nearest points of both (Cheney and Goldstein, "Proximity maps for convex sets",
+    1959). They are a gradient descent and are accelerated like one (Nesterov's momentum, restarted as by O'Donoghue and
+    Candes, "Adaptive restart for accelerated gradient schemes", 2015). The distance of the two points is the upper
+    bound, and the slab normal to their difference proves the lower one, so both hold whenever the iteration ends: when
+    the bounds meet, when the lower one reaches `enough`, or when the cores are found to overlap. In that case the upper
+    bound is 0 and the penetration depth at most minus the lower bound.
     """
     length = math.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     lower, upper = -math.inf, math.inf

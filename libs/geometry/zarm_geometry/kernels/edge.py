@@ -1,8 +1,9 @@
-"""Whether a straight edge in joint space is free.
+"""Whether a straight edge in joint space is free of collision.
 
-Edges are checked as Schwarzer, Saha and Latombe do ("Adaptive dynamic collision checking for single and multiple
-articulated robots in complex environments", 2005): a configuration whose links keep further away than they can move on
-a stretch of the edge proves that whole stretch free; only what is nearer is divided further.
+Edges are checked as in Schwarzer, Saha and Latombe, "Adaptive dynamic collision checking for single and multiple
+articulated robots in complex environments", 2005: if the links of a configuration are further away from everything than
+they can move during an interval of the edge, that whole interval is free. Only intervals that are nearer are
+subdivided.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from zarm_geometry.kernels.simd import LANES, load, splat, store
 
 @inlined
 def set_edge(space: Space, start: Single, end: Single) -> float:
-    """Make an edge the one in hand; returns how far (m) any ball moves along it at most."""
+    """Select the edge to check; returns an upper bound (m) on how far any ball moves along it."""
     for k in range(space.dof):
         space.start[k] = start[k]
         space.step[k] = end[k] - start[k]
@@ -35,10 +36,12 @@ def set_edge(space: Space, start: Single, end: Single) -> float:
 
 @kernel
 def edge_free(space: Space, start: Single, end: Single) -> bool:
-    """Whether the edge between two configurations is free, to RESOLUTION; of zero length: whether the configuration is."""
+    """Whether the edge between two configurations (dof,) is free, to RESOLUTION; if they are equal, whether the
+    configuration is.
+    """
     farthest = set_edge(space, start, end)
-    # 16 stretches in hand, and above them a stack of those still to be checked. A division makes a stretch half as long
-    # at least and a round pushes 32 at most, so there is room for edges of any length.
+    # The first 16 intervals are being checked, above them is a stack of those yet to be checked. A subdivision at least
+    # halves an interval and a round pushes at most 32, so there is room for edges of any length.
     middle, half = space.middle, space.half
     top = 2 * LANES
     for i in range(LANES):
@@ -46,7 +49,7 @@ def edge_free(space: Space, start: Single, end: Single) -> bool:
         half[LANES + i] = 0.5 / LANES
     while top > LANES:
         taken = min(top - LANES, LANES)
-        for i in range(LANES):  # lanes without a stretch of their own repeat the first
+        for i in range(LANES):  # lanes without an interval of their own repeat the first
             at = top - 1 - (i if i < taken else 0)
             middle[i], half[i] = middle[at], half[at]
         hit, near = check(space, load(middle, 0), load(half, 0))
@@ -70,7 +73,7 @@ def edge_free(space: Space, start: Single, end: Single) -> bool:
 
 @kernel
 def path_free(robot: RobotArrays, world: WorldArrays, memory: Memory, path: Single) -> bool:
-    """Whether every edge of a path (n, dof) is free; a path of one row is one configuration."""
+    """Whether every edge of a path (n, dof) is free; a path of one row is a single configuration."""
     checks = space(robot, world, memory)
     for i in range(max(1, path.shape[0] - 1)):
         if not edge_free(checks, path[i], path[min(i + 1, path.shape[0] - 1)]):

@@ -1,4 +1,4 @@
-"""Forward kinematics of one configuration in float64, as answers and exact verification need it."""
+"""Forward kinematics of single configurations in float64, for results and exact verification."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ Array = NDArray[np.float64]
 
 @inlined
 def joint_frames(origin: Array, revolute: NDArray[np.bool_], q: Array, out: Array) -> None:
-    """Frames (dof, 3, 4) that move with each joint, in the base frame.
+    """Write to `out` (dof, 3, 4) the frames that move with each joint, in the base frame.
 
-    `origin` (dof, 3, 4) is each joint's frame in the one before it at q = 0, with the joint's axis along its z.
+    `origin` (dof, 3, 4): each joint's frame in the frame of the previous joint at q = 0, with the joint's axis along
+    its z.
     """
     for k in range(q.shape[0]):
         c = math.cos(q[k]) if revolute[k] else 1.0
@@ -41,9 +42,9 @@ def joint_frames(origin: Array, revolute: NDArray[np.bool_], q: Array, out: Arra
 def frames(
     origin: Array, revolute: NDArray[np.bool_], joint: NDArray[np.int32], offset: Array, q: Array, out: Array
 ) -> None:
-    """Transforms (n, m, 4, 4) in the base frame of m frames, for the n configurations `q` (n, dof).
+    """Write to `out` (n, m, 4, 4) the transforms of m frames in the base frame, for the n configurations `q` (n, dof).
 
-    Frame j is rigidly attached at `offset[j]` (4, 4) to the joint `joint[j]`, or to the base where that is -1.
+    Frame j is rigidly attached to the joint `joint[j]`, or to the base if that is -1, at `offset[j]` (4, 4).
     """
     moving = np.empty((q.shape[1], 3, 4))
     for n in range(q.shape[0]):

@@ -1,4 +1,4 @@
-"""Recursive median split: the order of primitives in which a bounding volume hierarchy is built over them."""
+"""Recursive median split: the order of primitives over which a bounding volume hierarchy is built."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from zarm_geometry.kernels.compiled import inlined, kernel
 
 _DEEPEST = 128
-"""Parts on the stack, at most: two for each split of 2^64 points."""
+"""Maximum number of parts on the stack: two for each level of splitting 2^64 points."""
 
 
 @inlined
 def _quickselect(order: NDArray[np.int64], along: NDArray[np.float64], low: int, high: int, k: int) -> None:
-    """Reorder `order[low:high]` so that what lies before its place `k` is not further `along`, and what lies behind not less far.
+    """Partially sort `order[low:high]` by `along`: no value before index `k` is larger than the one at `k`, and none
+    behind it is smaller.
 
     Hoare, "Algorithm 65: FIND", 1961.
     """
@@ -37,10 +38,11 @@ def _quickselect(order: NDArray[np.int64], along: NDArray[np.float64], low: int,
 
 @kernel
 def median_split(points: NDArray[np.float64], branches: int) -> NDArray[np.int64]:
-    """The order (n,) of points (n, 3) after each part was split, recursively, at the median across its longest extent.
+    """The order (n,) of points (n, 3) in which each part is split, recursively, at the median along its longest
+    axis-aligned extent.
 
-    Splits lie at multiples of powers of `branches`, as the borders of a tree's nodes do that have so many children (Samet, "Foundations
-    of Multidimensional and Metric Data Structures", 2006, on k-d trees).
+    Splits lie at multiples of powers of `branches`, where a tree with that many children per node has its boundaries
+    (Samet, "Foundations of Multidimensional and Metric Data Structures", 2006, on k-d trees).
     """
     order = np.arange(len(points))
     stack = np.empty((_DEEPEST, 3), np.int64)

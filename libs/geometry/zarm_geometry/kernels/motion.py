@@ -1,9 +1,10 @@
-"""Whether a timed motion keeps its distance: slabs that stay between two shapes over whole stretches of the motion.
+"""Whether a timed motion keeps a margin: slabs that separate two shapes throughout intervals of the motion.
 
-A stretch is what happens from one sample to another. On it each point of the robot stays within `sag` of the chords between
-its places at the start, in the middle and at the end. So a slab that separates two shapes at these three moments by `sag` more
-than is asked for separates them all the time; nothing between samples is missed. Sags shrink with the square of the time,
-and where one is too large, the stretch is cut in two. Stretches are looked at in the order of time, each subject by itself.
+An interval runs from one sample to another. During it, each point of the robot stays within `sag` of the chords between
+its positions at the start, in the middle and at the end. So a slab that separates two shapes at these three moments by
+`sag` more than required separates them all the time, and nothing between samples is missed. The sag shrinks with the
+square of the duration; where it is too large, the interval is split in two. Each subject is checked by itself, interval
+by interval in order of time.
 """
 
 from __future__ import annotations
@@ -23,15 +24,17 @@ from zarm_geometry.kernels.simd import pointer
 
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float, float, float]
-"""The lower corner and the upper one."""
+"""An axis-aligned box: its lower and its upper corner."""
 Flags = NDArray[np.uint8]
 
 COARSE = 0.02
-"""A stretch with a larger sag (m) is cut in two at once when something is near it."""
+"""An interval with a larger sag (m) is split in two as soon as anything is near it."""
 CROWD = 48
-"""So many obstacles are looked at on a stretch that had better be cut in two."""
+"""An interval during which a link moves far is split in two once it is near more obstacles than this."""
 KEPT, NEARER, CUT = 0, 1, 2
-"""What is found on a stretch."""
+"""Results of checking an interval: the margin is kept, it is not proven to be kept, or the interval should be split
+first.
+"""
 POSE = 12
 """Numbers per frame (3, 4)."""
 EXTENTS = 6
@@ -39,8 +42,9 @@ EXTENTS = 6
 
 
 class Solids(NamedTuple):
-    """Convex shapes: `pose` (n, 3, 4), and `extents` (n, 6), which are four of the core as in `convex`, the rounding and, of a
-    ball, the same again: what is added to it has no other extent.
+    """Convex shapes: `pose` (n, 3, 4), and `extents` (n, 6): four numbers of the core as in `convex`, the rounding, and
+    for the robot's solids the distance (m) from the centre to the farthest point, which for a ball equals the rounding;
+    -1 for obstacles.
     """
 
     pose: Array
@@ -48,10 +52,11 @@ class Solids(NamedTuple):
 
 
 class MotionBody(NamedTuple):
-    """A robot: `solids` are its parts and then a ball around each link, in the frames of the joints that carry them.
+    """A robot: `solids` are its parts, followed by one bounding ball per link, in the frames of the joints that carry
+    them.
 
-    `carrier` (solids,): the joint, counted from 1, 0 being the base. The rest is as in `clearance.RobotParts`; `asked`
-    (subjects,) are to be looked at, and of a margin keep `room` (subjects,) in m at most.
+    `carrier` (solids,): that joint, counted from 1; 0 is the base. `asked` (subjects,): the subjects to check; `room`
+    (subjects,): the largest margin (m) that each can keep. The rest is as in `clearance.RobotParts`.
     """
 
     origin: Array
@@ -66,10 +71,10 @@ class MotionBody(NamedTuple):
 
 
 class Movers(NamedTuple):
-    """Obstacles that may move: at time t (s) each is displaced by `velocity` (n, 3) times t - `since` (n,).
+    """Obstacles that may move: at time t (s) each is displaced by `velocity` (n, 3) in m/s times t - `since` (n,).
 
-    Besides, every point of it may be `speed` (n,) times that time away from there. At `since` they are between the corners
-    `lower` and `upper` (n, 3).
+    In addition, each of its points may be up to `speed` (n,) in m/s times the elapsed time away from there. At `since`
+    they are between the corners `lower` and `upper` (n, 3).
     """
 
     solids: Solids
@@ -81,13 +86,13 @@ class Movers(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A motion of N samples, and what is known of it.
+    """A motion of N samples, and what has been computed about it so far.
 
-    `time` (N,), `q` (N, dof); `bend` (dof,): how far (rad) a joint may be from the straight line between two samples.
-    `frames` (N, solids, 3, 4) hold the robot's solids at the samples that are `placed` (N,). Of the stretches that are
-    `measured` (4 N,), numbered as a binary tree from 1 on: `moved` (4 N, dof), by how much each joint moves, and `uneven`
-    (4 N, dof), how far it is at most from moving evenly. `joints` (dof + 1, 3, 4): the frame of the base and those of the
-    joints at the sample that was placed last.
+    `time` (N,), `q` (N, dof); `bend` (dof,): the most (rad) that a joint deviates from the straight line between two
+    neighbouring samples. `frames` (N, solids, 3, 4): the robot's solids, at the samples that are `placed` (N,).
+    Intervals are numbered as a binary tree starting at 1; for those that are `measured` (4 N,), `moved` (4 N, dof) is
+    how far each joint moves and `uneven` (4 N, dof) the most that it deviates from uniform motion. `joints` (dof + 1,
+    3, 4): the frames of the base and the joints at the sample placed last.
     """
 
     time: Array
@@ -110,7 +115,7 @@ def solids(rows: Array) -> Solids:
 
 
 def motion_body(parts: RobotParts, asked: NDArray[np.bool_], room: Array) -> MotionBody:
-    """A robot for `first_contact`."""
+    """Pack a robot for `first_contact`."""
     count = len(parts.link_joint)
     link = np.repeat(np.arange(count), np.diff(parts.first))
     around = np.repeat(np.eye(4)[None], count, axis=0)
@@ -132,7 +137,9 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_], room: Array) -> Mot
 
 
 def motion(body: MotionBody, time: Array, q: Array, acceleration: Array) -> Motion:
-    """The motion `q` (N, dof) at `time` (N,), N > 1, whose joints accelerate by at most `acceleration` (dof,)."""
+    """The motion `q` (N, dof) at `time` (N,), N > 1, whose joints accelerate by at most `acceleration` (dof,) in
+    rad/s^2.
+    """
     samples, dof = q.shape
     joints = np.zeros((dof + 1, 3, 4))
     joints[0, :, :3] = np.eye(3)
@@ -190,7 +197,7 @@ class View(NamedTuple):
 
 @inlined
 def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, movers: Movers, motion: Motion) -> View:
-    """The view of all that a kernel was given; it lives no longer than the kernel's arguments."""
+    """The view of a kernel's arguments; it must not outlive them."""
     links = body.first.shape[0] - 1
     return View(
         motion.q.shape[1],
@@ -232,7 +239,7 @@ def view_of(body: MotionBody, world: Obstacles, standing: Solids, alive: Flags, 
 
 @inlined
 def turn_of(frames: Pointer, at: int) -> Turn:
-    """The axes of a frame (3, 4) that starts at `frames[at]`."""
+    """The axes of the frame (3, 4) that starts at `frames[at]`."""
     return (
         frames[at], frames[at + 1], frames[at + 2],
         frames[at + 4], frames[at + 5], frames[at + 6],
@@ -242,14 +249,14 @@ def turn_of(frames: Pointer, at: int) -> Turn:
 
 @inlined
 def extents_of(extents: Pointer, i: int) -> Extents:
-    """The core of a solid."""
+    """The extents of a solid's core."""
     at = EXTENTS * i
     return extents[at], extents[at + 1], extents[at + 2], extents[at + 3]
 
 
 @inlined
 def place(view: View, body: MotionBody, motion: Motion, k: int) -> None:
-    """All solids at sample `k`."""
+    """Compute the frames of all solids at sample `k`, unless they are known."""
     if motion.placed[k] != 0:
         return
     motion.placed[k] = 1
@@ -269,7 +276,7 @@ def place(view: View, body: MotionBody, motion: Motion, k: int) -> None:
 
 @inlined
 def _measure(view: View, node: int, first: int, last: int) -> None:
-    """How the joints move on a stretch."""
+    """Compute how the joints move during an interval, unless that is known."""
     if view.measured[node] != 0:
         return
     view.measured[node] = 1
@@ -288,10 +295,12 @@ def _measure(view: View, node: int, first: int, last: int) -> None:
 
 @inlined
 def _sag(view: View, subject: int, node: int, first: int, last: int) -> float:
-    """How far (m) a point of a subject is at most from moving evenly and straight from its start to its end on a stretch.
+    """Upper bound (m) on how far a point of a subject deviates from straight uniform motion between its positions at
+    both ends of an interval.
 
-    With x a point of it and q going evenly from one end to the other by m, |x''| <= sum over joints i, j of |m_i| |m_j| times
-    the reach of the outer one of both, and a curve is within an eighth of that from its chord.
+    For a point x, while q moves uniformly from one end to the other by m, |x''| is at most the sum over joints i, j of
+    |m_i| |m_j| times the reach of the outer of the two, and a curve deviates from its chord by at most an eighth of
+    that.
     """
     _measure(view, node, first, last)
     sag, inner, curve = 0.0, 0.0, 0.0
@@ -307,7 +316,9 @@ def _sag(view: View, subject: int, node: int, first: int, last: int) -> float:
 
 @inlined
 def _along(n: Vector, frames: Pointer, at: int, core: Extents, other: Pointer, where: int, shift: Vector) -> float:
-    """The smallest n * x of a core, with `n` given in the frame `other[where]` and x seen from its displaced origin."""
+    """The smallest n * x over a core, with `n` given in the frame `other[where]` and x relative to that frame's
+    displaced origin.
+    """
     n0, n1, n2 = turned(turn_of(other, where), n)
     x = frames[at + 3] - other[where + 3] - shift[0]
     y = frames[at + 7] - other[where + 7] - shift[1]
@@ -324,9 +335,11 @@ def _apart(
     others: Pointer, oa: int, om: int, ob: int, other: Extents,
     early: Vector, middle: Vector, late: Vector, need: float,
 ) -> float:  # fmt: skip
-    """How far (m) one slab keeps two cores apart at three moments at least; a second slab is tried where that is below `need`.
+    """Width (m) of one slab that separates two cores at three moments. If the first slab tried is narrower than `need`,
+    a second one is tried, and the wider of the two counts.
 
-    Their frames start at `frames[a]`, `others[oa]` and so on, and the other one is displaced besides.
+    The frames of the first core start at `frames[a]`, `frames[m]` and `frames[b]`, those of the other at `others[oa]`,
+    `others[om]` and `others[ob]`; the other core is also displaced by `early`, `middle` and `late`.
     """
     turn = turn_of(others, om)
     x = frames[m + 3] - others[om + 3] - middle[0]
@@ -366,7 +379,7 @@ def _apart(
 
 @inlined
 def _box(view: View, solid: int, a: int, m: int, b: int, wide: float) -> Box:
-    """What is around a solid of the robot and its places at three samples, `wide` (m) larger on all sides."""
+    """The box around a solid of the robot at three samples, enlarged by `wide` (m) on all sides."""
     core, size = extents_of(view.extents, solid), POSE * view.solids
     wide += view.extents[EXTENTS * solid + 4]
     x0, y0, z0 = math.inf, math.inf, math.inf
@@ -385,7 +398,9 @@ def _box(view: View, solid: int, a: int, m: int, b: int, wide: float) -> Box:
 
 @inlined
 def _obstacle_in(view: View, node: int, box: Box) -> int:
-    """The first node of the tree from `node` on that has an obstacle in the box, the number of nodes where there is none."""
+    """The first leaf of the tree, from `node` on, whose obstacle is alive and whose box overlaps `box`; the number of
+    nodes if there is none.
+    """
     boxes = view.boxes
     while node < view.nodes:
         at = 6 * node
@@ -405,7 +420,7 @@ def _obstacle_in(view: View, node: int, box: Box) -> int:
 
 @inlined
 def _displacement(view: View, mover: int, k: int) -> Vector:
-    """Where a mover's velocity has taken it at sample `k`."""
+    """The displacement (m) of a mover by its velocity at sample `k`."""
     passed = view.time[k] - view.since[mover]
     at = 3 * mover
     return passed * view.velocity[at], passed * view.velocity[at + 1], passed * view.velocity[at + 2]
@@ -413,7 +428,7 @@ def _displacement(view: View, mover: int, k: int) -> Vector:
 
 @inlined
 def _growth(view: View, mover: int, a: int, b: int) -> float:
-    """How far a point of a mover may be from there between two samples."""
+    """The most (m) that a point of a mover may be away from its displaced position between two samples."""
     since = view.since[mover]
     growth: float = view.speed[mover] * max(abs(view.time[a] - since), abs(view.time[b] - since))
     return growth
@@ -421,7 +436,7 @@ def _growth(view: View, mover: int, a: int, b: int) -> float:
 
 @inlined
 def _mover_in(view: View, mover: int, a: int, b: int, box: Box) -> int:
-    """The first mover from `mover` on that comes into the box between two samples, the number of movers where none does."""
+    """The first mover, from `mover` on, that may enter the box between two samples; the number of movers if none does."""
     while mover < view.movers:
         early, late, growth = _displacement(view, mover, a), _displacement(view, mover, b), _growth(view, mover, a, b)
         at = 3 * mover
@@ -440,10 +455,10 @@ def _mover_in(view: View, mover: int, a: int, b: int, box: Box) -> int:
 
 @inlined
 def _against_world(view: View, link: int, a: int, m: int, b: int, sag: float, margin: float) -> tuple[int, int, int]:
-    """Whether a link keeps the margin on a stretch, KEPT or NEARER; and then the part and obstacle that do not. CUT where that is better
-    asked of both halves.
+    """Whether a link keeps the margin during an interval: KEPT; NEARER with the part and the obstacle for which it is
+    not proven; or CUT if checking both halves separately is faster.
 
-    Obstacles are numbered as rows of the world, and then the movers.
+    Obstacles are numbered as the rows of the world, followed by the movers.
     """
     ball = view.parts + link
     radius = view.extents[EXTENTS * ball + 4]
@@ -454,7 +469,7 @@ def _against_world(view: View, link: int, a: int, m: int, b: int, sag: float, ma
     whole = b == a + 1
     if sag > COARSE and not whole:
         return CUT, 0, 0
-    # A stretch on which a link moves far, for its size, is beside more obstacles than its halves together.
+    # If a link moves far for its size, the box of the whole interval overlaps more obstacles than those of both halves.
     span = max(box[3] - box[0], box[4] - box[1], box[5] - box[2]) - 2.0 * (radius + margin)
     long = not whole and span > 0.25 * radius
     crowd = 0
@@ -497,7 +512,7 @@ def _against_world(view: View, link: int, a: int, m: int, b: int, sag: float, ma
 def _against_link(
     view: View, one: int, other: int, a: int, m: int, b: int, sag: float, margin: float
 ) -> tuple[int, int, int]:
-    """The same of two links; a part of `other` is -1 minus its index."""
+    """The same for two links; a part of `other` is -1 minus its index."""
     size = POSE * view.solids
     fa, fm, fb = size * a, size * m, size * b
     f, e = view.frames, view.extents
@@ -539,10 +554,11 @@ def first_contact(
     motion: Motion,
     margin: float,
 ) -> tuple[int, int, int]:
-    """The first sample after which it is not proven that all keep `margin` (m), or their room, the number of samples - 1 where all is.
+    """The first sample after which it is not proven that all subjects keep `margin` (m), or their `room` if that is
+    smaller; the number of samples - 1 if all of the motion is proven.
 
-    Then the part and what it comes too near to: a row of the world, after those the movers, or -1 minus another part. `standing` are
-    the world's shapes, of which only those that are `alive` (n,) count.
+    Also returns the part and what it comes too close to: a row of the world, then the movers, or -1 minus another part.
+    `standing` are the world's shapes; only those that are `alive` (n,) count.
     """
     view = view_of(body, world, standing, alive, movers, motion)
     until, part, near = motion.q.shape[0] - 1, 0, 0

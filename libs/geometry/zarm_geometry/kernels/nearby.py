@@ -1,4 +1,4 @@
-"""What is near a configuration: how far, and how each joint changes that."""
+"""The distances of a robot to everything near one configuration, and their gradients by the joints."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ from zarm_geometry.kernels.motion import (
 Array = NDArray[np.float64]
 
 GRADIENT = 3
-"""Where it starts in a row of `near`."""
+"""The column in which the gradient starts in a row of `near`."""
 
 
 @inlined
 def _gap(
     frames: Pointer, at: int, core: Extents, others: Pointer, where: int, other: Extents, shift: Vector
 ) -> tuple[float, Vector, Vector]:
-    """A lower bound (m) of the distance of two cores, the direction from the other one in the base frame, and the point of the
-    first one that is nearest along it. Where they overlap the bound is negative: so far along that direction they are apart.
+    """A lower bound (m) on the distance of two cores, the unit vector from the other core to the first in the base
+    frame, and the point of the first core that is nearest along it. If they overlap the bound is negative: moving one
+    core by that much along the vector separates them.
     """
     turn, mine = turn_of(others, where), turn_of(frames, at)
     x = frames[at + 3] - others[where + 3] - shift[0]
@@ -48,7 +49,7 @@ def _gap(
     own = (u0, v0, w0, u1, v1, w1, u2, v2, w2)
     c = turned_back(turn, (x, y, z))
     gap, _, n = core_gap(c, own, core, other, math.inf)
-    if gap < 0.0:  # they overlap: of the ways out across their sides the shortest
+    if gap < 0.0:  # they overlap: take the shortest way out along the axes of either core
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (u0, u1, u2), (v0, v1, v2), (w0, w1, w2)):
             sign = 1.0 if axis[0] * c[0] + axis[1] * c[1] + axis[2] * c[2] >= 0.0 else -1.0
             out = (sign * axis[0], sign * axis[1], sign * axis[2])
@@ -59,7 +60,7 @@ def _gap(
     d0, d1, d2 = turned_back(mine, n)
     flat = math.sqrt(d0 * d0 + d1 * d1)
     disc = core[3] / flat if flat > 1e-9 else 0.0
-    # An edge or a face that lies along the slab is touched in its middle.
+    # If an edge or a face is parallel to the slab, take its middle.
     s0, s1, s2 = _side(d0) * core[0] + disc * d0, _side(d1) * core[1] + disc * d1, _side(d2) * core[2]
     s0, s1, s2 = turned(mine, (-s0, -s1, -s2))
     return gap, n, (frames[at + 3] + s0, frames[at + 7] + s1, frames[at + 11] + s2)
@@ -75,7 +76,9 @@ def _note(
     body: MotionBody, motion: Motion, found: Array, count: int, apart: float, pair: tuple[int, int], n: Vector, p: Vector,
     low: int, high: int,
 ) -> int:  # fmt: skip
-    """Keep a distance in the next row, or in place of the largest where there is none; the joints from `low` to `high` change it."""
+    """Store a distance and its gradient in the next row of `found`, or in place of the largest if it is full; only the
+    joints from `low` to `high` - 1 change the distance. Returns how many rows are filled.
+    """
     row = count
     if count == found.shape[0]:
         row = 0
@@ -112,11 +115,13 @@ def near(
     within: float,
     found: Array,
 ) -> int:
-    """Distances below `within` (m) at the first sample of a motion, of each link to each obstacle and of each pair of links.
+    """Distances below `within` (m) at the first sample of a motion, of each link to each obstacle and of each pair of
+    links.
 
-    Returns how many rows of `found` (n, 3 + dof) are filled: the distance, part and obstacle as in `motion.first_contact`, and by
-    how much each joint changes the distance (m/rad). Where there are more, the largest are left out. Movers are where they are
-    at that time, and grown by what they may have moved.
+    Returns how many rows of `found` (n, 3 + dof) are filled: the distance (m), part and obstacle as in
+    `motion.first_contact`, and the derivative of the distance by each joint in m/rad (m/m if prismatic). If there are
+    more, the largest are left out. Movers are displaced to the time of that sample and enlarged by how far they may
+    have strayed.
     """
     view = view_of(body, world, standing, alive, movers, motion)
     place(view, body, motion, 0)

@@ -1,4 +1,6 @@
-"""A tree of boxes over shapes that were moved: its nodes stay as they are, and their boxes are made anew from the leaves up."""
+"""Refits a bounding volume hierarchy to shapes that were moved: its nodes stay, and their boxes are recomputed from the
+leaves up.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ Array = NDArray[np.float64]
 
 @inlined
 def _bounds(row: Array, box: Array) -> None:
-    """The axis-aligned box, centre and half extents (6,), around a shape (17,), see `zarm_geometry.rows`."""
+    """Write to `box` (6,) centre and half extents of the axis-aligned box around a shape (17,), see
+    `zarm_geometry.rows`.
+    """
     rounding = row[16]
     for j in range(3):
         x, y, z = row[j], row[4 + j], row[8 + j]
@@ -26,13 +30,15 @@ def _bounds(row: Array, box: Array) -> None:
             box[j], box[3 + j] = (lower + upper) / 2, (upper - lower) / 2 + rounding
         else:
             half = abs(x) * row[12] + abs(y) * row[13] + abs(z) * row[14]
-            # A disc of radius r across the axis a reaches r * sqrt(1 - a_j^2) along the direction j.
+            # A disc of radius r normal to the axis a extends r * sqrt(1 - a_j^2) along the direction j.
             box[j], box[3 + j] = center, half + row[15] * math.sqrt(max(0.0, 1.0 - z * z)) + rounding
 
 
 @kernel
 def refit(shapes: Array, skip: Index, leaf: Index, pose: Array) -> tuple[Array, Array]:
-    """The shapes (n, 17) of an object that stands at `pose` (4, 4), from those in its own frame, and the boxes (m, 6) of their tree."""
+    """The shapes (n, 17) of an object at `pose` (4, 4), from those in its own frame, and the boxes (m, 6) of their
+    tree.
+    """
     placed, boxes = np.empty_like(shapes), np.empty((len(skip), 6))
     for i in range(len(shapes)):
         for r in range(0, 12, 4):

@@ -1,7 +1,7 @@
 """A vector of 16 float32 for kernels: one value for each of 16 configurations that are checked together.
 
-LLVM turns each operation into the widest instructions that the processor has. A loop over 16 array elements would leave
-that to the loop vectoriser, which gives up easily.
+LLVM compiles each operation to the widest instructions of the processor. With a loop over 16 array elements this would
+depend on the loop vectoriser, which gives up easily.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _splat(builder: Any, value: Any) -> Any:
 
 
 def _binary(function: Callable[..., Any], instruction: str) -> None:
-    """`function` of two Lanes, or of Lanes and a number on either side."""
+    """Define `function` for two Lanes, and for Lanes and a number in either order."""
 
     @type_callable(function)
     def signature_for(context: Any) -> Any:
@@ -88,13 +88,13 @@ def _llvm(name: str, arity: int) -> Any:
 
 @intrinsic
 def larger(typing: Any, a: Any, b: Any) -> Any:
-    """The larger of two, lane by lane."""
+    """The larger of two values, lane by lane."""
     return lanes(lanes, lanes), _llvm("maxnum", 2)
 
 
 @intrinsic
 def smaller(typing: Any, a: Any, b: Any) -> Any:
-    """The smaller of two, lane by lane."""
+    """The smaller of two values, lane by lane."""
     return lanes(lanes, lanes), _llvm("minnum", 2)
 
 
@@ -112,19 +112,19 @@ def root(typing: Any, a: Any) -> Any:
 
 @intrinsic
 def nearest(typing: Any, a: Any) -> Any:
-    """The nearest whole number."""
+    """The nearest integer."""
     return lanes(lanes), _llvm("rint", 1)
 
 
 @intrinsic
 def splat(typing: Any, value: Any) -> Any:
-    """One number in all lanes."""
+    """The same number in all lanes."""
     return lanes(types.float32), lambda context, builder, sig, args: _splat(builder, args[0])
 
 
 @intrinsic
 def below(typing: Any, a: Any, b: Any) -> Any:
-    """The lanes in which `a` < `b`."""
+    """Mask of the lanes in which `a` < `b`."""
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         mask = builder.fcmp_ordered("<", args[0], args[1], flags=_FAST)
@@ -162,7 +162,7 @@ def _pointer(builder: Any, args: Any) -> Any:
 
 @intrinsic
 def load(typing: Any, memory: Any, index: Any) -> Any:
-    """The 16 values from `memory[index]` on; `memory` points to float32."""
+    """Read 16 values, starting at `memory[index]`; `memory` points to float32."""
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(_pointer(builder, args), align=4)
@@ -172,7 +172,7 @@ def load(typing: Any, memory: Any, index: Any) -> Any:
 
 @intrinsic
 def store(typing: Any, memory: Any, index: Any, value: Any) -> Any:
-    """Write the 16 values to `memory[index]` and on; `memory` points to float32."""
+    """Write 16 values, starting at `memory[index]`; `memory` points to float32."""
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], _pointer(builder, args), align=4)
@@ -183,10 +183,10 @@ def store(typing: Any, memory: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def pointer(typing: Any, array: Any) -> Any:
-    """Where the elements of an array begin. Whoever uses it must keep the array alive.
+    """A pointer to the first element of an array. Whoever uses it must keep the array alive.
 
-    Numba counts references to an array each time it is passed or taken out of a tuple, which in inner loops costs more
-    than the arithmetic; a pointer is free.
+    Numba updates an array's reference count whenever it is passed on or taken out of a tuple, which costs more than the
+    arithmetic in inner loops; a pointer costs nothing.
     """
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -197,7 +197,7 @@ def pointer(typing: Any, array: Any) -> Any:
 
 @intrinsic
 def lowest_bit(typing: Any, bits: Any) -> Any:
-    """The place of the lowest bit that is set in an uint64 other than 0."""
+    """The index of the lowest bit that is set in a uint64 other than 0."""
 
     def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))

@@ -1,4 +1,6 @@
-"""Joint vectors in kernels, element by element: numba compiles a slice assignment with its error texts, which takes seconds."""
+"""Joint vectors in kernels, element by element: for a slice assignment numba also compiles its error messages, which
+takes seconds.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ def copy(source: NDArray[Any], target: NDArray[Any]) -> None:
 
 @inlined
 def between(a: Single, b: Single, part: float, out: Single) -> None:
-    """The point at `part` (0..1) of the way from `a` to `b`; `out` may be one of them."""
+    """Write to `out` the point at the fraction `part` (0..1) of the way from `a` to `b`; `out` may be one of them."""
     for k in range(a.shape[0]):
         out[k] = a[k] + (b[k] - a[k]) * part
 

@@ -185,7 +185,7 @@ class DriverLink:
                     ",".join(missing),
                     ",".join(names),
                 )
-            if len(self._orders) >= 8:  # a sender of ever new names must not fill the memory
+            if len(self._orders) >= 8:  # a sender that keeps changing names must not fill the memory
                 self._orders.clear()
             self._orders[names] = None if missing else [names.index(joint) for joint in self.joints]
         return self._orders[names]

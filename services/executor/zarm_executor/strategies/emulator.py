@@ -36,7 +36,7 @@ class EmulatedRobot:
         self._still = np.zeros(len(self._joints))
         saved = file.load()
         if saved is not None and saved.joint_names != self._joints:
-            log.warning("the saved position is of other joints; the emulated robot starts at home")
+            log.warning("the saved position has other joints; the emulated robot starts at home")
             saved = None
         position = np.array(descriptor.home if saved is None else saved.position)
         self.measured = Measured(position, self._still, time.monotonic())
@@ -139,5 +139,5 @@ class Emulator(Steerable):
                 self._saving_fails = False
         except Unavailable as error:
             if not self._saving_fails:
-                log.warning("the emulated robot's position is not saved from now on reason=%s", error)
+                log.warning("the emulated robot's position is no longer saved reason=%s", error)
             self._saving_fails = True

@@ -211,14 +211,14 @@ class JointTrajectory(DriverStrategy):
         if trajectory is None:
             return
         if self._index == command.last:
-            # The robot may have come to rest elsewhere than computed, because the driver was still on its way.
+            # The driver lagged behind, so the robot may have come to rest elsewhere than computed.
             measured, time = self.link.measured(), float(command.path_time[-1])
             if measured is not None:
                 time = trajectory.nearest(measured.position, command.path_time[0] - _OVERRUN, time + _OVERRUN)
             self._play(self._along(trajectory, PathState(time, 0.0), self._speed))
             self._lead_back()
         elif self.link.params.stop == "empty":
-            return  # it is unknown what the driver is braking through
+            return  # the driver brakes along an unknown path
         else:
             index = self._next(command, dt, encoded=(trajectory.duration - float(command.path_time[-1])) / command.dt)
             if index is None:

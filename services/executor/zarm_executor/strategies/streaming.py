@@ -57,7 +57,7 @@ class Streaming(DriverStrategy, Steerable):
         self._chunk: RetimedTrajectory | None = None
         self._played_at = -np.inf
 
-    # -- what a streaming strategy decides --
+    # -- implemented by each streaming strategy --
 
     @abstractmethod
     def _send(self, ahead: RetimedTrajectory, now: float, played: int) -> bool:
@@ -73,7 +73,7 @@ class Streaming(DriverStrategy, Steerable):
     def _forget_sent(self) -> None:
         """What the driver plays is no longer known."""
 
-    # -- what the state machine asks --
+    # -- called by the state machine --
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `trajectory`."""

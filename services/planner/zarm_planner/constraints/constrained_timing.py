@@ -58,8 +58,8 @@ def time_constrained(
             return None
         at, fixed = _along(length[[0, *vias, len(path) - 1]], _SPACING / 2**halved)
         points = np.stack([np.interp(at, length, joint) for joint in path.T], axis=1)
-        # Between the ends of a step the manifold may touch what the free step does not, so the final rounds keep to the
-        # steps themselves.
+        # Points projected onto the manifold may collide although the straight step is free, so the final rounds keep
+        # to the steps themselves.
         if halved < _ON_MANIFOLD and (near := constraint.projected(points[~fixed])) is not None:
             points[~fixed] = near
         curve = through(points)

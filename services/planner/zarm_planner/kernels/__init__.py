@@ -1,1 +1,1 @@
-"""The compiled code of the planner: plain functions over packed arrays, no Python object inside."""
+"""The compiled code of the planner: plain functions over packed arrays that use no Python objects."""

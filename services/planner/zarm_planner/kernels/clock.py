@@ -1,4 +1,4 @@
-"""Deadlines inside kernels."""
+"""Deadlines in kernels."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ _CLOCK = time.CLOCK_MONOTONIC
 
 @inlined
 def seconds(now: NDArray[np.int64]) -> float:
-    """The monotonic clock (s); `now` (2,) is memory for it. The C library is called, so nothing is kept in registers."""
+    """The monotonic clock (s); `now` (2,) is working memory. The call into the C library makes the compiler reload all
+    values from memory.
+    """
     _gettime(_CLOCK, pointer(now))
     return float(now[0] + 1e-9 * now[1])
 
 
 @inlined
 def passed(deadline: NDArray[np.float64], now: NDArray[np.int64]) -> bool:
-    """Whether the monotonic clock is past `deadline[0]` (s), which another thread may set at any time.
+    """Whether the monotonic clock is past `deadline[0]` (s), which another thread may change at any time.
 
-    `now` (2,) is memory for the clock. The call into the C library makes the compiler read `deadline` anew.
+    `now` (2,) is working memory. The call into the C library makes the compiler read `deadline` again each time.
     """
     return bool(seconds(now) > deadline[0])

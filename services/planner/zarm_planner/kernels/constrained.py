@@ -1,7 +1,8 @@
 """RRT-Connect and shortcuts on the manifold of a path constraint, each in one compiled call.
 
-Berenson, Srinivasa, Ferguson and Kuffner, "Manipulation planning on constraint manifolds", 2009 (CBiRRT). Other than there,
-samples are brought onto the manifold before a tree grows towards them: what is nearest is then nearest along it, too.
+Berenson, Srinivasa, Ferguson and Kuffner, "Manipulation planning on constraint manifolds", 2009 (CBiRRT). Unlike there,
+samples are projected onto the manifold before a tree grows towards them, so that the nearest node is also near along
+the manifold.
 """
 
 from __future__ import annotations
@@ -21,22 +22,23 @@ from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
 
 EXTENSION = 1.0
-"""Rad: so far a sample extends a tree."""
+"""Distance (rad, Euclidean) after which a tree stops growing towards a sample."""
 ROWS = 4096
-"""Of a path at most."""
+"""Maximum number of rows of a path."""
 ATTEMPTS = 200
-"""Shortcuts tried at most."""
+"""Maximum number of shortcuts tried."""
 PATIENCE = 40
-"""Shortcuts in a row that do not help before it ends."""
+"""Shortcutting ends after this many failed attempts in a row."""
 GAIN = 0.01
-"""A shortcut that saves less than this part of what it replaces is not worth a check."""
+"""A shortcut that saves less than this fraction of the piece that it replaces is not checked."""
 
 
 @kernel
 def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, rows: Single, workspace: Workspace) -> int:
-    """Write the configurations after `a` on the way along the manifold to `b` into `rows`; returns how many they are.
+    """Write the configurations of the path along the manifold from `a` (excluded) to `b` into `rows` (n, dof); returns
+    their number.
 
-    0 where the way does not get there, or is longer than `longest`.
+    Returns 0 if the path does not reach `b`, or is longer than `longest` (rad, Euclidean).
     """
     count, length = 0, 0.0
     here = a
@@ -55,7 +57,7 @@ def walk(constraint: ConstraintArrays, a: Single, b: Single, longest: float, row
 
 @inlined
 def walk_free(checks: Space, a: Single, rows: Single, count: int) -> bool:
-    """Whether the way from `a` along the first `count` rows is free."""
+    """Whether the path from `a` along the first `count` rows is free."""
     here = a
     for i in range(count):
         if not edge_free(checks, here, rows[i]):
@@ -81,8 +83,8 @@ def connect_constrained(
 ) -> Single:
     """A free path (n, dof) on the manifold from `start` (dof,) to one of `goals` (m, dof), all of which are on it.
 
-    One without rows when there was none after `most` samples, or when the deadline passed. `limits` (2, dof) is where samples
-    are drawn; `weight` (dof,) scales the joints in distances.
+    It has no rows if none was found after `most` samples or before the deadline. Samples are drawn within `limits` (2,
+    dof); `weight` (dof,) scales the joints in distances.
     """
     checks, dof = space(robot, world, memory), start.shape[0]
     workspace = make_workspace(dof)
@@ -157,7 +159,7 @@ def shortcut_constrained(
     random: NDArray[np.uint64],
     deadline: NDArray[np.float64],
 ) -> int:
-    """Shorten the path in the first `count` rows of `path` (ROWS, dof) in place; returns how many rows it has then."""
+    """Shorten the path in the first `count` rows of `path` (ROWS, dof) in place; returns its new number of rows."""
     checks, dof = space(robot, world, memory), path.shape[1]
     workspace = make_workspace(dof)
     now = np.empty(2, np.int64)
@@ -166,7 +168,7 @@ def shortcut_constrained(
     while count > 2 and failed < PATIENCE and tried < ATTEMPTS and not passed(deadline, now):
         tried += 1
         failed += 1
-        # Pieces of all lengths: long ones save most, short ones round corners.
+        # Pieces of all lengths are tried: long ones save most, short ones round corners.
         span = int(2.0 * math.exp(uniform(random) * math.log(0.5 * count)))
         i = int(uniform(random) * (count - span))
         j = i + span
@@ -177,7 +179,7 @@ def shortcut_constrained(
         if apart(path[i], path[j]) > longest:
             continue
         new = walk(constraint, path[i], path[j], longest, rows, workspace)
-        moved = new - (j - i)  # what comes after `i` up to `j` gives way to the new rows
+        moved = new - (j - i)  # the new rows replace those after `i`, up to `j`
         if new == 0 or count + moved > path.shape[0] or not walk_free(checks, path[i], rows, new):
             continue
         failed = 0

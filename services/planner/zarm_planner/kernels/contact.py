@@ -1,8 +1,9 @@
-"""Out of contact: away from what is near, by what each joint does to the distances.
+"""Moves out of contact, along the gradients of the distances to nearby objects by the joints.
 
-Distances and their gradients come from `zarm_geometry.kernels.nearby`. A step is the smallest that changes each distance as it
-should, found by projecting on one of these demands after the other (Kaczmarz' method; Agmon, "The relaxation method for
-linear inequalities", 1954). Demands that contradict each other, as those of the two sides of a slot do, end in the middle.
+Distances and gradients come from `zarm_geometry.kernels.nearby`. Each step is the smallest that changes every distance
+as required; it is found by projecting onto one of these constraints after the other (Kaczmarz' method; Agmon, "The
+relaxation method for linear inequalities", 1954). Constraints that contradict each other, like those of the two sides
+of a slot, lead to the middle.
 """
 
 from __future__ import annotations
@@ -25,33 +26,39 @@ from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.inverse import TOLERANCE, Chain, Work, descend, make_work, tip_jacobian, tip_pose
 
 WITHIN = 0.05
-"""What is nearer (m) is kept away from."""
+"""Only objects nearer than this (m) are taken into account."""
 SWEEPS = 20
-"""Times that all demands are projected on."""
+"""Number of passes over all constraints."""
 RELAXED = 0.5
-"""Part of the way that a projection goes."""
+"""Fraction of the full correction that a projection applies."""
 STEPS = 60
-"""Steps of `clear_pose` at most."""
+"""Maximum number of steps of `clear_pose`."""
 TURN = 0.1
-"""Rad, Euclidean: the longest of these steps."""
+"""Longest step (rad, Euclidean) of `clear_pose`."""
 SHORTEST = 0.002
-"""Rad; where shorter ones would be needed it ends."""
+"""`clear_pose` ends when its steps would have to be shorter than this (rad); `retreat`, when a step shrinks below this
+fraction of the longest allowed.
+"""
 SINGULAR = 1e-3
-"""Part of a row of the Jacobian below which what the rows before it leave of it counts as none."""
+"""A row of the Jacobian counts as linearly dependent if less than this fraction of it remains after orthogonalisation
+against the rows before it.
+"""
 GROWTH = 0.3
-"""Part by which the smallest distance is to grow in one step of `retreat`."""
+"""Fraction by which the smallest distance should grow in one step of `retreat`."""
 FLOOR = 0.7
-"""Part of the distance at the start that has to be left on the way."""
+"""Fraction of the smallest distance at the start that `retreat` must keep along the way."""
 CUTS = 8
-"""Steps that are tried for one that is taken."""
+"""Maximum number of attempts at one step of `retreat`."""
 PER_METER = 10.0
-"""Rad per m of the smallest distance that such a step goes, so that what is bent about it does not matter, and at most LONGEST."""
+"""Longest step of `retreat` in rad per m of the smallest distance, and at most LONGEST: so short that the error of the
+linearisation does not matter.
+"""
 LONGEST = 0.02
-"""Rad, Euclidean."""
+"""Longest step (rad, Euclidean) of `retreat`."""
 
 
 class Surroundings(NamedTuple):
-    """What `near` looks at: a robot and what stands around it, and memory for one call, of which `motion` has two samples."""
+    """The arguments of `near`: a robot and its surroundings, and memory for one call; `motion` has two samples."""
 
     body: MotionBody
     world: Obstacles
@@ -64,7 +71,9 @@ class Surroundings(NamedTuple):
 
 @inlined
 def distances(around: Surroundings, q: Array) -> tuple[int, float]:
-    """Fill `around.found` with what is near at `q` (dof,); returns how many rows there are and the smallest distance (m)."""
+    """Fill `around.found` with the distances at `q` (dof,); returns the number of rows and the smallest distance (m, at
+    most WITHIN).
+    """
     copy(q, around.motion.q[0])
     around.motion.placed[0] = 0
     count = near(
@@ -78,7 +87,7 @@ def distances(around: Surroundings, q: Array) -> tuple[int, float]:
 
 @inlined
 def length(v: Array) -> float:
-    """Euclidean."""
+    """Euclidean length."""
     total = 0.0
     for k in range(v.shape[0]):
         total += v[k] * v[k]
@@ -87,7 +96,7 @@ def length(v: Array) -> float:
 
 @inlined
 def project(found: Array, count: int, growth: Array, step: Array) -> None:
-    """Change `step` (dof,) so that each distance grows by `growth` (rows,) at least, or as nearly so as it can be."""
+    """Change `step` (dof,) so that each distance grows by at least `growth` (rows,) in m, or as nearly so as possible."""
     dof = step.shape[0]
     for _ in range(SWEEPS):
         for row in range(count):
@@ -102,7 +111,9 @@ def project(found: Array, count: int, growth: Array, step: Array) -> None:
 
 @inlined
 def keep_pose(chain: Chain, q: Array, work: Work, basis: Array, found: Array, count: int) -> None:
-    """Leave of the gradients what does not move the tip: what is across the rows of its Jacobian at `q`."""
+    """Project the gradients in `found` onto the null space of the tip's Jacobian at `q`, so that steps along them do
+    not move the tip.
+    """
     dof = q.shape[0]
     tip_pose(chain, q, work)
     tip_jacobian(chain, work)
@@ -111,7 +122,7 @@ def keep_pose(chain: Chain, q: Array, work: Work, basis: Array, found: Array, co
         for k in range(dof):
             basis[rank, k] = work.jacobian[i, k]
         whole = length(basis[rank])
-        for _ in range(2):  # twice is enough against rounding (Giraud et al., 2005)
+        for _ in range(2):  # orthogonalising twice suffices against rounding (Giraud et al., 2005)
             across(basis, rank, basis[rank])
         left = length(basis[rank])
         if left > SINGULAR * max(whole, SINGULAR):
@@ -124,7 +135,7 @@ def keep_pose(chain: Chain, q: Array, work: Work, basis: Array, found: Array, co
 
 @inlined
 def across(basis: Array, rank: int, v: Array) -> None:
-    """Take from `v` (dof,) what lies along the first `rank` rows of `basis`."""
+    """Remove from `v` (dof,) its components along the first `rank` rows of `basis`, which are orthonormal."""
     for i in range(rank):
         along = 0.0
         for k in range(v.shape[0]):
@@ -137,10 +148,11 @@ def across(basis: Array, rank: int, v: Array) -> None:
 def clear_pose(
     chain: Chain, around: Surroundings, target: Array, enough: float, q: Array, deadline: NDArray[np.float64]
 ) -> float:
-    """Move `q` (dof,), which reaches the pose `target` (4, 4), to where it does so with the most room.
+    """Move `q` (dof,), whose tip is at the pose `target` (4, 4), to a configuration with the same pose and more
+    clearance.
 
-    Returns the smallest distance (m) there: about the largest nearby, or at least `enough`. An arm without a joint to spare
-    stays where it is.
+    Returns its smallest distance (m): about the largest nearby, or at least `enough`. An arm without a redundant joint
+    does not move.
     """
     dof = q.shape[0]
     work, now = make_work(dof), np.empty(2, np.int64)
@@ -180,7 +192,9 @@ def clear_pose(
 
 @inlined
 def add_cuts(found: Array, count: int, step: Array, cuts: Array, size: int) -> int:
-    """Add the distances at a `step` (dof,) away, as their gradients there say they are at its start; returns how many there are."""
+    """Append to `cuts` the distances in `found`, linearly extrapolated from the end of `step` (dof,) back to its start,
+    with their gradients; returns the new number of cuts.
+    """
     dof = step.shape[0]
     for row in range(count):
         if size < cuts.shape[0]:
@@ -203,12 +217,13 @@ def retreat(
     way: Array,
     deadline: NDArray[np.float64],
 ) -> int:
-    """Walk from `way[0]` (n, dof), which is free of contact, in a `direction` (dof,), past what is near, to where it is free in
-    spheres.
+    """Move from `way[0]` (`way` is (n, dof)), which is free of contact in the exact shapes, along `direction` (dof,)
+    and past what is near, to a configuration that is free in the sphere model.
 
-    Which point of a shape is nearest changes on a step. So one that comes too near is taken back, and what it met is kept clear
-    of by the next one, as in the cutting-plane method (Kelley, "The cutting-plane method for solving convex programs", 1960).
-    Returns how many rows of `way` lead there; none where it does not get there.
+    The nearest point of a shape changes during a step. So a step that comes too close is taken back, and what it met
+    becomes a constraint on the next attempt, as in the cutting-plane method (Kelley, "The cutting-plane method for
+    solving convex programs", 1960). Returns how many rows of `way` lead to the free configuration; 0 if it is not
+    reached.
     """
     checks = space(robot, world, memory)
     dof, now = direction.shape[0], np.empty(2, np.int64)

@@ -1,4 +1,4 @@
-"""Inverse kinematics: Levenberg-Marquardt from many seeds, all distinct solutions, checked for collision."""
+"""Inverse kinematics: Levenberg-Marquardt from many seeds; finds distinct solutions and checks them for collision."""
 
 from __future__ import annotations
 
@@ -18,22 +18,25 @@ from zarm_planner.kernels.random import uniform
 
 TURN = 2.0 * math.pi
 TOLERANCE = 1e-6
-"""A solution is at most this far (m) and turned by at most this angle (rad) from the pose."""
+"""Largest error of a solution in position (m) and in orientation (rad)."""
 SEEDS = 500
-"""Descents at most: of 100,000 random poses of five arms, the first solution of all but 2 took no more; of 99.9 % at most 79."""
+"""Maximum number of descents. Of 100,000 random poses of five arms, all but 2 found their first solution within this
+number, and 99.9 % within 79.
+"""
 PATIENCE = 30
-"""Solutions in a row that are no new free ones before the search for further ones ends."""
+"""The search for further solutions ends after this many in a row that are not new and free."""
 DISTINCT = 0.1
-"""Solutions nearer to each other than this (rad) in every joint are one."""
+"""Solutions that differ by less than this (rad) in every joint count as the same."""
 ITERATIONS = 50
-"""Steps of a descent at most; most end after 9."""
+"""Maximum number of steps of a descent; most end after 9."""
 DAMPING = 0.05
-"""Times the squared error. From 0.005 to 0.15 the number of descents is the same."""
+"""Damping per squared error. From 0.005 to 0.15 the number of descents is the same."""
 STALL = 0.7
-"""A descent that after 3 steps has more of its error left than this part ends: another seed gets there sooner.
+"""A descent ends if more than this fraction of its error is left after 3 steps, since another seed then gets there
+sooner.
 
-After 5 steps with 0.9 of it, a solution of a Panda took 42 steps on average, now 29; of a UR with joints of one turn 40, now
-29; of other arms the same, 9 to 11.
+With a limit of 0.9 after 5 steps, a solution took 42 steps on average on a Panda, now 29; on a UR with joints limited
+to one turn 40, now 29; on other arms 9 to 11, as now.
 """
 
 
@@ -41,7 +44,7 @@ class Chain(NamedTuple):
     """The kinematics of a robot.
 
     `origin` (dof, 3, 4) and `revolute` (dof,) as in `joint_frames`; `tip` (4, 4): the tip in the last joint's frame;
-    `lower` and `upper` (dof,).
+    `lower` and `upper` (dof,): the joints' ranges in rad (m if prismatic).
     """
 
     origin: Array
@@ -52,8 +55,9 @@ class Chain(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Working memory: frames of the joints (dof, 3, 4), pose of the tip (3, 4), Jacobian (6, dof), normal equations
-    (6, 6), and the twist that is left (6,), m and rad."""
+    """Working memory: frames of the joints (dof, 3, 4), pose of the tip (3, 4), Jacobian (6, dof), normal equations (6,
+    6), and the remaining twist (6,) in m and rad.
+    """
 
     frames: Array
     pose: Array
@@ -63,7 +67,9 @@ class Work(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What came of it: so many solutions that are free and so many that collide; and how near (m, rad) the best came."""
+    """The result of `solve`: the numbers of free and of colliding solutions, and the smallest error reached, in m and
+    in rad.
+    """
 
     free: int
     colliding: int
@@ -73,13 +79,13 @@ class Found(NamedTuple):
 
 @inlined
 def make_work(dof: int) -> Work:
-    """Working memory for one call of a kernel."""
+    """Allocate the working memory for one call of a kernel."""
     return Work(np.empty((dof, 3, 4)), np.empty((3, 4)), np.empty((6, dof)), np.empty((6, 6)), np.empty(6))
 
 
 @inlined
 def tip_pose(chain: Chain, q: Array, work: Work) -> None:
-    """Write the frames of the joints at `q` and the pose of the tip into `work`."""
+    """Write the frames of the joints at `q` (dof,) and the pose of the tip into `work`."""
     joint_frames(chain.origin, chain.revolute, q, work.frames)
     last = q.shape[0] - 1
     for i in range(3):
@@ -92,7 +98,9 @@ def tip_pose(chain: Chain, q: Array, work: Work) -> None:
 
 @inlined
 def tip_jacobian(chain: Chain, work: Work) -> None:
-    """Write the Jacobian (6, dof) of the tip, where `tip_pose` has put it, in the base frame: m and rad per joint's unit."""
+    """Write the Jacobian (6, dof) of the tip in the base frame into `work`: m and rad per rad (m if prismatic). Call
+    `tip_pose` first.
+    """
     jac = work.jacobian
     for k in range(jac.shape[1]):
         f = work.frames[k]
@@ -108,9 +116,11 @@ def tip_jacobian(chain: Chain, work: Work) -> None:
 
 @inlined
 def pose_error(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float, float]:
-    """Write the twist (6,) from the tip at `q` to `target` into `work.error`; returns its lengths in m and in rad."""
+    """Write the twist (6,) from the tip at `q` to `target` (4, 4) into `work.error`; returns its lengths in m and in
+    rad.
+    """
     tip_pose(chain, q, work)
-    # The rotation that is left, target * pose^-1, as an axis times an angle.
+    # The remaining rotation, target * pose^-1, as an axis times an angle.
     t, p, e = target, work.pose, work.error
     x = y = z = trace = 0.0
     for k in range(3):
@@ -122,7 +132,7 @@ def pose_error(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float
     angle = math.atan2(sine, cosine)
     factor = 0.5 * angle / sine if sine > 1e-9 else 0.5
     e[3], e[4], e[5] = factor * x, factor * y, factor * z
-    if sine <= 1e-9 and cosine < 0.0:  # half a turn: any axis is a way out
+    if sine <= 1e-9 and cosine < 0.0:  # half a turn: any axis will do
         e[3] = angle
     for i in range(3):
         e[i] = t[i, 3] - p[i, 3]
@@ -131,7 +141,7 @@ def pose_error(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float
 
 @inlined
 def step(chain: Chain, q: Array, damping: float, work: Work) -> None:
-    """Move `q` by J^T (J J^T + damping I)^-1 error, into its limits."""
+    """Move `q` by J^T (J J^T + damping I)^-1 error, and clamp it to its limits."""
     dof = q.shape[0]
     jac, a, e = work.jacobian, work.normal, work.error
     tip_jacobian(chain, work)
@@ -162,7 +172,7 @@ def step(chain: Chain, q: Array, damping: float, work: Work) -> None:
 
 @inlined
 def descend(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float, float]:
-    """Levenberg-Marquardt from `q`, in place, damped by the error itself; returns how near it came, in m and in rad.
+    """Levenberg-Marquardt from `q`, in place, damped by the error itself; returns the remaining error in m and in rad.
 
     Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method", 2011.
     """
@@ -182,7 +192,7 @@ def descend(chain: Chain, target: Array, q: Array, work: Work) -> tuple[float, f
 
 @inlined
 def bring_near(chain: Chain, near: Array, q: Array) -> None:
-    """Turn the joints by full turns to where they are nearest to `near`, within the limits."""
+    """Turn revolute joints by full turns to be as close to `near` (dof,) as their limits allow."""
     for k in range(q.shape[0]):
         if chain.revolute[k]:
             turns = round((near[k] - q[k]) / TURN)
@@ -193,7 +203,7 @@ def bring_near(chain: Chain, near: Array, q: Array) -> None:
 
 @inlined
 def known(solutions: Array, count: int, q: Array) -> bool:
-    """Whether `q` is one of the first `count` solutions."""
+    """Whether `q` is the same as one of the first `count` solutions, see DISTINCT."""
     for s in range(count):
         farthest = 0.0
         for k in range(q.shape[0]):
@@ -217,7 +227,8 @@ def solve(
     random: NDArray[np.uint64],
     deadline: NDArray[np.float64],
 ) -> Found:
-    """Solve for the pose `target` (4, 4), first from `near` (dof,), then from random seeds, each solution nearest to `near`.
+    """Solve for the pose `target` (4, 4), first from `near` (dof,), then from random seeds; each solution is turned as
+    close to `near` as possible.
 
     Fills the rows of `free` and, if `checked`, of `colliding`; ends when either is full.
     """
@@ -237,8 +248,8 @@ def solve(
             for k in range(dof):
                 q[k] = chain.lower[k] + (chain.upper[k] - chain.lower[k]) * uniform(random)
             if dof > 6 and good > 0 and seed % 2 == 0:
-                # With a joint to spare, solutions are curves, and half of a known one is a good start for the next. With
-                # none to spare it would lead back to the known ones.
+                # The solutions of a redundant arm form curves, and a known one with half of its joints changed is a good
+                # seed for the next. Without redundancy it would lead back to the known solutions.
                 one = math.floor(good * uniform(random))
                 for k in range(dof):
                     if uniform(random) < 0.5:
@@ -256,7 +267,7 @@ def solve(
         if checked and not edge_free(checks, single, single):
             copy(q, colliding[bad])
             bad += 1
-            if good > 0:  # an arm with a joint to spare has no end of colliding ones
+            if good > 0:  # a redundant arm has any number of colliding ones
                 continue
         else:
             copy(q, free[good])

@@ -1,4 +1,4 @@
-"""From a state in motion to rest: ramps that brake, of which the first is taken that is free."""
+"""From a moving state to rest: the first of several braking ramps that is free."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.smoothing import ramp_free
 
 SHORTEST = 1e-6
-"""Least duration (s) of a ramp that brakes."""
+"""Shortest duration (s) of a braking ramp."""
 ASIDE = 0.5
-"""The rests that are tried lie aside by at most what each joint could turn at full speed in this time (s)."""
+"""The randomly tried rest positions lie aside by at most what each joint moves at full speed in this time (s)."""
 
 
 @inlined
 def straight(ramps: Ramps, i: int, strongest: Array) -> None:
-    """Make ramp `i` brake along its own velocity, all joints coming to rest together."""
+    """Make ramp `i` brake straight along its velocity, with all joints coming to rest together."""
     dof = strongest.shape[0]
     time = SHORTEST
     for j in range(dof):
@@ -31,7 +31,7 @@ def straight(ramps: Ramps, i: int, strongest: Array) -> None:
 
 @inlined
 def each_alone(ramps: Ramps, i: int, strongest: Array) -> None:
-    """Make ramp `i` brake each joint as hard as it can."""
+    """Make ramp `i` brake each joint as hard as possible."""
     dof = strongest.shape[0]
     ramps.duration[i] = SHORTEST
     for j in range(dof):
@@ -54,7 +54,8 @@ def aside(
     end: Array,
     rest: Array,
 ) -> bool:
-    """Make ramp `i` lead to a random rest between those of the two above or aside of them, by a part `size` of ASIDE at most.
+    """Make ramp `i` lead to a random rest position between those of the two functions above, moved aside by at most the
+    fraction `size` of ASIDE.
 
     Returns whether there is such a ramp.
     """
@@ -84,10 +85,10 @@ def brake(
     checked: bool,
     random: NDArray[np.uint64],
 ) -> int:
-    """Make ramp `i`, whose position and velocity are given, the first of `most` ways to brake that is free.
+    """Make ramp `i`, whose position and velocity are given, the first of `most` braking ramps that is free.
 
-    `bounds` (4, dof) as in `smooth`. Those before number `first` are passed over, and without `checked` a way need only be
-    inside the joints' ranges. Returns the number of the way, -1 where there is none.
+    `bounds` (4, dof) as `limits` in `smooth`. Ramps before number `first` are skipped; without `checked`, a ramp only
+    needs to stay within the joints' ranges. Returns the number of the ramp, -1 if there is none.
     """
     checks = space(robot, world, memory)
     lower, upper, fastest, strongest = bounds[0], bounds[1], bounds[2], bounds[3]

@@ -1,4 +1,4 @@
-"""The quickest of a few paths between two configurations, in one compiled call."""
+"""The fastest of several paths between two configurations, in one compiled call."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ from zarm_planner.kernels.rrt_connect import connect
 from zarm_planner.kernels.shortcut import MOST, shortcut
 from zarm_planner.kernels.trees import Trees
 
-# Of the numbers tried these gave the shortest motions at the same mean time over MotionBenchMaker's scenes: the easy half takes
-# fewer paths than four, and a cage, where the first ones may be twice as long as the best, up to all.
+# Of the values tried, these gave the shortest motions for the same mean planning time over MotionBenchMaker's scenes. The
+# easy half needs fewer than four paths; a cage, where the first paths may be twice as long as the best, up to all of them.
 NEAR = 0.1
-"""A path that takes longer than the straight way by at most this part of it is good enough."""
+"""A path that takes at most this fraction longer than the straight line is good enough."""
 ALIKE = 0.1
-"""Paths that take longer than the quickest by at most this part of it are as good."""
+"""Paths that take at most this fraction longer than the fastest count as equally fast."""
 AGREED = 3
-"""So many of those, the quickest itself among them, and there is hardly a quicker one."""
+"""The search ends once this many paths, including the fastest itself, are equally fast: a faster one is then unlikely.
+"""
 FAILURES = 4
-"""Searches that may come to nothing before there is a path; how long one takes has a long tail, so another one is likely to be short."""
+"""The search ends after this many failed attempts without any path. The time of an attempt has a long tail, so the next
+one is likely to be short.
+"""
 
 
 @inlined
 def seconds_between(a: Single, b: Single, fastest: Single) -> float:
-    """Time (s) that the slowest joint needs from `a` to `b` at its greatest speed (dof,)."""
+    """Time (s) from `a` to `b` with the joint that takes longest at its maximum speed `fastest` (dof,)."""
     most = 0.0
     for k in range(a.shape[0]):
         most = max(most, abs(b[k] - a[k]) / fastest[k])
@@ -49,11 +52,12 @@ def quickest_of(
     deadline: NDArray[np.float64],
     spent: NDArray[np.float64],
 ) -> Single:
-    """The quickest (n, dof) of the free paths that `seeds` lead to between `ends` (2, dof), each edge at the speed at which one
-    joint is at its `fastest` (dof,). Not all seeds are tried, see NEAR and AGREED; a search ends after `most` samples. Without
-    rows where FAILURES searches or the deadline ended before there was a path.
+    """The fastest (n, dof) of the free paths found with `seeds` between `ends` (2, dof). A path is timed by moving
+    along each edge with one joint at its maximum speed `fastest` (dof,). Not all seeds are tried, see NEAR and AGREED;
+    each search ends after `most` samples. The path has no rows if FAILURES searches failed, or the deadline passed,
+    before one was found.
 
-    Adds the seconds of search and of shortcuts to `spent` (2,). `limits` and `weight` as for `connect`.
+    Adds the seconds spent on searching and on shortcuts to `spent` (2,). `limits` and `weight` as in `connect`.
     """
     dof = ends.shape[1]
     goals = ends[1:]

@@ -1,5 +1,5 @@
-"""The configurations that keep some components of the tip's pose as they are: how far off one is, the way back, and steps
-from one to the next.
+"""The manifold of configurations that keep some components of the tip's pose: deviation from it, projection onto it,
+and steps along it.
 
 Berenson, Srinivasa, Ferguson and Kuffner, "Manipulation planning on constraint manifolds", 2009.
 """
@@ -19,24 +19,27 @@ from zarm_geometry.kernels.vectors import apart, copy
 from zarm_planner.kernels.inverse import Chain, Work, make_work, tip_jacobian, tip_pose
 
 CLOSE = 1e-5
-"""A projected configuration is off by this much at most (m, rad); what is left of the tolerance is room for curves."""
+"""Largest deviation (m, rad) of a projected configuration. The rest of the tolerance is left for the deviation between
+configurations.
+"""
 STEP = 0.2
-"""Rad, Euclidean: the longest step along the manifold."""
+"""Longest step (rad, Euclidean) along the manifold."""
 SHORTEST = STEP / 16
-"""Where not even a step of this length keeps to the manifold, there is no way on."""
+"""If not even a step of this length (rad) stays on the manifold, `advance` fails."""
 SLACK = 0.5
-"""Half way along a step, which is straight, this part of the tolerance may be used."""
+"""Halfway along a step, which is straight, at most this fraction of the tolerance may be used."""
 ITERATIONS = 20
-"""Of a projection; from one step away 2 are the rule."""
+"""Maximum number of iterations of a projection; from one step away it usually takes 2."""
 DAMPING = 0.01
-"""Times the squared deviation, as in Levenberg-Marquardt."""
+"""Damping per squared deviation, as in Levenberg-Marquardt."""
 
 
 class ConstraintArrays(NamedTuple):
-    """A path constraint: components of the tip's pose that are kept, numbered as [theta_x, theta_y, theta_z, x, y, z].
+    """A path constraint: components of the tip's pose that must not change, numbered as [theta_x, theta_y, theta_z, x,
+    y, z].
 
-    `start` (4, 4): the pose at which they are kept; `frame` (3, 3): takes base axes to those that the components are
-    along; `axes` (m,): their numbers; `tolerance` (6,) in rad and m.
+    `start` (4, 4): the pose whose components are kept; `frame` (3, 3): rotates from the base frame to the frame of the
+    components; `axes` (m,): the numbers of the constrained components; `tolerance` (6,) in rad and m.
     """
 
     chain: Chain
@@ -47,8 +50,10 @@ class ConstraintArrays(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Working memory: of the kinematics; the rotation vector (3,); deviation (6,); the constrained rows of the Jacobian (6, dof),
-    their normal equations (6, 6) and right side (6,); which joints are at a limit (dof,); configurations (dof,)."""
+    """Working memory: that of the kinematics; the rotation vector (3,); the deviation (6,); the constrained rows of the
+    Jacobian (6, dof), their normal equations (6, 6) and right side (6,); which joints are at a limit (dof,); two
+    configurations (dof,).
+    """
 
     work: Work
     turn: Array
@@ -63,7 +68,7 @@ class Workspace(NamedTuple):
 
 @inlined
 def make_workspace(dof: int) -> Workspace:
-    """Working memory for one call of a kernel."""
+    """Allocate the working memory for one call of a kernel."""
     return Workspace(
         make_work(dof),
         np.empty(3),
@@ -81,8 +86,8 @@ def make_workspace(dof: int) -> Workspace:
 def rotation_vector(a: Array, b: Array, out: Array) -> None:
     """Write axis times angle (0..pi) of the rotation a b^T; `a` and `b` are poses or rotations.
 
-    By way of the quaternion, the largest of whose components is taken from the diagonal (Shepperd, "Quaternion from
-    rotation matrix", 1978): accurate at any angle, half a turn among them.
+    It goes through the quaternion, whose largest component is taken from the diagonal (Shepperd, "Quaternion from
+    rotation matrix", 1978), and so is accurate at any angle, including half a turn.
     """
     r00 = a[0, 0] * b[0, 0] + a[0, 1] * b[0, 1] + a[0, 2] * b[0, 2]
     r11 = a[1, 0] * b[1, 0] + a[1, 1] * b[1, 1] + a[1, 2] * b[1, 2]
@@ -111,9 +116,10 @@ def rotation_vector(a: Array, b: Array, out: Array) -> None:
 
 @inlined
 def deviate(constraint: ConstraintArrays, pose: Array, workspace: Workspace) -> float:
-    """Write how far `pose` is from the start, in all six components, into `workspace.deviation`; returns the largest constrained one.
+    """Write the deviation of `pose` (4, 4) from the start, all six components in rad and m, to `workspace.deviation`;
+    returns the largest constrained one.
 
-    The rotation vector in base axes is left in `workspace.turn`.
+    Leaves the rotation vector in base axes in `workspace.turn`.
     """
     rotation_vector(pose, constraint.start, workspace.turn)
     d, f, s = workspace.deviation, constraint.frame, constraint.start
@@ -130,7 +136,7 @@ def deviate(constraint: ConstraintArrays, pose: Array, workspace: Workspace) -> 
 
 @inlined
 def used(constraint: ConstraintArrays, workspace: Workspace) -> float:
-    """The largest part of the tolerances that the deviation in hand uses."""
+    """The largest fraction of a tolerance that `workspace.deviation` uses."""
     worst = 0.0
     for i in range(constraint.axes.shape[0]):
         worst = max(worst, abs(workspace.deviation[constraint.axes[i]]) / constraint.tolerance[constraint.axes[i]])
@@ -139,10 +145,11 @@ def used(constraint: ConstraintArrays, workspace: Workspace) -> float:
 
 @inlined
 def constrained_rows(constraint: ConstraintArrays, workspace: Workspace) -> None:
-    """Write how the constrained components change with each joint into `workspace.rows`; joints at a limit change nothing.
+    """Write the derivatives of the constrained components by each joint to `workspace.rows`; 0 for joints at a limit.
 
-    The rotation vector phi changes with the angular velocity w as J(phi) w, where J is the inverse left Jacobian of SO(3),
-    1 - [phi] / 2 + c [phi]^2 (Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018).
+    The rotation vector phi changes with the angular velocity w as J(phi) w, where J is the inverse left Jacobian of
+    SO(3), 1 - [phi] / 2 + c [phi]^2 (Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics",
+    2018).
     """
     tip_jacobian(constraint.chain, workspace.work)
     jac, phi = workspace.work.jacobian, workspace.turn
@@ -168,7 +175,7 @@ def constrained_rows(constraint: ConstraintArrays, workspace: Workspace) -> None
 
 @inlined
 def solve_normal(count: int, damping: float, workspace: Workspace) -> None:
-    """Solve (rows rows^T + damping) x = right in place, for the first `count` rows, by Cholesky's decomposition."""
+    """Solve (rows rows^T + damping I) x = right in place for the first `count` rows, by Cholesky decomposition."""
     rows, a, x = workspace.rows, workspace.normal, workspace.right
     for i in range(count):
         for j in range(i + 1):
@@ -190,9 +197,9 @@ def solve_normal(count: int, damping: float, workspace: Workspace) -> None:
 
 @kernel
 def project(constraint: ConstraintArrays, q: Array, workspace: Workspace) -> bool:
-    """Bring `q` onto the manifold, in place, by damped least squares; False where that fails.
+    """Project `q` (dof,) onto the manifold, in place, by damped least squares; returns False on failure.
 
-    A joint that would leave its range stops there, and the others do what is left to do.
+    A joint that would leave its range stops at its limit, and the other joints do the rest.
     """
     dof, count = q.shape[0], constraint.axes.shape[0]
     lower, upper = constraint.chain.lower, constraint.chain.upper
@@ -219,7 +226,7 @@ def project(constraint: ConstraintArrays, q: Array, workspace: Workspace) -> boo
 
 @inlined
 def step_kept(constraint: ConstraintArrays, a: Single, b: Single, workspace: Workspace) -> bool:
-    """Whether half way along the straight step from `a` to `b`, on the manifold both, SLACK of the tolerance is enough."""
+    """Whether a straight step from `a` to `b`, both on the manifold, uses at most SLACK of the tolerance halfway."""
     for k in range(a.shape[0]):
         workspace.middle[k] = 0.5 * (np.float64(a[k]) + np.float64(b[k]))
     tip_pose(constraint.chain, workspace.middle, workspace.work)
@@ -229,9 +236,10 @@ def step_kept(constraint: ConstraintArrays, a: Single, b: Single, workspace: Wor
 
 @kernel
 def advance(constraint: ConstraintArrays, here: Single, target: Single, there: Single, workspace: Workspace) -> bool:
-    """Write to `there` the configuration on the manifold a step from `here` nearer to `target`, or `target` itself.
+    """Write to `there` a configuration on the manifold that is one step from `here` towards `target`, or `target`
+    itself.
 
-    False where there is none. `here` and `target` are on the manifold.
+    Returns False if there is none. `here` and `target` are on the manifold.
     """
     left, step = apart(here, target), STEP
     while step >= SHORTEST:
@@ -256,7 +264,7 @@ def advance(constraint: ConstraintArrays, here: Single, target: Single, there: S
 
 @kernel
 def deviations(constraint: ConstraintArrays, poses: Array, out: Array) -> None:
-    """Write the deviations (n, 6) of poses (n, 4, 4) from the start."""
+    """Write to `out` the deviations (n, 6) of poses (n, 4, 4) from the start, in rad and m."""
     workspace = make_workspace(constraint.chain.lower.shape[0])
     for n in range(poses.shape[0]):
         deviate(constraint, poses[n], workspace)
@@ -265,7 +273,9 @@ def deviations(constraint: ConstraintArrays, poses: Array, out: Array) -> None:
 
 @kernel
 def project_all(constraint: ConstraintArrays, rows: Array) -> int:
-    """Bring configurations (n, dof) onto the manifold, in place, until that fails for one; returns how many came there."""
+    """Project configurations (n, dof) onto the manifold, in place and in order, until one fails; returns how many
+    succeeded.
+    """
     workspace = make_workspace(rows.shape[1])
     done = 0
     while done < rows.shape[0] and project(constraint, rows[done], workspace):

@@ -1,4 +1,5 @@
-"""The quintics of a timed trajectory: how far they use the limits, and where they lead, between the samples too.
+"""The quintics of a timed trajectory: how much of the limits they use, and positions along them, between the samples
+too.
 
 `zarm_trajectory.quintic` has the same polynomials for arrays of any shape.
 """
@@ -13,12 +14,14 @@ from zarm_geometry.kernels.compiled import brief, inlined
 from zarm_planner.kernels.ramps import Array
 
 HALVINGS = 24
-"""Of an interval in which a velocity turns, which is found to 1e-7 of it: a greatest velocity so to much less than rounding."""
+"""Bisections of an interval that contains an extremum of the velocity. They locate it to 1e-7 of the interval, and so
+the peak velocity to much less than rounding.
+"""
 
 
 @inlined
 def _highest(way: float, v0: float, a0: float, v1: float, a1: float) -> tuple[float, float, float]:
-    """The three highest coefficients on [0, 1], as `zarm_trajectory.quintic` has them."""
+    """The three highest coefficients on [0, 1], as in `zarm_trajectory.quintic`."""
     return (
         10.0 * way - 6.0 * v0 - 1.5 * a0 - 4.0 * v1 + 0.5 * a1,
         -15.0 * way + 8.0 * v0 + 1.5 * a0 + 7.0 * v1 - a1,
@@ -28,7 +31,7 @@ def _highest(way: float, v0: float, a0: float, v1: float, a1: float) -> tuple[fl
 
 @inlined
 def _slope(v0: float, a0: float, c3: float, c4: float, c5: float, u: float) -> float:
-    """The slope of a quintic at `u`."""
+    """The first derivative of a quintic at `u`."""
     return v0 + u * (a0 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))
 
 
@@ -42,10 +45,11 @@ def _bend(a0: float, c3: float, c4: float, c5: float, u: float) -> float:
 def peaks(
     time: Array, position: Array, velocity: Array, acceleration: Array, limits: Array
 ) -> tuple[float, float, float]:
-    """The greatest velocity, acceleration and jerk, each as a part of its limits (3, dof), of the quintics through samples at
+    """The peak velocity, acceleration and jerk, as fractions of `limits` (3, dof), of the quintics through samples at
     `time` (n,), each (n, dof).
 
-    Exact: between two turns of the derivative above, each is greatest at one of them. NaN where a sample is no number.
+    The peaks are exact: each derivative has its extrema at the ends and at the roots of the next derivative. NaN if any
+    sample is not finite.
     """
     fastest, strongest, sharpest = 0.0, 0.0, 0.0
     turns = np.empty(4)
@@ -55,12 +59,12 @@ def peaks(
             v0, v1 = velocity[i, j] * h, velocity[i + 1, j] * h
             a0, a1 = acceleration[i, j] * h * h, acceleration[i + 1, j] * h * h
             c3, c4, c5 = _highest(position[i + 1, j] - position[i, j], v0, a0, v1, a1)
-            # Jerk is 6 c3 + 24 c4 u + 60 c5 u^2, and turns once.
+            # Jerk is 6 c3 + 24 c4 u + 60 c5 u^2 and has one extremum.
             jerk = max(abs(6.0 * c3), abs(6.0 * c3 + 24.0 * c4 + 60.0 * c5))
             turn = -c4 / (5.0 * c5) if c5 != 0.0 else -1.0
             if 0.0 < turn < 1.0:
                 jerk = max(jerk, abs(6.0 * c3 + 12.0 * c4 * turn))
-            # Acceleration turns where jerk is zero: at most twice.
+            # Acceleration has its extrema where jerk is zero: at most two.
             count, turns[0] = 1, 0.0
             root = 144.0 * c4 * c4 - 360.0 * c3 * c5
             if root >= 0.0:
@@ -76,14 +80,14 @@ def peaks(
                     count += 1
             turns[count] = 1.0
             bend, speed = abs(a0), max(abs(v0), abs(v1))
-            # A velocity lies within its control points (Farouki and Rajan 1987): most are slower than one before for certain.
+            # A velocity lies within its control points (Farouki and Rajan 1987), which rules out most as the peak.
             bound = max(speed, abs(v0 + 0.25 * a0), abs(v0 + 0.5 * a0 + 0.5 * c3), abs(v1 - 0.25 * a1))
             may_be_fastest = bound > fastest * h * limits[0, j]
             before = a0
             for k in range(1, count + 1):
                 after = _bend(a0, c3, c4, c5, turns[k])
                 bend = max(bend, abs(after))
-                if may_be_fastest and before * after < 0.0:  # velocity turns once between
+                if may_be_fastest and before * after < 0.0:  # velocity has one extremum between
                     low, high = turns[k - 1], turns[k]
                     for _ in range(HALVINGS):
                         middle = 0.5 * (low + high)
@@ -93,7 +97,7 @@ def peaks(
                             high = middle
                     speed = max(speed, abs(_slope(v0, a0, c3, c4, c5, low)))
                 before = after
-            if not jerk < np.inf:  # which comes of all six numbers
+            if not jerk < np.inf:  # jerk depends on all six numbers
                 return np.nan, np.nan, np.nan
             fastest = max(speed / (h * limits[0, j]), fastest)
             strongest = max(bend / (h * h * limits[1, j]), strongest)
@@ -105,10 +109,12 @@ def peaks(
 def followed(
     time: Array, position: Array, velocity: Array, acceleration: Array, reach: Array, most: float
 ) -> tuple[Array, Array]:
-    """Times (k,) and positions (k, dof) along the quintics through samples at `time` (n,), each (n, dof), these among them.
+    """Times (k,) and positions (k, dof) along the quintics through samples at `time` (n,), each (n, dof), including the
+    samples.
 
-    From one to the next no point that moves by at most `reach` (dof,) m per rad of each joint moves further than `most` m: a
-    velocity lies within its control points (Farouki and Rajan 1987).
+    From one position to the next, no point that moves by at most `reach` (dof,) m per rad of each joint moves further
+    than `most` (m). The bound follows from the velocity's control points, whose convex hull contains it (Farouki and
+    Rajan 1987).
     """
     samples, dof = position.shape
     coefficients, pieces = np.empty((samples - 1, 6, dof)), np.empty(samples - 1, np.int64)

@@ -1,7 +1,9 @@
-"""Motions at bounded acceleration: a sequence of ramps, in each of which every joint speeds up, keeps its speed, slows down.
+"""Motions with bounded acceleration: a sequence of ramps. In each ramp every joint accelerates, keeps its velocity, and
+accelerates by the opposite amount.
 
-One joint from rest or motion to rest or motion in least time, or in a given time with least acceleration, in closed form
-(Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration shortcuts", 2010).
+One joint from rest or motion to rest or motion in least time, or in a given time with least acceleration, in closed
+form (Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator trajectories using optimal bounded-acceleration
+shortcuts", 2010).
 """
 
 from __future__ import annotations
@@ -17,15 +19,15 @@ from zarm_geometry.kernels.compiled import brief, inlined
 Array = NDArray[np.float64]
 
 _SLACK = 1e-9
-"""Rounding that times (s), velocities and accelerations may carry."""
+"""Tolerance for rounding of times (s), velocities and accelerations."""
 
 
 class Ramps(NamedTuple):
-    """Room for ramps, of which a motion uses the first few; joint j of ramp i has acceleration `acceleration[i, j]` for
-    `first[i, j]` s, its negative for the last `last[i, j]` s, and none between.
+    """Memory for ramps, of which a motion uses the first few. Joint j of ramp i has acceleration `acceleration[i, j]`
+    for the first `first[i, j]` s, its negative for the last `last[i, j]` s, and zero in between.
 
-    `via` (capacity,) is whether the motion has to pass the state at the start of the ramp, whatever becomes of the rest.
-    `duration` (capacity,) in s; `position` and `velocity` (capacity, dof) at the start of each ramp, in rad and rad/s;
+    `via` (capacity,): whether the motion must always pass through the state at the start of the ramp. `duration`
+    (capacity,) in s; `position` and `velocity` (capacity, dof) at the start of each ramp, in rad and rad/s;
     `acceleration` in rad/s^2, `first` and `last` in s, all (capacity, dof).
     """
 
@@ -39,12 +41,12 @@ class Ramps(NamedTuple):
 
 
 def make_ramps(capacity: int, dof: int) -> Ramps:
-    """Room for `capacity` ramps."""
+    """Allocate memory for `capacity` ramps."""
     return Ramps(np.empty(capacity, np.bool_), np.empty(capacity), *(np.empty((capacity, dof)) for _ in range(5)))
 
 
 def ramps_from(ramps: Ramps, first: int) -> Ramps:
-    """The room of all ramps from the `first` on."""
+    """A view of all ramps from number `first` on."""
     return Ramps(
         ramps.via[first:],
         ramps.duration[first:],
@@ -58,9 +60,10 @@ def ramps_from(ramps: Ramps, first: int) -> Ramps:
 
 @inlined
 def least_time(distance: float, start: float, end: float, fastest: float, strongest: float) -> float:
-    """Least time (s) for one joint over `distance` from velocity `start` to `end`, within both limits.
+    """Least time (s) for one joint to move by `distance` from velocity `start` to `end`, within both limits.
 
-    Up to a velocity, perhaps kept for a while, and down again, or the mirror image of that.
+    The joint accelerates to a peak velocity, perhaps keeps it for a while, and decelerates, or the mirror image of
+    that.
     """
     best = np.inf
     for side in (1.0, -1.0):
@@ -84,10 +87,11 @@ def least_time(distance: float, start: float, end: float, fastest: float, strong
 def in_time(
     distance: float, start: float, end: float, time: float, fastest: float, strongest: float
 ) -> tuple[bool, float, float, float]:
-    """The ramp of one joint over `distance` from velocity `start` to `end` in exactly `time` s, with least acceleration.
+    """The ramp of one joint that moves by `distance` from velocity `start` to `end` in exactly `time` s, with least
+    acceleration.
 
-    Returns whether there is one within the limits, then acceleration, first and last as in `Ramps`. There is none where
-    the joint would arrive too early by going on and too late by turning back.
+    Returns whether there is one within the limits, then acceleration, first and last as in `Ramps`. There is none if
+    the joint would arrive too early without turning back and too late otherwise.
     """
     change = end - start
     lead = distance - 0.5 * (start + end) * time
@@ -125,7 +129,7 @@ def in_time(
 
 @inlined
 def state(ramps: Ramps, i: int, t: float, position: Array, velocity: Array) -> None:
-    """Position and velocity (dof,) at `t` s into ramp `i`."""
+    """Write position and velocity (dof,) at `t` s into ramp `i`."""
     for j in range(position.shape[0]):
         first, last, a = ramps.first[i, j], ramps.last[i, j], ramps.acceleration[i, j]
         kept = max(ramps.duration[i] - first - last, 0.0)
@@ -138,7 +142,7 @@ def state(ramps: Ramps, i: int, t: float, position: Array, velocity: Array) -> N
 
 @inlined
 def in_range(ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
-    """Whether ramp `i` keeps inside the joints' ranges (dof,), where joints turn back too."""
+    """Whether ramp `i` stays within the joints' ranges (dof,), including where joints reverse."""
     for j in range(lower.shape[0]):
         a, first, last = ramps.acceleration[i, j], ramps.first[i, j], ramps.last[i, j]
         x, v = ramps.position[i, j], ramps.velocity[i, j]
@@ -171,7 +175,7 @@ def connect_states(
     strongest: Array,
     most: float,
 ) -> bool:
-    """Make ramp `i` the fastest one between two states in which all joints arrive together.
+    """Make ramp `i` the fastest between two states in which all joints arrive together.
 
     Returns whether there is one that takes at most `most` s.
     """
@@ -195,15 +199,15 @@ def connect_states(
 
 @brief
 def along(path: Array, vias: NDArray[np.bool_], fastest: Array, strongest: Array, ramps: Ramps) -> int:
-    """Ramps straight along a path (n, dof), at rest at each of its corners; returns how many.
+    """Write ramps straight along a path (n, dof), at rest at each of its corners; returns their number.
 
-    `vias` (n,) says which rows it has to pass. Of rows that are the same one is left.
+    `vias` (n,) says which rows are vias. Of repeated rows only one is kept.
     """
     count = 0
     via = False
     for i in range(path.shape[0] - 1):
         via = via or vias[i]
-        speed, rate = np.inf, np.inf  # along the edge, as parts of it: the joint that is slowest for its way decides
+        speed, rate = np.inf, np.inf  # along the edge, as fractions of it: the slowest joint determines both
         for j in range(path.shape[1]):
             way = abs(path[i + 1, j] - path[i, j])
             if way > 1e-12:

@@ -1,4 +1,4 @@
-"""Random numbers with a state of one's own, so that a seed decides everything and threads do not share."""
+"""Random numbers from an explicit state, so that a seed determines them and threads share nothing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from zarm_geometry.kernels.compiled import inlined
 
 @inlined
 def uniform(state: NDArray[np.uint64]) -> float:
-    """The next number in [0, 1): SplitMix64 (Steele, Lea and Flood, 2014), the upper 53 bits."""
+    """The next number in [0, 1): the upper 53 bits of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom
+    number generators", 2014).
+    """
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

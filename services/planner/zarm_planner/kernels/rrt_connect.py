@@ -1,7 +1,7 @@
 """RRT-Connect from one start to any of several goals, in one compiled call.
 
-Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", 2000; the tree with fewer nodes
-grows next, and nodes at the border of what is free have a limited domain (Yershova, Jaillet, Simeon and LaValle,
+Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", 2000. The tree with fewer nodes
+grows next, and nodes at the boundary of the free space have a limited domain (Yershova, Jaillet, Simeon and LaValle,
 "Dynamic-domain RRTs", 2005).
 """
 
@@ -20,14 +20,14 @@ from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.trees import CAPACITY, Trees, add, nearest_node, path_through, read
 
-# Distances in the metric of the trees (rad, joints weighted to a mean square of 1). Of the steps 0.5 to 5, and domains 2
-# to unlimited, these were fastest at the median and at the 95th percentile over MotionBenchMaker's problems.
+# Distances in the metric of the trees (rad, joints weighted to a mean square of 1). Of steps from 0.5 to 5 and domains
+# from 2 to unlimited, these were fastest at the median and at the 95th percentile over MotionBenchMaker's problems.
 STEP = 1.0
-"""A sample extends a tree by this much at most."""
+"""Largest distance by which a sample extends a tree."""
 CONNECT_STEP = 2.0
-"""The other tree reaches out for a new node in steps of this length."""
+"""Longest step with which the other tree grows towards a new node."""
 DOMAIN = 4.0
-"""A node with a blocked edge is extended only to samples within this distance."""
+"""A node with a blocked edge is extended only towards samples within this distance."""
 
 
 @kernel
@@ -46,7 +46,8 @@ def connect(
 ) -> Single:
     """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof).
 
-    One without rows when there was none after `most` samples, or when the deadline passed. `limits` (2, dof) is where samples are drawn; `weight` (dof,) scales the joints in distances.
+    It has no rows if none was found after `most` samples or before the deadline. Samples are drawn within `limits` (2,
+    dof); `weight` (dof,) scales the joints in distances.
     """
     checks = space(robot, world, memory)
     dof = start.shape[0]

@@ -1,8 +1,9 @@
-"""Samples of a motion that is averaged over time: when, and what it is there.
+"""Sampling of a motion that is averaged over time: the sample times and the values.
 
-The average of a motion at stepwise constant acceleration has stepwise constant jerk. Where the jerk of a joint changes there
-is a knot; between two knots the joint moves along one cubic, which the quintic through samples at both describes exactly.
-Across a knot the quintic swings: its jerk passes that of the motion by up to 0.374 of the change.
+The moving average of a motion with piecewise constant acceleration has piecewise constant jerk. Times at which the jerk
+of a joint changes are called knots. Between two knots the joint follows one cubic, which the quintic through samples at
+both describes exactly. Across a knot the quintic overshoots: its jerk exceeds that of the motion by up to 0.374 of the
+change.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from zarm_geometry.kernels.compiled import brief
 from zarm_planner.kernels.ramps import Array, Ramps
 
 CLOSE = 1e-4
-"""Seconds; samples are further apart, so that the cube of their difference can be divided by."""
+"""Seconds; samples are further apart than this, so that dividing by the cube of the difference is safe."""
 
 
 @brief
 def knots(ramps: Ramps, count: int, window: float, begin: float, fastest: Array, strongest: Array) -> Array:
-    """The ascending times (k,) in s of the knots of the first `count` ramps, averaged over `window` s; the first and the last
-    of them are the ends of the motion from `begin` on, which is time 0.
+    """The ascending times (k,) in s of the knots of the first `count` ramps, averaged over `window` s. The first and
+    the last are the ends of the motion. It starts `begin` s into the ramps, and that moment is time 0.
 
-    The ends of ramps count for all joints, what lies between them for those that get faster than `fastest` (dof,) in rad/s,
-    or accelerate more than `strongest` (dof,) in rad/s^2.
+    The ends of ramps are knots for all joints. The switching times within ramps only count for joints that get faster
+    than `fastest` (dof,) in rad/s or accelerate more than `strongest` (dof,) in rad/s^2.
     """
     dof = ramps.position.shape[1]
     found = np.empty(2 * (1 + count * (1 + 2 * dof)))
@@ -52,8 +53,8 @@ def knots(ramps: Ramps, count: int, window: float, begin: float, fastest: Array,
 
 @brief
 def subdivided(knots: Array, factor: float, dt: float, most: int) -> Array:
-    """Times (n,) from the first to the last of the ascending `knots` (k,) in s, these among them; at `factor` times as long
-    they are `dt` s apart or less. None where these are more than `most`.
+    """Times (n,) from the first to the last of the ascending `knots` (k,) in s, including all of these; stretched by
+    `factor`, they are at most `dt` s apart. Empty if there would be more than `most`.
     """
     total = 1.0
     for k in range(knots.shape[0] - 1):
@@ -74,15 +75,15 @@ def subdivided(knots: Array, factor: float, dt: float, most: int) -> Array:
 
 @brief
 def sample_average(ramps: Ramps, count: int, window: float, t: Array, out: Array) -> None:
-    """Position, velocity and acceleration (3, n, dof) at the ascending times `t` (n,) of the first `count` ramps, averaged
-    over the last `window` s; before and after them the robot rests.
+    """Write to `out` (3, n, dof) position, velocity and acceleration of the first `count` ramps at the ascending times
+    `t` (n,) in s, each averaged over the preceding `window` s; before and after the ramps the robot rests.
     """
     steps = 3 * count
     begin, area = np.empty(steps), np.empty(steps)
     position, velocity, acceleration = np.empty(steps), np.empty(steps), np.empty(steps)
     for j in range(ramps.position.shape[1]):
         clock, total = 0.0, 0.0
-        for s in range(steps):  # stepwise constant acceleration: up, level, down
+        for s in range(steps):  # piecewise constant acceleration: up, level, down
             i, phase = s // 3, s % 3
             if phase == 0:
                 p, v, a, h = ramps.position[i, j], ramps.velocity[i, j], ramps.acceleration[i, j], ramps.first[i, j]

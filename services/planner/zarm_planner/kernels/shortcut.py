@@ -13,20 +13,20 @@ from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.random import uniform
 
 MOST = 200
-"""Shortcuts tried at most."""
+"""Maximum number of shortcuts tried."""
 PATIENCE = 40
-"""Shortcuts in a row that do not help before it ends; twice as many would make paths 1 % shorter."""
+"""Shortcutting ends after this many failed attempts in a row; twice as many would make paths 1 % shorter."""
 GAIN = 0.005
-"""A shortcut that saves less than this part of the path is not worth a check."""
+"""A shortcut that saves less than this fraction of the path is not checked."""
 SAME = 1e-6
-"""Rows nearer to each other (rad) differ by the rounding of float32."""
+"""Rows that differ by less than this (rad) differ only by float32 rounding."""
 
 
 @inlined
 def skip_vertices(
     checks: Space, path: Single, count: int, deadline: NDArray[np.float64], now: NDArray[np.int64]
 ) -> int:
-    """From each vertex that stays go straight to the farthest one possible, in place; returns how many stay."""
+    """Connect each remaining vertex straight to the farthest one possible, in place; returns how many vertices remain."""
     kept, i = 1, 0
     while i < count - 1:
         j = count - 1
@@ -47,7 +47,9 @@ def shortcut(
     random: NDArray[np.uint64],
     deadline: NDArray[np.float64],
 ) -> int:
-    """Shorten the path in the first `count` rows of `path` (count + MOST, dof) in place; returns how many rows it has then."""
+    """Shorten the path in the first `count` rows of `path` (count + MOST, dof) in place; returns its new number of
+    rows.
+    """
     checks = space(robot, world, memory)
     dof = path.shape[1]
     now = np.empty(2, np.int64)
@@ -60,7 +62,8 @@ def shortcut(
         length = 0.0
         for i in range(count - 1):
             length += apart(path[i], path[i + 1])
-        # Two points, at `early` and `late` along the path: on the edges i and j, and how far along these.
+        # Two points at lengths `early` and `late` along the path; then the edges i and j that contain them, and the
+        # lengths along these.
         early, late = uniform(random) * length, uniform(random) * length
         if early > late:
             early, late = late, early
@@ -84,7 +87,7 @@ def shortcut(
         if saved < GAIN * length or not edge_free(checks, a, b):
             continue
         failed = 0
-        moved = i + 2 - j  # the vertices between i and j + 1 give way to a and b
+        moved = i + 2 - j  # a and b replace the vertices between i and j + 1
         if moved > 0:
             for v in range(count - 1, j, -1):
                 copy(path[v], path[v + moved])
@@ -105,8 +108,8 @@ def without_repeats(
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """A path (n, dof) of the kernels with its very ends (dof,), between `lower` and `upper` (dof,); no row is another one's but for
-    rounding.
+    """A path of the kernels in float64 (n, dof), with its exact ends `start` and `end` (dof,). Rows in between are
+    clamped to `lower` and `upper` (dof,), and left out if they repeat the row before or `end` up to rounding.
     """
     dof = start.shape[0]
     path = np.empty((max(rows.shape[0], 2), dof))

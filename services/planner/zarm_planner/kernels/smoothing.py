@@ -1,8 +1,8 @@
-"""Shortcuts in time: pieces of a motion give way to the fastest ramps between their ends, where these are free.
+"""Shortcuts in time: pieces of a motion are replaced by the fastest ramps between their ends, if these are free.
 
-Where obstacles do not let a single ramp through, two do that meet in a state somewhat beside the motion: so it is bent, by
-chance and step by step, around what is in the way. (Shortcuts: Hauser and Ng-Thow-Hing, "Fast smoothing of manipulator
-trajectories using optimal bounded-acceleration shortcuts", 2010.)
+Where obstacles block a single ramp, two ramps may pass that meet in a state somewhat beside the motion. Random bends
+like this lead the motion around obstacles step by step. (Shortcuts: Hauser and Ng-Thow-Hing, "Fast smoothing of
+manipulator trajectories using optimal bounded-acceleration shortcuts", 2010.)
 """
 
 from __future__ import annotations
@@ -20,38 +20,47 @@ from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, l
 from zarm_planner.kernels.random import uniform
 
 BOW = 0.006
-"""A ramp is checked as straight edges from which no joint is further away than this (rad), or, where it is slow, that turn none
-further than TURN; what it bends between them is left to exact verification."""
+"""A ramp is checked along straight edges from which no joint deviates by more than this (rad), or, if it is slow, along
+which no joint turns by more than TURN. The deviation is left to exact verification.
+"""
 TURN = 0.02
 """Rad; see BOW."""
 GAIN = 0.001
-"""A shortcut that saves less than this part of the piece it replaces is not worth a check."""
+"""A shortcut that saves less than this fraction of the piece that it replaces is not checked."""
 BENDS = 3
-"""Bends for each shortcut without; they cost less, for most are too slow, which is known before anything is checked."""
+"""Attempts with a bend for each attempt without. They are cheaper, because most are too slow, which is known before any
+check.
+"""
 BEND = 0.25
-"""How far a bend leaves the motion at most: in position by this part of what each joint could turn at full speed in the time
-of the piece, in velocity by this part of full speed."""
+"""The most that a bend deviates from the motion: in position by this fraction of what each joint could turn at full
+speed during the piece, in velocity by this fraction of full speed.
+"""
 SHORTEST = 0.01
-"""Pieces of less than this (s) are left as they are."""
+"""Pieces shorter than this (s) are left alone."""
 EMPTY = 1e-9
-"""Duration (s) of a ramp that is none."""
+"""A ramp no longer than this (s) counts as empty."""
 KEPT = 0.5
-"""Part of the joints that a bend at a via leaves as they are: where one of them is what takes so long, it is not disturbed."""
+"""Fraction of the joints whose velocity a bend at a via leaves alone: if one of them determines the time, it is not
+disturbed.
+"""
 REST = 0.05
-"""A motion in which no joint moves faster than this part of its full speed all but rests. Where one turns back at a via and
-takes longest, another velocity of the others saves nothing; but without a rest it is the better motion."""
+"""A motion in which no joint exceeds this fraction of its full speed counts as nearly at rest. If the joint that takes
+longest reverses at a via, other velocities of the other joints save no time; but a motion without a rest is better.
+"""
 EQUAL = 1e-6
-"""Part of its time by which a piece without a rest may last longer."""
+"""A piece that ends a rest may take this fraction longer than the one it replaces."""
 ENOUGH = 0.005
-"""Part of its time that a motion may last longer than any can between its ends, for further shortcuts to be of no use."""
+"""Shortcutting ends when the motion takes at most this fraction longer than the lower bound for any motion between its
+ends.
+"""
 
 STALLED = 0.005
-"""Part of its time of which shortcuts must have saved so much lately for more of them to be tried."""
+"""Shortcutting ends when recent attempts saved less than this fraction of the motion's time."""
 
 
 @inlined
 def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
-    """Whether ramp `i` keeps inside the joints' ranges, and free, looked at on straight edges, see BOW."""
+    """Whether ramp `i` stays within the joints' ranges and is free, checked along straight edges, see BOW."""
     if not in_range(ramps, i, lower, upper):
         return False
     dof = lower.shape[0]
@@ -64,7 +73,7 @@ def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -
         fastest = max(
             fastest, abs(ramps.velocity[i, j]), abs(peak), abs(peak - ramps.acceleration[i, j] * ramps.last[i, j])
         )
-    # At acceleration a, an arc of t s leaves its chord by a t^2 / 8 at most.
+    # At acceleration a, an arc of t s deviates from its chord by at most a t^2 / 8.
     steps = max(2, math.ceil(ramps.duration[i] * min(math.sqrt(strongest / (8.0 * BOW)), fastest / TURN)))
     for step in range(steps + 1):
         state(ramps, i, ramps.duration[i] * step / steps, position, velocity)
@@ -88,7 +97,7 @@ def move(ramps: Ramps, source: int, target: int) -> None:
 
 @inlined
 def cut_before(ramps: Ramps, i: int, t: float, position: Array, velocity: Array) -> None:
-    """Leave of ramp `i` what comes after `t` s, where its state is `position` and `velocity`."""
+    """Keep of ramp `i` only the part after `t` s, where its state is `position` and `velocity` (dof,)."""
     rest = ramps.duration[i] - t
     ramps.via[i] = ramps.via[i] and t <= EMPTY
     for j in range(position.shape[0]):
@@ -100,7 +109,7 @@ def cut_before(ramps: Ramps, i: int, t: float, position: Array, velocity: Array)
 
 @inlined
 def cut_after(ramps: Ramps, i: int, t: float) -> None:
-    """Leave of ramp `i` its first `t` s."""
+    """Keep of ramp `i` only its first `t` s."""
     for j in range(ramps.position.shape[1]):
         ramps.last[i, j] = max(ramps.last[i, j] - (ramps.duration[i] - t), 0.0)
         ramps.first[i, j] = min(ramps.first[i, j], t)
@@ -109,7 +118,7 @@ def cut_after(ramps: Ramps, i: int, t: float) -> None:
 
 @inlined
 def without_empty(ramps: Ramps, count: int) -> int:
-    """Close up over ramps of no duration among the first `count`; returns how many are left."""
+    """Remove empty ramps from the first `count`; returns how many are left. Their vias move on to the next ramp."""
     kept, via = 0, False
     for i in range(count):
         via = via or ramps.via[i]
@@ -123,7 +132,7 @@ def without_empty(ramps: Ramps, count: int) -> int:
 
 @inlined
 def find(ramps: Ramps, count: int, t: float) -> tuple[int, float]:
-    """The ramp in which the motion is at `t` s, and how far (s) into it."""
+    """The ramp that the motion is in at `t` s, and the time (s) since its start."""
     i = 0
     while i < count - 1 and t > ramps.duration[i]:
         t -= ramps.duration[i]
@@ -133,7 +142,9 @@ def find(ramps: Ramps, count: int, t: float) -> tuple[int, float]:
 
 @inlined
 def find_vias(ramps: Ramps, count: int, early: float, late: float) -> tuple[int, float, float]:
-    """The first ramp that starts at a via between `early` and `late` (s), or -1; when that is; and when the next one, or `late`."""
+    """The first ramp that starts at a via between `early` and `late` (s), or -1; its time, or `late`; and the time of
+    the next via, or `late`.
+    """
     first, at, t = -1, late, 0.0
     for i in range(count):
         if t >= late:
@@ -160,10 +171,12 @@ def bend(
     position: Array,
     velocity: Array,
 ) -> bool:
-    """A state beside that at `t` s, to meet in between `start` and `end` (dof,), which are `piece` s apart.
+    """Write a state beside that at `t` s, through which the piece of `piece` s between `start` and `end` (dof,) is
+    bent.
 
-    Where ramp `via` starts at a via it is there, at another velocity. Half of the states move more or less straight from
-    start to end, for at a corner or a via the motion so far may rest. Returns whether that rest is ended.
+    If ramp `via` (-1 for none) starts at a via, the state is at that via with another velocity. Half of the states move
+    more or less straight from start to end, because the motion may so far rest at a corner or a via. Returns whether
+    the bend ends a rest.
     """
     size = uniform(random) ** 2  # mostly small
     straight = max(0.0, 2.0 * uniform(random) - 1.0)
@@ -188,7 +201,11 @@ def bend(
 def put(
     ramps: Ramps, count: int, i: int, early: float, k: int, late: float, new: int, end: Array, end_velocity: Array
 ) -> int:
-    """Put the last `new` ramps of all between `early` s into ramp i and `late` s into ramp k; returns how many there are then."""
+    """Replace the motion between `early` s into ramp `i` and `late` s into ramp `k` by the `new` ramps at the end of
+    the memory; returns the new number of ramps.
+
+    `end` and `end_velocity` (dof,): the state `late` s into ramp `k`.
+    """
     added = i + 1 + new - k
     if added > 0:
         for r in range(count - 1, k - 1, -1):
@@ -217,13 +234,14 @@ def smooth(
     random: NDArray[np.uint64],
     deadline: NDArray[np.float64],
 ) -> int:
-    """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns how many it has.
+    """Make the motion of the first `count` ramps faster, in place, by up to `attempts` shortcuts; returns its new
+    number of ramps.
 
-    It ends when the motion is about as fast as any between its ends can be, and when `patience` attempts saved less than
-    STALLED.
+    It ends early when the motion is nearly as fast as any between its ends can be, see ENOUGH; when `patience` attempts
+    saved less than STALLED; and at the deadline.
 
-    Before `begin` (s) it stays as it is. `limits` (4, dof): lower and upper position (rad), velocity (rad/s), acceleration
-    (rad/s^2). Vias are passed as before, perhaps at another velocity.
+    Before `begin` (s) the motion stays as it is. `limits` (4, dof): lower and upper position (rad), velocity (rad/s),
+    acceleration (rad/s^2). The motion still passes its vias, perhaps at other velocities.
     """
     checks = space(robot, world, memory)
     capacity, dof = ramps.position.shape
@@ -232,14 +250,14 @@ def smooth(
     start, start_velocity = np.empty(dof), np.empty(dof)
     middle, middle_velocity = np.empty(dof), np.empty(dof)
     end, end_velocity = np.empty(dof), np.empty(dof)
-    first, second = capacity - 2, capacity - 1  # the ramps in hand
+    first, second = capacity - 2, capacity - 1  # the candidate ramps
     i, early = find(ramps, count, begin)
     state(ramps, i, early, start, start_velocity)
     state(ramps, count - 1, ramps.duration[count - 1], end, end_velocity)
     least = 0.0
     for j in range(dof):
         time = least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j])
-        least = max(least, time if time < np.inf else 0.0)  # infinite from a start that is faster than allowed
+        least = max(least, time if time < np.inf else 0.0)  # infinite if the start is faster than allowed
     period, marks = max(patience // 4, 1), np.full(4, np.inf)
     for attempt in range(attempts):
         if count + 5 > capacity or passed(deadline, now):
@@ -259,7 +277,7 @@ def smooth(
         if early > late:
             early, late = late, early
         bent = attempt % (BENDS + 1) != 0
-        # Every other attempt reaches to an end of the motion, where there is most to gain from starting sooner.
+        # Every other attempt includes an end of the motion, where accelerating sooner gains most.
         reach = attempt if bent else attempt // (BENDS + 1)
         if reach % 4 == 1:
             early = begin

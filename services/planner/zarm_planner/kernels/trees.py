@@ -1,4 +1,4 @@
-"""The two trees of a search: configurations in blocks of 16, so that their distances are computed 16 at a time."""
+"""The two trees of a search. Configurations are stored in blocks of 16, so that 16 distances are computed at a time."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ from zarm_geometry.kernels.compiled import inlined
 from zarm_geometry.kernels.simd import LANES, below, load, pointer, splat, store
 
 CAPACITY = 1 << 15
-"""Nodes per tree; a search that fills one starts anew, as a linear look at more would cost more than it helps."""
+"""Nodes per tree. A search that fills one restarts, since a linear search over more nodes would cost more than it
+gains.
+"""
 EVERYWHERE = np.float32(1e30)
 
 
 class Trees(NamedTuple):
     """The tree of the start (0) and the tree of the goals (1).
 
-    `nodes` (2, blocks, dof, 16): configurations; `parent` (2, CAPACITY): -1 for a root; `domain` (2, CAPACITY): samples
-    further away than this do not extend the node; `size` (2,). `distances` (16,) is working memory.
+    `nodes` (2, blocks, dof, 16): configurations; `parent` (2, CAPACITY): -1 for a root; `domain` (2, CAPACITY): a node
+    is not extended towards samples further away than this; `size` (2,): number of nodes. `distances` (16,) is working
+    memory.
     """
 
     nodes: Single
@@ -31,7 +34,7 @@ class Trees(NamedTuple):
 
 
 def make_trees(dof: int) -> Trees:
-    """Room for two trees. The pages of the big arrays cost nothing until a tree grows into them."""
+    """Allocate memory for two trees. The pages of the large arrays cost nothing until a tree grows into them."""
     return Trees(
         nodes=np.empty((2, CAPACITY // LANES, dof, LANES), np.float32),
         parent=np.empty((2, CAPACITY), np.int32),
@@ -46,7 +49,7 @@ def add(trees: Trees, tree: int, q: Single, parent: int) -> int:
     """Add a node; returns its index."""
     i = int(trees.size[tree])
     for k in range(q.shape[0]):
-        if i % LANES == 0:  # whole blocks are computed with, so let them be numbers
+        if i % LANES == 0:  # distances are computed for whole blocks, so initialise them
             for lane in range(LANES):
                 trees.nodes[tree, i // LANES, k, lane] = 0.0
         trees.nodes[tree, i // LANES, k, i % LANES] = q[k]
@@ -58,14 +61,14 @@ def add(trees: Trees, tree: int, q: Single, parent: int) -> int:
 
 @inlined
 def read(trees: Trees, tree: int, i: int, q: Single) -> None:
-    """Copy a node's configuration into `q`."""
+    """Copy a node's configuration into `q` (dof,)."""
     for k in range(q.shape[0]):
         q[k] = trees.nodes[tree, i // LANES, k, i % LANES]
 
 
 @inlined
 def nearest_node(trees: Trees, tree: int, q: Single, weight: Single) -> tuple[int, float]:
-    """The node nearest to `q` and its distance, Euclidean in joints times `weight` (dof,)."""
+    """The node nearest to `q` (dof,) and its distance, Euclidean over the joints scaled by `weight` (dof,)."""
     dof = q.shape[0]
     nodes, target, scale = pointer(trees.nodes[tree]), pointer(q), pointer(weight)
     best, least = 0, EVERYWHERE
@@ -85,7 +88,9 @@ def nearest_node(trees: Trees, tree: int, q: Single, weight: Single) -> tuple[in
 
 @inlined
 def path_through(trees: Trees, dof: int, a: int, b: int) -> Single:
-    """The path (n, dof) from the start to node `a` of its tree, on to node `b` of the other, and to its goal."""
+    """The path (n, dof) from the start to node `a` of its tree, then to node `b` of the goals' tree, and on to the
+    goal.
+    """
     before = after = 0
     i = a
     while i >= 0:

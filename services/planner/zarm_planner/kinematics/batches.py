@@ -147,13 +147,13 @@ def _accepted(model: RobotModel, poses: Array, near: Array, rows: Array) -> tupl
     """Joints (n, starts, dof) in the limits and turned towards `near`; and whether they reach their poses by the
     kernels' check.
     """
-    # pytorch-kinematics keeps limits in float32 and solutions anywhere in them; a full turn changes no pose.
+    # pytorch-kinematics clamps to limits in float32 and ignores `near`; full turns do not change the pose.
     rows = np.clip(rows, model.lower, model.upper)
     least, most = np.ceil((model.lower - rows) / TURN), np.floor((model.upper - rows) / TURN)
     rows = rows + np.where(model.revolute, TURN * np.clip(np.round((near - rows) / TURN), least, most), 0.0)
     off = model.fk_tip(rows) - poses[:, None]
     distance = np.linalg.norm(off[..., :3, 3], axis=-1)
-    # Of two rotations by an angle t from each other, the difference has the Frobenius norm 2 sqrt(2) sin(t / 2).
+    # The difference of two rotations that are an angle t apart has the Frobenius norm 2 sqrt(2) sin(t / 2).
     angle = 2.0 * np.arcsin(np.minimum(1.0, np.linalg.norm(off[..., :3, :3], axis=(-2, -1)) / math.sqrt(8.0)))
     return rows, (distance <= TOLERANCE) & (angle <= TOLERANCE)
 

@@ -88,7 +88,7 @@ def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> A
     if most == 1:
         return rows
     for k in np.flatnonzero(model.revolute & (model.upper - model.lower >= TURN)):
-        # What is not among the nearest after one joint will not be after another joint has turned away too.
+        # A row that is not among the nearest after turning one joint will not be after turning another one away too.
         turns = np.arange(-((model.upper[k] - model.lower[k]) // TURN), (model.upper[k] - model.lower[k]) // TURN + 1)
         turned = np.repeat(rows, len(turns), axis=0)
         turned[:, k] += np.tile(turns * TURN, len(rows))

@@ -93,7 +93,7 @@ Chain = list[tuple[End, Array]]
 def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limits) -> Chain | None:
     """The quickest chain through the layers, the first of which is the start; None if _LEGS tries each found none."""
     free = [np.array([end.free for end in ends]) for ends in layers]
-    # From each end of a layer to each of the next: the time of the leg, or a lower bound until that is known.
+    # The time of the leg from each end of a layer to each end of the next, or a lower bound until it is planned.
     last = len(free) - 2
     rests = [(leg == 0) + (leg == last) for leg in range(last + 1)]
     costs = [

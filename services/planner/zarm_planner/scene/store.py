@@ -242,7 +242,7 @@ def _check_size(item: SceneObject | PointCloud, field: str) -> None:
     elif isinstance(item, Sphere):
         sizes = {"radius": item.radius}
     elif isinstance(item, Mesh | Voxels | PointCloud):
-        sizes = {}  # their extent is checked where they are turned into shapes
+        sizes = {}  # their extent is checked when they are converted to shapes
     else:
         sizes = {"radius": item.radius, "length": item.length}
     for name, size in sizes.items():

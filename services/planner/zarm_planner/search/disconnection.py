@@ -92,7 +92,7 @@ class _Grid:
 
     def __init__(self, model: RobotModel, shapes: Array, balls: _Balls, count: int) -> None:
         span = (model.upper - model.lower)[:count]
-        # Cells of similar extent, weighted by what a joint's rotation moves: the first moves most.
+        # Cells have about the same edge length in every joint.
         edge = (np.prod(span) / _CELLS[count - 1]) ** (1 / count)
         self._shape = np.maximum(1, np.floor(span / edge)).astype(np.int64)
         self._lower, self._size = model.lower[:count], span / self._shape
@@ -162,7 +162,7 @@ class _Grid:
         )
         carried = moving[:, balls.joint]
         centre = np.einsum("nbij,bj->nbi", carried[..., :3, :3], balls.centre) + carried[..., :3, 3]
-        # The joints turn one after the other, the last first, so that each turns about its axis at the cell's middle.
+        # Let the joints turn one after the other, the last first: then each turns about its axis at the cell's centre.
         moved = np.zeros(centre.shape[:2])
         for joint in reversed(range(self._count)):
             if model.revolute[joint]:

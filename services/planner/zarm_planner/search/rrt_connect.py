@@ -44,7 +44,7 @@ def search(
     if len(found) == 0:
         return None
     path = found.astype(np.float64)
-    # The kernels compute in float32; keep the caller's own ends, and let rounding exceed no limit.
+    # The kernels compute in float32: restore the caller's exact ends, and let no rounding exceed a limit.
     path = np.clip(path, model.lower, model.upper)
     path[0] = start
     path[-1] = goals[np.argmin(np.abs(goals - found[-1]).max(axis=1))]

@@ -66,7 +66,7 @@ def ways_to_rest(
     ramps.acceleration[0] = np.copysign(strength, acceleration)
     ramps.first[0], ramps.last[0] = change, 0.0
     ramps.velocity[0] = begun - window * acceleration
-    # The mean of the past is `q`, so the past begins earlier by the mean of its displacement.
+    # The average over the past is `q`, so the past starts at `q` minus its average displacement.
     ramps.position[0] = q - (
         0.5 * window * ramps.velocity[0]
         + ramps.acceleration[0]

@@ -53,7 +53,7 @@ def load(trajectory: TimedTrajectory, limits: Limits) -> float:
 def within(sample: Callable[[float], TimedTrajectory], limits: Limits) -> TimedTrajectory:
     """A motion that can be sampled at any factor of its shortest duration, slowed down as much as the limits demand."""
     factor = 1.0
-    for _ in range(8):  # usually one or two rounds: sampled elsewhere, the motion has its extremes elsewhere
+    for _ in range(8):  # usually one or two rounds; other sample times shift the extremes of the motion
         trajectory = sample(factor)
         used = load(trajectory, limits)
         if used <= 1 + TOLERANCE:

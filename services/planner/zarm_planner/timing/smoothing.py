@@ -105,7 +105,7 @@ class Smoothing:
             return TimedTrajectory.standing(self._path[0], self._dt)
         if self._lead_in is None:
             return within(self._sample, self._limits)
-        # A slower motion would begin differently. More samples cure overshoot between two of them.
+        # Slowing the motion down would change its start. More samples remove overshoot between them.
         trajectory = self._sample(1.0)
         return trajectory if load(trajectory, self._limits) <= 1 + TOLERANCE else self._sample(1.0, share=0.0)
 

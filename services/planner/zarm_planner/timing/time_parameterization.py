@@ -54,7 +54,7 @@ def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> Timed
         and deviation > 0
         and (fastest := _fastest(round_corners(path, deviation), limits, dt, _STEP, _STEPS))
     ):
-        with suppress(InvalidRequest):  # around a tiny corner it may take longer than stopping there
+        with suppress(InvalidRequest):  # rounding a tiny corner may take longer than stopping there
             trajectory = within(partial(fastest.sample, dt=dt), limits)
             if trajectory.duration < sum(edge.duration for edge in edges):
                 return trajectory
@@ -80,7 +80,7 @@ def round_corners(path: Array, deviation: float) -> TimedTrajectory:
     tangents = np.repeat(along, 2, axis=0)
     steps = np.empty(2 * len(length) - 1)
     steps[0::2], steps[1::2] = straight, 2 * leg
-    keep = np.insert(steps > 1e-9, 0, True)  # where two roundings meet, nothing straight is left between them
+    keep = np.insert(steps > 1e-9, 0, True)  # two roundings that meet leave no straight piece between them
     time = np.insert(np.cumsum(steps), 0, 0.0)
     return TimedTrajectory(time[keep], knots[keep], tangents[keep], np.zeros_like(knots[keep]))
 

@@ -13,7 +13,7 @@ from toppra import SplineInterpolator  # noqa: E402
 from toppra.algorithm import TOPPRA  # noqa: E402
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint  # noqa: E402
 
-for _name in _PLOTS:  # anyone who wants plots loads the real one
+for _name in _PLOTS:  # so that later imports load the real modules
     del sys.modules[_name]
 logging.getLogger("toppra").setLevel(logging.CRITICAL)
 

@@ -1,1 +1,1 @@
-"""The compiled code of the import; `zarm_geometry.kernels.compiled` says how it is kept."""
+"""The compiled code of the import; `zarm_geometry.kernels.compiled` describes how it is cached."""

@@ -1,4 +1,4 @@
-"""Balls that contain convex shapes: the proof that no point of them is outside."""
+"""Spheres that provably contain convex shapes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ Array = NDArray[np.float64]
 
 @kernel
 def around_shapes(balls: Array, rows: Array, finest: float) -> Array:
-    """Balls (k, 4) with radii so large that their union contains the shapes (n, 17), see `zarm_geometry.rows`.
+    """Enlarge the radii of `balls` (k, 4), x, y, z, radius in m, until their union provably contains the shapes (n,
+    17), see `zarm_geometry.rows`.
 
-    The cube around each shape is cut into eight again and again. A cell is done with once the ball around it is outside of
-    the shape or within one of the balls; at half a side of `finest` (m) the one that lacked the least to begin with grows around
-    it. So what is returned is proven.
+    The cube around each shape is subdivided like an octree. A cell needs no further work if the sphere around it is
+    outside of the shape or inside one of the balls. At half a side of `finest` (m) a ball grows to enclose it: the one
+    that has to grow least from its given radius.
     """
     given, balls = balls, balls.copy()
     stack = np.empty((256, 4))

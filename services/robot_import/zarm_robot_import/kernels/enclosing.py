@@ -1,4 +1,4 @@
-"""Boxes, cylinders, capsules and balls around points."""
+"""Boxes, cylinders, capsules and spheres that enclose points."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from zarm_robot_import.kernels.middles import middles
 Array = NDArray[np.float64]
 
 THINNEST = 5e-4
-"""No primitive is thinner (m) to each side, ..."""
+"""Minimum half thickness (m) of a primitive ..."""
 SLACK = 5e-6
-"""... and each is larger by this (m) to all sides, for what rounding takes."""
+"""... which then grows by this (m) on all sides, to allow for rounding."""
 _ANGLES = 12
 _SHORTEST = 1e-4
-"""Half the distance (m) between the ends of a capsule, at least."""
+"""Minimum half distance (m) between the ends of a capsule."""
 
 
 @kernel
 def oriented(points: Array, axes: Array) -> tuple[Array, Array]:
-    """Of points (m, 3), for each of the frames (n, 3, 3): the frame turned about its z so that the rectangle across it is the least of
-    some, and a point (n, 3) in the middle of the points across z."""
+    """For points (m, 3) and each of the frames `axes` (n, 3, 3): the frame turned about its z so that the points'
+    bounding rectangle across z is the smallest of a few angles; and a point (n, 3) on the axis parallel to z through
+    the middle of the points.
+    """
     boxes, axis = np.empty_like(axes), np.zeros((len(axes), 3))
     flat = np.empty((1, len(points), 2))
     for k in range(len(axes)):
@@ -55,10 +57,10 @@ def oriented(points: Array, axes: Array) -> tuple[Array, Array]:
 
 @kernel
 def around(points: Array, turns: Array, boxes: Array, axis: Array, middle: Array) -> Array:
-    """Shapes (3 n + 1, 17), see `zarm_geometry.rows`, that contain all of the points (m, 3).
+    """Shapes (3 n + 1, 17), see `zarm_geometry.rows`, each of which contains all points (m, 3).
 
-    They are boxes with the frames `boxes` (n, 3, 3), cylinders and then capsules along the z of the frames `turns` (n, 3, 3) through
-    the points `axis` (n, 3), and a ball around `middle` (3,).
+    They are n boxes with the frames `boxes` (n, 3, 3), then n cylinders and n capsules along the z of the frames
+    `turns` (n, 3, 3) through the points `axis` (n, 3), and a sphere around `middle` (3,).
     """
     count = len(turns)
     rows = np.zeros((3 * count + 1, 17))
@@ -87,7 +89,7 @@ def around(points: Array, turns: Array, boxes: Array, axis: Array, middle: Array
             below, above = (bottom, top) if kind == 1 else (bottom_dome, top_dome)
             at[:] = axis[k] + t[:, 2] * ((below + above) / 2)
             _framed(row, t, at)
-            # Where the domes at both ends overlap, less than a capsule would do.
+            # If the domes of both ends overlap, the points fit into less than the shortest capsule.
             row[14] = max((above - below) / 2, THINNEST if kind == 1 else _SHORTEST) + SLACK
             row[14 + kind] = radius + SLACK
     far = 0.0
@@ -103,7 +105,9 @@ def around(points: Array, turns: Array, boxes: Array, axis: Array, middle: Array
 
 @inlined
 def _across(points: Array, i: int, origin: Array, turn: Array) -> tuple[float, float]:
-    """Of a point in a frame with axes `turn` (3, 3), the square of its distance to the z axis, and its z."""
+    """A point's squared distance from the z axis of the frame with axes `turn` (3, 3) at `origin` (3,), and its z
+    there.
+    """
     x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
     u = x * turn[0, 0] + y * turn[1, 0] + z * turn[2, 0]
     v = x * turn[0, 1] + y * turn[1, 1] + z * turn[2, 1]
@@ -112,7 +116,7 @@ def _across(points: Array, i: int, origin: Array, turn: Array) -> tuple[float, f
 
 @kernel
 def _framed(row: Array, turn: Array, middle: Array) -> None:
-    """Write the frame of a shape with axes `turn` (3, 3) and centre (3,) into its row."""
+    """Write the frame of a shape with axes `turn` (3, 3) and centre `middle` (3,) into its row."""
     for c in range(3):
         for r in range(3):
             row[4 * c + r] = turn[r, c]

@@ -1,4 +1,4 @@
-"""Centres of small balls around points."""
+"""Centres of small bounding spheres of points."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _STEPS = 14
 
 @kernel
 def middles(points: Array) -> Array:
-    """Of each set of points (k, n, m), m <= 3, a centre (k, m) of a small ball around them.
+    """The centre (k, m) of a small bounding sphere of each set of points (k, n, m), m <= 3.
 
-    From the middle of the box around them it steps towards the farthest of them, ever less (Badoiu and Clarkson, "Smaller core-sets
-    for balls", 2003).
+    Starts in the middle of the set's bounding box and moves towards the farthest point in ever smaller steps (Badoiu
+    and Clarkson, "Smaller core-sets for balls", 2003); returns the best centre met.
     """
     sets, count, size = points.shape
     found = np.empty((sets, size))

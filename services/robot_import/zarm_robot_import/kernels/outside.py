@@ -1,4 +1,4 @@
-"""How much of the space outside of a body convex shapes take, and which points are within shapes."""
+"""How much of the space outside of a body convex shapes cover, and which points are inside shapes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ Array = NDArray[np.float64]
 
 @kernel
 def least_outside(rows: Array, start: Array, points: Array, weights: Array, most: float) -> tuple[int, float]:
-    """Of shapes (n, 17), see `zarm_geometry.rows`, the one with the smallest sum of its `start` (n,) and the `weights` (m,) of the
-    points (m, 3) in it: its index and that sum; -1 and `most` where none is smaller than that."""
+    """The shape (of n, 17, see `zarm_geometry.rows`) with the smallest cost: its `start` (n,) plus the `weights` (m,)
+    of the points (m, 3) inside it.
+
+    Returns its index and cost; -1 and `most` if no cost is below `most`.
+    """
     best, least = -1, most
     for i in range(len(rows)):
         r = rows[i]
@@ -34,7 +37,7 @@ def least_outside(rows: Array, start: Array, points: Array, weights: Array, most
 
 @kernel
 def within(points: Array, rows: Array, depth: float) -> NDArray[np.bool_]:
-    """Which points (m, 3) are in one of the shapes (n, 17), or no further than `depth` (m) from it."""
+    """Which points (m, 3) are inside any of the shapes (n, 17), or at most `depth` (m) outside of it."""
     found = np.zeros(len(points), np.bool_)
     for i in range(len(rows)):
         r = rows[i]

@@ -1,4 +1,4 @@
-"""How often a surface winds around points."""
+"""The winding number of a surface around points."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def winding(points: Array, triangles: Array) -> Array:
-    """The winding number (n,) of triangles (m, 3, 3) around points (n, 3): 0 outside of a closed surface.
+    """The winding numbers (n,) of triangles (m, 3, 3) around points (n, 3): 0 outside of a closed surface.
 
     Van Oosterom and Strackee, "The solid angle of a plane triangle", 1983.
     """
