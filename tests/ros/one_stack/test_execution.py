@@ -203,6 +203,7 @@ def test_a_second_goal_is_rejected_with_the_reason_in_the_log(running: Stack, ro
     assert first.ended()[0] == SUCCEEDED
 
 
+@pytest.mark.slow  # as any goal that is refused
 def test_a_goal_beside_one_of_another_client_is_aborted_as_busy(robot: Robot, actions: Actions) -> None:
     robot.plan()
     goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10).goal_id

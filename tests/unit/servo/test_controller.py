@@ -127,6 +127,7 @@ def test_along_a_wall_it_slides_and_says_what_slows_it() -> None:
     session.assert_sound()
 
 
+@pytest.mark.slow  # near to the next
 @pytest.mark.lengthy
 def test_a_pose_inside_an_obstacle_brings_it_near_and_no_nearer() -> None:
     session = Session(wall(0.15))
