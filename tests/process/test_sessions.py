@@ -172,6 +172,7 @@ def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) 
     assert np.diff(np.minimum(measured, MARGIN)).min() > -5e-4  # blends of the executor included
 
 
+@pytest.mark.slow  # as in unit/servo/test_check.py
 def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
     x, y, z = TIP.tolist()
     table = Cuboid(kind="cuboid", name="table", position=(x, y, z - 0.3), size=(0.4, 0.4, 0.1))
