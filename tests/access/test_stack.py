@@ -347,6 +347,7 @@ def test_a_client_without_certificates_is_told_what_to_set(up: Up) -> None:
     assert "ZARM_SECURITY=on" in the_one_line(refused.stderr)
 
 
+@pytest.mark.slow  # that nobody gets in so is above
 def test_a_client_of_another_authority_is_told_so(up: Up, tmp_path: Path) -> None:
     assert zarm("certs", str(tmp_path / "certs")).returncode == 0
     refused = run(up, "status", ZARM_CERTS=str(tmp_path / "certs"))

@@ -184,6 +184,7 @@ def test_a_real_robot_is_stopped_over_a_full_disk_as_ever_and_not_moved(
             robot.works_again()
 
 
+@pytest.mark.slow  # files of state are in unit/runtime/test_state_file.py
 def test_a_scene_is_not_changed_over_a_full_disk_and_the_old_one_is_kept(
     bus: Bus, endpoint: str, tmp_path: Path, disk: Disk
 ) -> None:

@@ -35,6 +35,7 @@ def moving(robot: Driven) -> Driven:
     return robot
 
 
+@pytest.mark.slow  # as one that falls silent, in test_fault_table.py, and whose joints come back, in unit/executor/test_silent_driver.py
 @pytest.mark.timed
 def test_a_driver_that_dies_leads_to_a_fault_and_a_new_one_does_not_move_by_itself(moving: Driven) -> None:
     moving.driver.kill()

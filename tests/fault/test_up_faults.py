@@ -20,15 +20,13 @@ from zarm_runtime.bus import Bus
 
 @pytest.fixture(scope="module")
 def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
-    """A stack whose services may be killed, as they come back."""
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up")) as stack:
-        yield stack
-
-
-@pytest.fixture
-def doomed(tmp_path: Path) -> Iterator[Up]:
-    """A stack that may be killed; what it cannot clean up any more lies in a folder of its own."""
-    with TemporaryDirectory() as temporary, Up(free_endpoint(), tmp_path, TMPDIR=temporary) as stack:
+    """A stack whose services may be killed, as they come back; the last test kills it. What it cannot clean up any more
+    lies in a folder of its own.
+    """
+    with (
+        TemporaryDirectory() as temporary,
+        Up(free_endpoint(), tmp_path_factory.mktemp("up"), TMPDIR=temporary) as stack,
+    ):
         yield stack
 
 
@@ -72,17 +70,18 @@ def test_an_executor_killed_in_motion_comes_back_idle_where_the_robot_stopped(up
         assert resting.position[0] == pytest.approx(moving.position[0], abs=0.5)
 
 
-def test_no_process_outlives_a_killed_launcher(doomed: Up) -> None:
-    assert doomed.family()
-    doomed.process.kill()
-    eventually(lambda: not doomed.family(), "every process of the launcher is gone")
-
-
 @pytest.mark.slow
-def test_up_ends_with_a_sentence_when_its_supervisor_is_killed(doomed: Up) -> None:
-    supervisor = psutil.Process(doomed.process.pid).children()
-    assert len(supervisor) == 1
-    supervisor[0].kill()
-    assert doomed.end() == 1
-    assert doomed.errors().splitlines()[-1].startswith("zarm: internal: supervisord ended")
-    eventually(lambda: not doomed.family(), "every process of the launcher is gone")
+def test_up_ends_with_a_sentence_when_its_supervisor_is_killed(tmp_path: Path) -> None:
+    with Up(free_endpoint(), tmp_path) as doomed:
+        supervisor = psutil.Process(doomed.process.pid).children()
+        assert len(supervisor) == 1
+        supervisor[0].kill()
+        assert doomed.end() == 1
+        assert doomed.errors().splitlines()[-1].startswith("zarm: internal: supervisord ended")
+        eventually(lambda: not doomed.family(), "every process of the launcher is gone")
+
+
+def test_no_process_outlives_a_killed_launcher(up: Up) -> None:
+    assert up.family()
+    up.process.kill()
+    eventually(lambda: not up.family(), "every process of the launcher is gone")

@@ -103,9 +103,9 @@ def test_a_plan_from_before_an_older_scene_was_put_back_is_stale_and_one_of_the_
 # --- goals that are held ---
 
 
-def held(client: Client, bus: Bus, *, by_trajectory: bool = False) -> str:
+def held(client: Client, bus: Bus, *, by_trajectory: bool = False, speed: float = SLOWLY) -> str:
     """A goal that is on its way to behind the post's place, and held before it."""
-    made = way(bus, speed=SLOWLY)
+    made = way(bus, speed=speed)
     goal = client.execute(made.trajectory) if by_trajectory else client.execute(plan_id=made.plan_id)
     client.under_way(goal, 0.1)
     client.command(KEYS.pause)
@@ -141,7 +141,7 @@ def test_a_goal_whose_scene_is_still_the_same_goes_on_and_without_a_planner_the_
     with ServiceProcess("planner", endpoint, tmp_path) as planner:
         planner.wait_ready(bus, KEYS)
         load(bus)
-        goal = held(client, bus)
+        goal = held(client, bus, speed=0.4)
         client.command(KEYS.resume)
         client.under_way(goal, 0.2)
         client.command(KEYS.pause)

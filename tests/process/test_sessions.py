@@ -22,6 +22,7 @@ from support.command_line import zarm as run_zarm
 from support.executor.client import Client
 from support.harness import PATIENCE, ServiceProcess, eventually, router
 from support.planner.client import load
+from support.tiers import sampled
 from support.trajectories import HOME, KEYS, ROBOT
 from zarm.servoing import PERIOD, Jogging
 from zarm_contract.errors import Busy, DeadlineExceeded, from_problem
@@ -145,6 +146,7 @@ def test_what_is_put_in_the_way_while_the_robot_is_led_is_kept_away_from(cell: C
     cell.assert_sound(ball)
 
 
+@pytest.mark.slow  # as in unit/servo/test_controller.py
 def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) -> None:
     x, y, z = (TIP + (0.085, 0.0, 0.0)).tolist()
     ball = Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08)
@@ -170,6 +172,7 @@ def test_a_robot_that_finds_itself_in_something_moves_only_outwards(cell: Cell) 
     assert np.diff(np.minimum(measured, MARGIN)).min() > -5e-4  # blends of the executor included
 
 
+@pytest.mark.slow  # as in unit/servo/test_check.py
 def test_what_is_attached_is_kept_away_too(cell: Cell) -> None:
     x, y, z = TIP.tolist()
     table = Cuboid(kind="cuboid", name="table", position=(x, y, z - 0.3), size=(0.4, 0.4, 0.1))
@@ -216,14 +219,14 @@ def test_a_session_beside_a_goal_is_refused_and_a_stop_ends_a_session(cell: Cell
 
 @pytest.mark.parametrize(
     ("target", "problem"),
-    [
+    sampled(
         ('{"kind": "twist", "linear": [0.1, 0, 0]}', 'write "base" or "tool" (target.frame)'),
         (
             '{"kind": "twist", "frame": "base", "linear": [NaN, 0, 0]}',
             "Input should be a finite number (target.linear.0)",
         ),
         ('{"kind": "joint_speed", "velocity": [0.1]}', "1 values, and this robot has 6 joints (target.velocity)"),
-    ],
+    ),
 )
 def test_a_target_that_cannot_be_is_refused_by_field_and_moves_nothing(cell: Cell, target: str, problem: str) -> None:
     with cell.robot.jog() as jogging, open_client(cell.endpoint) as session:
@@ -282,6 +285,7 @@ def test_a_number_and_a_stamp_far_ahead_are_refused_and_the_targets_after_them_l
         eventually(lambda: follows("stamp"), "the stamp is refused")
 
 
+@pytest.mark.slow  # as in unit/servo/test_controller.py and test_inbox.py
 def test_of_a_thousand_targets_a_second_the_newest_counts_and_the_robot_never_jumps(cell: Cell) -> None:
     with cell.robot.jog() as jogging:
         for sent in range(1000):

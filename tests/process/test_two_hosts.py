@@ -28,7 +28,10 @@ from zarm_contract.messages import (
     JointState,
 )
 
-pytestmark = pytest.mark.skipif(bool(obstacle()), reason=obstacle() or "")
+pytestmark = [
+    pytest.mark.slow,  # linked routers are in cli/test_router.py, a goal that goes on without one in ros/test_router_failures.py
+    pytest.mark.skipif(bool(obstacle()), reason=obstacle() or ""),
+]
 
 CUT = Quality(cut=True)
 STREAM = EXAMPLES / "stream_client.py"
@@ -94,7 +97,6 @@ def test_an_accepted_goal_goes_on_to_its_end_without_the_wire_and_is_told_when_i
         place.goes_on()
 
 
-@pytest.mark.slow
 def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab) -> None:
     planned = place.plan(*(HOME if np.max(np.abs(place.here.position() - HOME)) > 0.1 else AWAY))
     with place.workstation.runs(ZARM, "execute", "--plan-id", planned.plan_id) as command:
@@ -106,7 +108,6 @@ def test_zarm_execute_says_how_a_motion_ended_that_it_did_not_see_end(place: Lab
         assert command.wait(PATIENCE) == 0
 
 
-@pytest.mark.slow
 def test_a_robot_whose_driver_is_beyond_the_wire_rests_and_is_in_fault(place: Lab) -> None:
     told: list[JointState] = []
     place.workstation.bus.subscribe(KEYS.driver_joint_states, JointState, lambda _, state: told.append(state))
@@ -128,7 +129,6 @@ def test_a_robot_whose_driver_is_beyond_the_wire_rests_and_is_in_fault(place: La
         place.goes_on()
 
 
-@pytest.mark.slow
 def test_a_stream_from_beyond_the_wire_ends_at_its_deadline(place: Lab) -> None:
     command = [sys.executable, str(STREAM), "--connect", LOCAL, "--seconds", "60", "--deadline", "1"]
     with place.workstation.runs(*command, "--joints", *ROBOT.descriptor.joints):
@@ -144,7 +144,6 @@ def test_a_stream_from_beyond_the_wire_ends_at_its_deadline(place: Lab) -> None:
     place.goes_on()
 
 
-@pytest.mark.slow
 def test_without_the_wire_nothing_is_planned_from_old_joints_and_nothing_executed(place: Lab) -> None:
     found = place.plan(*AWAY)
     place.wire.become(CUT)
@@ -166,7 +165,6 @@ def test_without_the_wire_nothing_is_planned_from_old_joints_and_nothing_execute
     assert {goal.status for goal in place.there.goals if goal.goal_id == given_up and goal.done} <= {"cancelled"}
 
 
-@pytest.mark.slow
 def test_a_wire_that_is_late_and_lossy_is_good_enough_to_plan_and_execute(place: Lab) -> None:
     place.wire.become(Quality(delay=0.02, loss=0.05))
     for _ in range(2):

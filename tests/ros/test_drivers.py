@@ -15,7 +15,7 @@ from std_msgs.msg import Float32
 from trajectory_msgs.msg import JointTrajectory
 
 from support.executor.client import Client
-from support.harness import ServiceProcess, eventually
+from support.harness import ServiceProcess, eventually, router
 from support.ros.client import RosClient, told
 from support.ros.node import destroyed
 from support.ros.stack import controller
@@ -33,14 +33,35 @@ def ros(node: Node) -> RosClient:
     return RosClient(node)
 
 
+@pytest.fixture(scope="module")
+def place() -> Iterator[str]:
+    """The router of the bridge that most tests share."""
+    with router() as address:
+        yield address
+
+
 @pytest.fixture
-def bridge(bus: Bus, endpoint: str, tmp_path: Path) -> Iterator[ServiceProcess]:
-    with ServiceProcess("ros_bridge", endpoint, tmp_path) as process:
+def endpoint(place: str) -> str:
+    return place
+
+
+@pytest.fixture(scope="module")
+def bridge(place: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
+    with Bus(place) as bus, ServiceProcess("ros_bridge", place, tmp_path_factory.mktemp("bridge")) as process:
         process.wait_ready(bus, Keys("doosan_m1013"))
         yield process
 
 
-def test_a_ur5e_is_moved_through_its_controller_topic(bus: Bus, endpoint: str, tmp_path: Path) -> None:
+@pytest.fixture
+def apart() -> Iterator[tuple[str, Bus]]:
+    """A router without that bridge, and a session on it."""
+    with router() as address, Bus(address) as session:
+        yield address, session
+
+
+@pytest.mark.slow  # as the M1013 is, in test_driven_path.py
+def test_a_ur5e_is_moved_through_its_controller_topic(apart: tuple[str, Bus], tmp_path: Path) -> None:
+    endpoint, bus = apart
     keys, there = Keys("ur5e"), np.array(UR5E.descriptor.home) + (0.6, -0.3, 0.2, 0.0, 0.0, 0.4)
     with ExitStack() as stack:
         stack.enter_context(controller(UR5E))
@@ -241,8 +262,9 @@ def test_the_log_says_when_a_driver_comes_that_commands_reach_and_when_it_goes(
 
 @pytest.mark.slow
 def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
-    bus: Bus, endpoint: str, tmp_path: Path, ros: RosClient
+    apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
 ) -> None:
+    endpoint, bus = apart
     latest = bus.latest(Keys("doosan_m1013").driver_joint_states, m.JointState)
     publisher = ros.node.create_publisher(JointState, "/dsr01/joint_states", 10)
     for stamp in (1, 2, 3):
@@ -261,8 +283,9 @@ def test_a_bridge_that_ends_while_a_driver_tells_its_joints_ends_in_order(
 
 
 def test_two_robots_in_one_bridge_have_namespaces_and_their_own_drivers(
-    bus: Bus, endpoint: str, tmp_path: Path, ros: RosClient
+    apart: tuple[str, Bus], tmp_path: Path, ros: RosClient
 ) -> None:
+    endpoint, bus = apart
     with (
         ServiceProcess("ros_bridge", endpoint, tmp_path, arguments=("--robot", "doosan_m1013", "ur5e")) as bridge,
         controller(UR5E),

@@ -108,6 +108,7 @@ def zarm(planned: Zarm, node: Node) -> Iterator[Zarm]:
         yield one
 
 
+@pytest.mark.slow  # as without an executor
 def test_without_a_planner_a_target_is_refused_and_says_who_is_missing(tmp_path: Path) -> None:
     with router() as endpoint, Bus(endpoint) as bus, running_node("client") as node:
         zarm = Zarm(bus, node, tmp_path, endpoint)

@@ -153,6 +153,7 @@ def test_an_empty_trajectory_stops_it_and_is_not_told_as_progress(arm: Arm) -> N
     assert len(arm.progress) == told
 
 
+@pytest.mark.slow  # as in unit/leeloo_sim/test_player.py
 def test_a_new_trajectory_replaces_what_is_left_of_the_last(arm: Arm) -> None:
     arm.command(trajectory(velocities=[SPEED] * 5000))
     arm.moving()
@@ -161,6 +162,7 @@ def test_a_new_trajectory_replaces_what_is_left_of_the_last(arm: Arm) -> None:
     arm.at_rest()
 
 
+@pytest.mark.slow  # as in unit/leeloo_sim/test_player.py
 def test_a_point_with_too_few_velocities_repeats_the_one_before(arm: Arm) -> None:
     began = arm.at_rest()
     arm.command(trajectory(velocities=[SPEED] * 25 + [[0.0, 0.0, 0.0]] * 25))
@@ -175,6 +177,7 @@ def aside(began: np.ndarray) -> np.ndarray:
     return began + 0.1 * (10 * u**3 - 15 * u**4 + 6 * u**5)
 
 
+@pytest.mark.slow  # as in unit/leeloo_sim/test_player.py
 def test_it_plays_the_positions_of_a_trajectory_that_has_no_velocities(arm: Arm) -> None:
     there = aside(arm.at_rest())
     arm.command(trajectory(positions=there.tolist()))

@@ -287,6 +287,7 @@ def test_many_clients_at_once_all_get_their_plan(arm: Stack) -> None:
         assert response.trajectory[-1].position[0] == pytest.approx(0.1 * k)
 
 
+@pytest.mark.slow  # as they do by themselves, in process/test_reread.py
 def test_an_update_makes_every_service_take_the_changed_file_of_the_robot(arm: Stack, descriptor: Path) -> None:
     goal = {"target_joint_positions": [1.0, *HOME[1:]]}
     before, fast = descriptor.read_text(), generate(arm, **goal)

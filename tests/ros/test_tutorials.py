@@ -166,6 +166,7 @@ def test_version_1_refuses_a_robot_type_that_is_none(bus: Bus) -> None:
     assert "choose one of emulator, ghost, joint_speed, joint_pose, doosan_m1013" in told
 
 
+@pytest.mark.slow  # every call is made in one_stack too
 def test_version_2(bus: Bus) -> None:
     ros2(CHOOSE["ghost"])
     ros2(APPLY)

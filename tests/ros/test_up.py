@@ -26,6 +26,7 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
         yield started
 
 
+@pytest.mark.slow  # as a driver is started, in access/test_stack.py
 def test_up_starts_the_bridge_and_status_shows_it(up: Up, node: Node) -> None:
     answered = RosClient(node).call(Trigger, "get_robot_strategy")
     assert (answered.success, answered.message) == (True, "emulator")

@@ -7,4 +7,5 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / "shared"
 PROGRAMS = Path(__file__).parent / "programs"
+MESHES = ROOT / "examples" / "meshes"
 EXAMPLES = ROOT / "services" / "executor" / "examples"

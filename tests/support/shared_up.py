@@ -10,7 +10,7 @@ import pytest
 
 from support.command_line import KEYS, Up
 from support.harness import free_endpoint
-from support.paths import ROOT
+from support.paths import MESHES
 from zarm_contract.messages import ClearScene, SceneEdit, SceneEdited
 from zarm_runtime.bus import Bus
 
@@ -20,15 +20,20 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
     """`zarm up` with the meshes of the examples, shared by all of these tests: none of them stops it or changes its
     files.
     """
-    meshes = ROOT / "examples" / "meshes"
-    with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--meshes", str(meshes)) as stack:
+    with Up(free_endpoint(), tmp_path_factory.mktemp("up"), "--meshes", str(MESHES)) as stack:
         yield stack
 
 
 @pytest.fixture
-def observer(up: Up) -> Iterator[Bus]:
+def place(up: Up) -> str:
+    """Its endpoint."""
+    return up.endpoint
+
+
+@pytest.fixture
+def observer(place: str) -> Iterator[Bus]:
     """A client on its bus, whose subscriptions end with the test."""
-    with Bus(up.endpoint) as session:
+    with Bus(place) as session:
         yield session
 
 

@@ -46,6 +46,7 @@ def test_the_robots_that_come_with_zarm_are_listed() -> None:
     assert sorted(zarm("robot", "list").stdout.split()) == sorted(ROBOTS)
 
 
+@pytest.mark.slow  # as in unit/contract/test_robots.py and unit/robot_import/test_checking.py
 @pytest.mark.parametrize("robot", sampled(*ROBOTS))
 def test_a_robot_that_comes_with_zarm_passes_the_check(robot: str) -> None:
     checked = zarm("robot", "check", robot)

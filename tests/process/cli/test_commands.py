@@ -111,6 +111,7 @@ def test_a_saved_plan_can_be_executed_later(up: Up, observer: Bus, empty_scene: 
     assert measured(observer)[0] == pytest.approx(0.15, abs=0.01)
 
 
+@pytest.mark.slow  # as in executor/test_plans.py
 def test_a_published_plan_can_be_executed_by_its_id(up: Up, observer: Bus, empty_scene: None) -> None:
     done(up, "execute", "--joints", near_home(0.0))
     first = data(up, "plan", "--joints", near_home(0.1))
@@ -187,6 +188,7 @@ def test_stop_cancel_pause_resume_and_reset_answer_with_the_state(up: Up) -> Non
     assert done(up, "stop").startswith("idle")
 
 
+@pytest.mark.slow  # the commands are sent above; what they do is in unit/executor/test_machine.py
 def test_pause_holds_a_motion_and_resume_ends_it(up: Up, observer: Bus, empty_scene: None, tmp_path: Path) -> None:
     done(up, "execute", "--joints", near_home(0.0))
     arguments = ("execute", "--joints", near_home(0.5), *SLOWLY, "--connect", up.endpoint)
@@ -199,6 +201,7 @@ def test_pause_holds_a_motion_and_resume_ends_it(up: Up, observer: Bus, empty_sc
     assert measured(observer)[0] == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.slow  # as in client/test_robot.py
 def test_cancel_from_elsewhere_fails_the_command_that_executes(
     up: Up, observer: Bus, empty_scene: None, tmp_path: Path
 ) -> None:
@@ -211,6 +214,7 @@ def test_cancel_from_elsewhere_fails_the_command_that_executes(
         assert the_one_line(execute.errors()).startswith("zarm: cancelled: ")
 
 
+@pytest.mark.slow  # as in executor/test_preemption.py
 def test_a_goal_preempts_another_only_when_it_is_asked_to(
     up: Up, observer: Bus, empty_scene: None, tmp_path: Path
 ) -> None:

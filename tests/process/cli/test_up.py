@@ -36,6 +36,7 @@ def test_a_second_up_for_the_same_robot_is_refused_with_a_sentence(up: Up) -> No
         assert bus.alive(ALL_ALIVE) == before
 
 
+@pytest.mark.slow  # two names on a bus are in executor/test_goals.py and client/test_robot.py
 def test_a_second_robot_joins_the_bus_under_another_name(up: Up, tmp_path: Path) -> None:
     with Up(up.endpoint, tmp_path, joins=True, name="left"):
         unclear = zarm("status", ZARM_CONNECT=up.endpoint)

@@ -10,6 +10,7 @@ from pathlib import Path
 from queue import Queue
 
 import psutil
+import pytest
 
 from support.command_line import KEYS, ROBOT, Command, the_one_line
 from support.executor.client import Client
@@ -90,6 +91,7 @@ def test_whoever_is_tired_of_an_executor_that_hangs_hears_what_is_waited_for_the
         assert client.stands()
 
 
+@pytest.mark.slow  # near to the test before
 def test_whoever_leaves_before_the_goal_is_taken_has_withdrawn_it(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     asked: Queue[str | None] = Queue()
     withdrawn: Queue[str | None] = Queue()

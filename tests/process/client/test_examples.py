@@ -30,7 +30,7 @@ SAYS = {
 }
 """What is in the output of each, besides success."""
 OF_ITS_OWN = "09_two_robots"
-"""Takes a second `zarm up`, as a test of the commands does."""
+"""Takes a `zarm up`."""
 QUICK = ("01_plan", "10_stream")
 """What the others do, tests of the commands and of the client do as well."""
 
@@ -44,15 +44,15 @@ def test_there_is_a_promise_for_each_and_the_readme_lists_it() -> None:
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in SAYS])
 def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(
-    name: str, up: Up, empty_scene: None, tmp_path: Path
+    name: str, place: str, empty_scene: None, tmp_path: Path
 ) -> None:
     with ExitStack() as stack:
         if name == OF_ITS_OWN:
-            stack.enter_context(Up(up.endpoint, tmp_path, joins=True, name="second"))
+            stack.enter_context(Up(place, tmp_path, joins=True, name="second"))
         environment = {key: value for key, value in os.environ.items() if not key.startswith("ZARM_")}
         done = subprocess.run(
             [sys.executable, str(EXAMPLES / f"{name}.py")],
-            env=environment | {"ZARM_CONNECT": up.endpoint},
+            env=environment | {"ZARM_CONNECT": place},
             capture_output=True,
             text=True,
             timeout=PATIENCE,
@@ -60,7 +60,7 @@ def test_an_example_runs_and_leaves_the_robot_at_rest_in_an_empty_scene(
     assert done.returncode == 0, done.stderr
     assert SAYS[name] in done.stdout
     assert done.stderr == ""
-    with zarm.connect(up.endpoint, ROBOT) as robot:
+    with zarm.connect(place, ROBOT) as robot:
         assert robot.state().mode == "idle"
         assert robot.speed() == 1.0
         scene = robot.scene.read()

@@ -17,7 +17,7 @@ import pytest
 
 import zarm
 import zarm.aio
-from support.command_line import HOME, ROBOT, Up, pid
+from support.command_line import HOME, ROBOT, pid
 from support.harness import PATIENCE, eventually, free_endpoint
 from zarm_contract.messages import GoalState
 from zarm_runtime.bus import Bus
@@ -43,9 +43,9 @@ with connected(interrupts=ToldOf()) as connection:
 
 
 @pytest.fixture
-def robot(up: Up, empty_scene: None) -> Iterator[zarm.Robot]:
+def robot(place: str, empty_scene: None) -> Iterator[zarm.Robot]:
     """The robot at home, at rest at the end."""
-    with zarm.connect(up.endpoint) as found:
+    with zarm.connect(place) as found:
         if not np.allclose(found.joint_state().position, HOME, atol=1e-3):
             found.execute(found.plan(HOME))
         yield found
@@ -56,8 +56,8 @@ def on_its_way(robot: zarm.Robot) -> None:
     eventually(lambda: robot.joint_state().position[0] > 0.05, "the robot is on its way")
 
 
-def program(up: Up) -> subprocess.Popen[str]:
-    environment = os.environ | {"ZARM_CONNECT": up.endpoint}
+def program(place: str) -> subprocess.Popen[str]:
+    environment = os.environ | {"ZARM_CONNECT": place}
     return subprocess.Popen(
         [sys.executable, "-c", PROGRAM], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -135,13 +135,13 @@ def test_what_a_service_refuses_is_the_error_that_it_stands_for(robot: zarm.Robo
 # -- who there is --
 
 
-def test_a_robot_is_found_by_itself_or_by_name(up: Up) -> None:
-    assert zarm.robots(up.endpoint) == [ROBOT]
-    with zarm.connect(up.endpoint, ROBOT) as robot:
+def test_a_robot_is_found_by_itself_or_by_name(place: str) -> None:
+    assert zarm.robots(place) == [ROBOT]
+    with zarm.connect(place, ROBOT) as robot:
         assert robot.name == ROBOT
-    with zarm.connect(up.endpoint, "nobody") as nobody, pytest.raises(zarm.Unavailable):
+    with zarm.connect(place, "nobody") as nobody, pytest.raises(zarm.Unavailable):
         nobody.stop()
-    with pytest.raises(zarm.InvalidRequest), zarm.connect(up.endpoint, "No Name"):
+    with pytest.raises(zarm.InvalidRequest), zarm.connect(place, "No Name"):
         pass
     with pytest.raises(zarm.Unavailable), zarm.connect(free_endpoint()):
         pass
@@ -168,12 +168,13 @@ def test_a_goal_that_is_started_is_followed_and_cancelled_by_its_id(robot: zarm.
     assert robot.follow(goal).status == "cancelled"
 
 
-def test_who_executes_a_goal_that_another_client_ends_is_told_so(robot: zarm.Robot, up: Up) -> None:
+def test_who_executes_a_goal_that_another_client_ends_is_told_so(robot: zarm.Robot, place: str) -> None:
     plan = robot.plan(ELSEWHERE, velocity_scale=SLOWLY)
-    with zarm.connect(up.endpoint) as other, pytest.raises(zarm.Cancelled):
+    with zarm.connect(place) as other, pytest.raises(zarm.Cancelled):
         robot.execute(plan, on_progress=lambda goal: goal.progress > 0.1 and other.stop())
 
 
+@pytest.mark.slow  # as an exception in a stream does
 def test_an_exception_of_who_is_told_the_progress_stops_the_robot(robot: zarm.Robot) -> None:
     def fail(goal: GoalState) -> None:
         if goal.progress > 0.1:
@@ -185,8 +186,8 @@ def test_an_exception_of_who_is_told_the_progress_stops_the_robot(robot: zarm.Ro
     assert robot.joint_state().position[0] < 0.9
 
 
-def test_ctrl_c_stops_the_robot_before_the_program_goes_on(robot: zarm.Robot, up: Up) -> None:
-    with program(up) as running:
+def test_ctrl_c_stops_the_robot_before_the_program_goes_on(robot: zarm.Robot, place: str) -> None:
+    with program(place) as running:
         on_its_way(robot)
         running.send_signal(signal.SIGINT)
         _, errors = running.communicate(timeout=PATIENCE)
@@ -196,10 +197,10 @@ def test_ctrl_c_stops_the_robot_before_the_program_goes_on(robot: zarm.Robot, up
 
 @pytest.mark.slow
 def test_a_second_ctrl_c_leaves_an_executor_that_hangs_and_says_what_that_means(
-    robot: zarm.Robot, up: Up, observer: Bus
+    robot: zarm.Robot, place: str, observer: Bus
 ) -> None:
     executor = pid(observer, "executor")
-    with program(up) as running:
+    with program(place) as running:
         on_its_way(robot)
         os.kill(executor, signal.SIGSTOP)
         try:
@@ -281,9 +282,9 @@ def test_a_stream_that_is_left_by_an_exception_is_cancelled(robot: zarm.Robot) -
 # -- asyncio --
 
 
-def test_the_asynchronous_client_does_the_same(robot: zarm.Robot, up: Up) -> None:
+def test_the_asynchronous_client_does_the_same(robot: zarm.Robot, place: str) -> None:
     async def main() -> tuple[GoalState, list[str], bool]:
-        async with zarm.aio.connect(up.endpoint) as arm:
+        async with zarm.aio.connect(place) as arm:
             await arm.scene.add(zarm.Sphere("ball", radius=0.05, position=(0.0, -0.8, 0.2)))
             assert "ball" in await arm.scene.objects()
             told: list[str] = []
@@ -305,9 +306,9 @@ def test_the_asynchronous_client_does_the_same(robot: zarm.Robot, up: Up) -> Non
     assert in_loop
 
 
-def test_a_task_that_is_cancelled_has_stopped_the_robot(robot: zarm.Robot, up: Up) -> None:
+def test_a_task_that_is_cancelled_has_stopped_the_robot(robot: zarm.Robot, place: str) -> None:
     async def main() -> str:
-        async with zarm.aio.connect(up.endpoint) as arm:
+        async with zarm.aio.connect(place) as arm:
             task = asyncio.create_task(arm.execute(await arm.plan(ELSEWHERE, velocity_scale=SLOWLY)))
             async for state in arm.joint_states():
                 if state.position[0] > 0.05:
@@ -320,11 +321,12 @@ def test_a_task_that_is_cancelled_has_stopped_the_robot(robot: zarm.Robot, up: U
     assert asyncio.run(main()) == "idle"
 
 
-def test_an_asynchronous_stream_is_played_to_its_end(robot: zarm.Robot, up: Up, tmp_path: Path) -> None:
+@pytest.mark.slow  # the asynchronous client shares all but the waiting
+def test_an_asynchronous_stream_is_played_to_its_end(robot: zarm.Robot, place: str, tmp_path: Path) -> None:
     file = tmp_path / "stream.mcap"
 
     async def main() -> None:
-        async with zarm.aio.connect(up.endpoint) as arm, arm.record(file):
+        async with zarm.aio.connect(place) as arm, arm.record(file):
             plan = await arm.plan((0.2, *HOME[1:]), velocity_scale=0.5, acceleration_scale=0.3)
             async with arm.stream(deadline=1.0) as stream:
                 stream.send(plan.trajectory, last=True)

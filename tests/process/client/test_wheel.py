@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from support.command_line import Up
 from support.harness import PATIENCE
 from support.paths import ROOT
 
@@ -71,8 +70,9 @@ def test_nothing_of_the_planner_is_there(python: Path) -> None:
     assert run(python, "-c", look).stdout.strip() == "[]"
 
 
-def test_a_program_plans_and_moves(python: Path, up: Up, empty_scene: None) -> None:
-    done = run(python, str(ROOT / "examples" / "01_plan.py"), ZARM_CONNECT=up.endpoint)
+@pytest.mark.slow  # the example itself is run in test_examples.py
+def test_a_program_plans_and_moves(python: Path, place: str, empty_scene: None) -> None:
+    done = run(python, str(ROOT / "examples" / "01_plan.py"), ZARM_CONNECT=place)
     assert done.returncode == 0, done.stderr
     assert "succeeded" in done.stdout
 

@@ -72,6 +72,7 @@ def test_joint_pose_under_a_driver_that_plays_velocities_moves_nothing_and_says_
         np.testing.assert_allclose(robot.at_rest(), HOME, atol=1e-9)
 
 
+@pytest.mark.slow  # as in unit/executor/test_monitor.py
 def test_where_the_descriptor_says_so_the_next_goal_leaves_a_fault_whose_reason_is_gone(
     bus: Bus, endpoint: str, tmp_path: Path
 ) -> None:
@@ -281,6 +282,7 @@ def driver_that_never_tells_of_the_end(bus: Bus) -> Iterator[None]:
         thread.join(PATIENCE)
 
 
+@pytest.mark.slow  # as a driver that tells no progress at all
 def test_a_goal_is_reached_though_its_driver_is_not_heard_to_be_at_the_end(
     bus: Bus, endpoint: str, tmp_path: Path
 ) -> None:

@@ -140,6 +140,7 @@ def test_the_speed_is_read_changed_in_motion_published_and_stays(client: Client)
         assert refusal.value.problem.field == "speed_scale"
 
 
+@pytest.mark.slow  # as in unit/executor/test_checks.py
 def test_a_robot_beside_the_start_is_led_to_it_without_a_jump(shared: Client) -> None:
     shared.ended(shared.execute(rest_to_rest(moved(1.0, start=moved(0.04)), moved(0.04))))
     assert shared.greatest_acceleration() <= 1.02

@@ -6,6 +6,7 @@ import pytest
 import zenoh
 
 from support.executor.client import Client
+from support.tiers import sampled
 from support.trajectories import KEYS, moved, rest_to_rest
 from zarm_contract.codec import MAX_BYTES, decode
 from zarm_contract.errors import InvalidRequest, Problem
@@ -41,7 +42,7 @@ QUERYABLES = [
 ]
 
 
-@pytest.mark.parametrize("key", QUERYABLES)
+@pytest.mark.parametrize("key", sampled(*QUERYABLES))
 def test_noise_is_answered_with_a_problem_and_moves_nothing(shared: Client, place: str, key: str) -> None:
     with open_client(place) as session:
         for noise in NOISE:

@@ -29,6 +29,7 @@ def test_a_paused_goal_gives_way_to_one_that_starts_where_the_robot_rests(shared
     np.testing.assert_allclose(shared.position(), HOME, atol=1e-9)
 
 
+@pytest.mark.slow  # as whoever gives a name twice, in test_goals.py
 def test_a_goal_cannot_preempt_under_the_name_of_the_one_that_runs(shared: Client) -> None:
     running = shared.execute(FAR, goal_id="mine")
     shared.under_way(running)

@@ -101,6 +101,7 @@ def test_a_held_stream_goes_on_only_when_a_chunk_has_come_since_the_scene_was_ed
         process.wait()
 
 
+@pytest.mark.slow  # as when it dies
 def test_a_client_that_is_frozen_leaves_a_robot_at_rest_that_is_idle(client: Client, endpoint: str) -> None:
     process = run_example(endpoint, 60.0)
     try:
@@ -156,6 +157,7 @@ def test_what_becomes_of_a_stream_is_told_under_its_goal_and_is_no_fault(
     assert shared.ended(shared.execute(rest_to_rest(HOME, shared.position()))).status == "succeeded"
 
 
+@pytest.mark.slow  # as in unit/executor/test_streams.py
 def test_a_stream_beside_another_goal_is_refused_and_does_not_touch_it(
     client: Client, send: Callable[..., None]
 ) -> None:

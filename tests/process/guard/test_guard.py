@@ -40,6 +40,7 @@ def test_a_robot_rests_before_what_is_put_in_its_way_says_what_it_is_and_goes_on
     assert cell.client.greatest_acceleration() < 1.05
 
 
+@pytest.mark.slow  # held it is above; that it is given up is in unit/executor/test_guard.py
 def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks_it(cell: Cell) -> None:
     goal = cell.way()
     load(cell.bus, POST)
@@ -52,6 +53,7 @@ def test_a_goal_whose_way_stays_blocked_is_given_up_with_the_name_of_what_blocks
     cell.assert_free_of(POST)
 
 
+@pytest.mark.slow  # as in unit/executor/test_guard.py
 def test_where_contact_cannot_be_avoided_any_more_the_robot_brakes_all_the_same_and_says_so(cell: Cell) -> None:
     goal = cell.way(speed=1.0)
     cell.client.under_way(goal, 0.4)
@@ -78,6 +80,7 @@ def test_a_goal_that_is_resumed_under_a_blocked_way_waits_until_it_is_free(cell:
     assert cell.client.ended(goal).status == "succeeded"
 
 
+@pytest.mark.slow  # as in unit/servo/test_check.py and test_moving_objects.py
 def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_moved_on(cell: Cell) -> None:
     away = POST.model_copy(update={"position": (-1.5, 0.0, 0.4)})
     goal = cell.way(away)
@@ -115,6 +118,7 @@ def test_a_robot_rests_before_what_moves_into_its_way_and_goes_on_when_that_has_
     eventually(refused, "the pose of what is not there is refused")
 
 
+@pytest.mark.slow  # most tests of the executor have no servo
 def test_without_its_servo_a_robot_that_needs_none_moves_on_and_says_that_it_is_unguarded(cell: Cell) -> None:
     goal = cell.way(speed=0.15)
     cell.services["servo"].kill()

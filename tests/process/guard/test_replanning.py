@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from support.cell import SLOWLY, Cell
 from support.harness import eventually
@@ -30,6 +31,7 @@ def test_a_robot_goes_round_what_is_put_in_its_way_without_stopping(cell: Cell) 
     assert cell.client.greatest_acceleration() < 1.05
 
 
+@pytest.mark.slow  # as in unit/servo/test_replanning.py
 def test_a_pose_is_reached_with_other_joints_where_something_stands_at_those_of_the_plan(cell: Cell) -> None:
     tip = pose_of(MODEL.fk_tip(np.array(TURNED)))
     made = plan(

@@ -129,6 +129,7 @@ def test_dragging_the_handle_shows_a_ghost_and_the_robot_goes_there(page: Page, 
     eventually(cell.rests, "it rests")
 
 
+@pytest.mark.slow  # as the drawing is
 def test_the_numbers_are_those_of_the_robot_until_somebody_aims(page: Page, cell: Cell) -> None:
     page.get_by_text("Joints (deg)").click()
     cell.robot.execute(cell.robot.plan((*HOME[:5], 0.5)))  # the tip turns, and stays where it is
@@ -136,6 +137,7 @@ def test_the_numbers_are_those_of_the_robot_until_somebody_aims(page: Page, cell
     page.get_by_text("Joints (deg)").click()
 
 
+@pytest.mark.slow  # the planner refuses it on the bus, in process/planner
 def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_planned(page: Page, cell: Cell) -> None:
     cell.robot.execute(cell.robot.plan(moved(1.0)))
     x, y, z = Chain(ROBOT).tip(np.array(HOME)).translation()
@@ -199,6 +201,7 @@ def test_a_plan_passes_through_a_waypoint_where_it_was_dragged(page: Page, cell:
         page.get_by_text(folder).click()
 
 
+@pytest.mark.slow  # the ghost is seen where the handle is dragged
 def test_a_plan_is_looked_through_before_anything_moves(page: Page, cell: Cell) -> None:
     aim_home(page)
     cell.robot.execute(cell.robot.plan(moved(0.6)))
@@ -215,6 +218,7 @@ def test_a_plan_is_looked_through_before_anything_moves(page: Page, cell: Cell) 
     page.get_by_text("Poses").click()
 
 
+@pytest.mark.slow  # the stop by itself is the next test
 def test_stop_works_while_planner_and_servo_stand_still_and_the_page_waits_for_them(page: Page, cell: Cell) -> None:
     goal = cell.robot.start(cell.robot.plan(moved(1.5), velocity_scale=0.01))
     eventually(lambda: cell.robot.state().mode == "running", "it moves")
@@ -253,6 +257,7 @@ def test_an_object_added_on_one_page_is_on_the_bus_and_on_the_other_page(page: P
     eventually(lambda: not cell.robot.scene.objects(), "it is gone")
 
 
+@pytest.mark.slow
 def test_on_a_phone_the_stop_is_in_reach_wherever_the_page_is_scrolled_to(page: Page, second: Page) -> None:
     second.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
     stop = second.get_by_role("button", name="STOP").first
@@ -285,6 +290,7 @@ def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
     eventually(cell.rests, "the robot rests")
 
 
+@pytest.mark.slow  # as when the page is lost
 def test_jogging_ends_and_a_goal_goes_on_while_the_viewer_stands_still_and_when_it_is_killed(
     page: Page, cell: Cell, chromium: Browser
 ) -> None:
@@ -345,6 +351,7 @@ def test_a_record_plays_on_a_page_to_its_end(cell: Cell, chromium: Browser, tmp_
         page.close()
 
 
+@pytest.mark.slow
 def test_the_page_goes_on_when_the_executor_is_started_again(page: Page, cell: Cell) -> None:
     cell.services["executor"].kill()
     expect(page.get_by_text("no joint states")).to_be_visible()
@@ -353,6 +360,7 @@ def test_the_page_goes_on_when_the_executor_is_started_again(page: Page, cell: C
     expect(page.get_by_text("no joint states")).to_be_hidden()
 
 
+@pytest.mark.slow  # as the bridge does, in ros/test_router_failures.py
 def test_the_page_goes_on_when_the_router_is_started_again(page: Page, cell: Cell) -> None:
     cell.router.close()
     expect(page.get_by_text("no joint states")).to_be_visible()

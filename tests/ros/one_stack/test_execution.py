@@ -165,6 +165,7 @@ def test_an_edit_of_the_scene_under_a_goal_is_said_on_rosout_and_the_goal_goes_o
     destroyed(running.ros.node, running.ros.node.destroy_subscription, listener)
 
 
+@pytest.mark.slow  # as any goal that is refused
 def test_a_plan_is_not_run_a_second_time_from_where_it_ended(robot: Robot, actions: Actions) -> None:
     robot.plan()
     assert actions.send().ended()[0] == SUCCEEDED
@@ -203,6 +204,7 @@ def test_a_second_goal_is_rejected_with_the_reason_in_the_log(running: Stack, ro
     assert first.ended()[0] == SUCCEEDED
 
 
+@pytest.mark.slow  # as any goal that is refused
 def test_a_goal_beside_one_of_another_client_is_aborted_as_busy(robot: Robot, actions: Actions) -> None:
     robot.plan()
     goal_id = robot.bus.call(KEYS.execute, ExecuteRequest(), Accepted, timeout=10).goal_id
@@ -213,6 +215,7 @@ def test_a_goal_beside_one_of_another_client_is_aborted_as_busy(robot: Robot, ac
     assert robot.bus.call(KEYS.goal(goal_id), Nothing(), GoalState, timeout=10).status == "succeeded"
 
 
+@pytest.mark.slow  # as in the next
 @pytest.mark.usefixtures("preempting")
 def test_a_second_goal_takes_the_place_of_the_first_where_that_is_configured(robot: Robot, actions: Actions) -> None:
     robot.plan()

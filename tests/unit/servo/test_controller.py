@@ -130,6 +130,7 @@ def test_along_a_wall_it_slides_and_says_what_slows_it() -> None:
     session.assert_sound()
 
 
+@pytest.mark.slow  # near to the next
 @pytest.mark.lengthy
 def test_at_the_margin_strong_joints_still_move_along_a_wall() -> None:
     model = RobotModel.of(load_robot("panda"))
