@@ -12,6 +12,7 @@ from viser import (
     GuiEvent,
     GuiUploadButtonHandle,
     Icon,
+    SceneClickEvent,
     TransformControlsEvent,
     TransformControlsHandle,
 )
@@ -66,7 +67,7 @@ class ObjectsPanel:
             def _(event: GuiEvent[GuiButtonHandle]) -> None:
                 desk.attempt("save", lambda: self._save(event.client), event.client)
 
-        view.clicked = self._click
+        desk.server.scene.on_click()(self._click)
 
     def draw(self, scene: Scene | None) -> None:
         """Show the objects of a new scene."""
@@ -82,7 +83,9 @@ class ObjectsPanel:
             self._added = ""
         self._choose()
 
-    def _click(self, name: str) -> None:
+    def _click(self, event: SceneClickEvent) -> None:
+        base = np.array((0.0, self._desk.aside, 0.0))
+        name = self._view.hit(np.array(event.ray_origin) - base, np.array(event.ray_direction))
         if name in self._choice.options:
             put(self._choice, name)
 
