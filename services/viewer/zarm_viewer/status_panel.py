@@ -145,4 +145,4 @@ class EventsPanel:
                 f"{file.name} cannot be read any more: {error.strerror}; choose a newer one"
             ) from error
         if client is not None:
-            client.send_file_download(file.name, content)
+            client.send_file_download(file.name, content, save_immediately=True)
