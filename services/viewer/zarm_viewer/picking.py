@@ -30,13 +30,13 @@ def _triangles(origin: Array, direction: Array, corners: Array) -> float:
     first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(direction, other)
     volume = np.einsum("ij,ij->i", one, across)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        offset = origin - first
-        u = np.einsum("ij,ij->i", offset, across) / volume
-        turned = np.cross(offset, one)
-        v = turned @ direction / volume
+    offset = origin - first
+    turned = np.cross(offset, one)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a triangle seen edge-on
+        u, v = np.einsum("ij,ij->i", offset, across) / volume, turned @ direction / volume
         along = np.einsum("ij,ij->i", other, turned) / volume
-    return float(along[(u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (along > 0.0)].min(initial=np.inf))
+        hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (along > 0.0)
+    return float(along[hit].min(initial=np.inf))
 
 
 def _balls(origin: Array, direction: Array, centres: Array, radius: float) -> float:
