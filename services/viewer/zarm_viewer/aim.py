@@ -58,7 +58,7 @@ class Aim:
             return f"**{self.fault}**"
         branch = self.branch
         if branch is None:
-            return "**unreachable**: no joint positions bring the tip there"
+            return "**unreachable**: no joint positions reach it"
         many = f"branch {self.chosen + 1} of {len(self.branches)} · " if len(self.branches) > 1 else ""
         if branch.in_collision:
             return f"{many}**collision** of {' and '.join(branch.touching or ())}"
@@ -79,6 +79,7 @@ class Goal:
         self._wanted: tuple[SE3 | Array, Array] | None = None
         self._aim = Aim(desk.chain.tip(desk.joints), ())
         self._place_gizmo(self._aim.pose)
+        self._sought: SE3 | Array = self._aim.pose
         self.aimed = False
         """Whether a user has chosen a goal; until then the gizmo stays at the tip."""
         self.dragged: Callable[[SE3, ClientHandle | None], object] = lambda *_: None
@@ -109,6 +110,13 @@ class Goal:
         """Aim at joint positions (J,) in rad."""
         self._place_gizmo(self._desk.chain.tip(joints))
         self._want(joints)
+
+    def check_again(self) -> None:
+        """Look anew for what the goal would collide with, since the scene has changed."""
+        with self._changed:
+            if self.aimed:
+                self._wanted = self._sought, self._near()
+                self._changed.notify()
 
     def choose(self, branch: int) -> None:
         """Show another solution, by its index."""
@@ -148,12 +156,15 @@ class Goal:
             self._ghost.hide()
 
     def _want(self, wanted: SE3 | Array) -> None:
-        branch = self._aim.branch
-        near = self._desk.joints if branch is None else branch.joints
         with self._changed:
-            self.aimed = True
-            self._wanted = wanted, near
+            self.aimed, self._sought = True, wanted
+            self._wanted = wanted, self._near()
             self._changed.notify()
+
+    def _near(self) -> Array:
+        """The joint positions to which the next solutions should be near: those shown."""
+        branch = self._aim.branch
+        return self._desk.joints if branch is None else branch.joints
 
     def _solve(self) -> None:
         dragged: SE3 | None = None
@@ -166,8 +177,7 @@ class Goal:
                 dragged = what if isinstance(what, SE3) else None
                 self._find(what, near, DRAGGED)
             elif dragged is not None:
-                shown = self._aim.branch
-                self._find(dragged, self._desk.joints if shown is None else shown.joints, BRANCHES)
+                self._find(dragged, self._near(), BRANCHES)
                 dragged = None
 
     def _find(self, what: SE3 | Array, near: Array, most: int) -> None:

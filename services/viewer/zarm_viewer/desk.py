@@ -37,6 +37,8 @@ class Desk:
     client: Robot | None
     moves: bool
     """Whether this page may move robots; that of a viewer role may not."""
+    aside: float = 0.0
+    """Where its base is in the view (m, along y)."""
     chain: Chain = field(init=False)
     body: Body = field(init=False)
     joints: Array = field(init=False)

@@ -10,9 +10,8 @@ from typing import Any, Literal
 from viser import ClientHandle, GuiButtonHandle
 from viser.transforms import SE3
 
-from zarm.servoing import Jogging, Tracking, limited
+from zarm.servoing import Jogging, Tracking
 from zarm.values import pose_of
-from zarm_contract.messages import ServoState
 from zarm_viewer.aim import Goal
 from zarm_viewer.desk import Desk
 from zarm_viewer.jogger import Jogger
@@ -27,17 +26,18 @@ KEY_HOLD = 0.3
 """How long (s) a key press counts: until the browser repeats it."""
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _, _TOOL, _JOINTS = _WAYS = ("tip, axes of the base", "tip, axes of the tool", "joints")
-_KEYS = {"arrowup": (0, 1), "arrowdown": (0, -1), "arrowleft": (1, 1), "arrowright": (1, -1), "pageup": (2, 1), "pagedown": (2, -1)}  # fmt: skip
+_KEYS = {"I": (0, 1), "K": (0, -1), "J": (1, 1), "L": (1, -1), "U": (2, 1), "O": (2, -1)}
+"""The axis and direction of each key. Arrows, and the letters around W, A, S and D, turn viser's camera."""
 
 
 class JogPanel:
-    """What is jogged, how fast, and what limits it."""
+    """What is jogged, and how fast; the status above says what limits it."""
 
     def __init__(self, desk: Desk, goal: Goal) -> None:
         self._desk, self._goal = desk, goal
         self._jogger = Jogger(desk)
         gui = desk.server.gui
-        self._limits = gui.add_markdown("Hold a button; let go to stop. Shift and arrows or page keys move the tip.")
+        gui.add_markdown("Hold a button, or Shift with I/K (x), J/L (y) or U/O (z); let go to stop.")
         self._way = gui.add_dropdown("jog", _WAYS)
         self._scale = gui.add_slider("jog speed", 0.05, 1.0, 0.05, 0.3)
         self._tip = [self._pair(axis, partial(self._twist, axis=at)) for at, axis in enumerate(_AXES)]
@@ -53,15 +53,6 @@ class JogPanel:
         for key, (axis, sign) in _KEYS.items():
             command = gui.add_command(f"Jog {'+' if sign > 0 else '-'}{_AXES[axis]}", hotkey=key, modifier="shift")  # type: ignore[arg-type]
             command.on_trigger(self._asks(partial(self._twist, axis=axis, sign=sign, hold=KEY_HOLD)))
-
-    def draw(self, servo: ServoState | None) -> None:
-        """Show what limits a session."""
-        if servo is not None and servo.session is not None:
-            text = f"**{limited(servo.session)}**"
-            if servo.session.clearance is not None:
-                text += f" · clearance {servo.session.clearance * 1e3:.0f} mm"
-            if self._limits.content != text:
-                self._limits.content = text
 
     def _choose(self) -> None:
         """Show the buttons for the chosen kind of jog."""

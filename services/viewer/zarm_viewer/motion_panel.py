@@ -73,6 +73,8 @@ class MotionPanel:
             put(self._strategy, news.strategies.active)
         if news.plan is not None:
             self._take(news.plan)
+        if news.scene is not None:
+            self._goal.check_again()
         if self._goal.revision != self._shown:
             self._shown = self._goal.revision
             self._draw_goal()
@@ -158,19 +160,18 @@ class MotionPanel:
     def _aim_at(self, joints: np.ndarray[Any, np.dtype[np.float64]]) -> None:
         self._goal.at(joints)
 
-    def _target(self, constrained: bool) -> Target:
+    def _target(self) -> Target:
         aim = self._goal.now
         if through := self._waypoints.poses:
             return Waypoints(*through, pose_of(message_of(aim.pose)))
-        if constrained or aim.branch is None:
+        if self._options.to_pose or aim.branch is None:
             return pose_of(message_of(aim.pose))
         return tuple(aim.branch.joints.tolist())
 
     def _plan_it(self) -> Plan:
         self._plan = None  # if planning fails, Execute must not run the previous plan
-        held = self._options.path_constraint
-        target = self._target(constrained=held is not None)
-        plan = self._desk.robot.plan(target, path_constraint=held, **self._options.settings)
+        options = self._options
+        plan = self._desk.robot.plan(self._target(), path_constraint=options.path_constraint, **options.settings)
         self._take(plan)
         return plan
 

@@ -12,6 +12,7 @@ from viser import (
     GuiEvent,
     GuiUploadButtonHandle,
     Icon,
+    SceneClickEvent,
     TransformControlsEvent,
     TransformControlsHandle,
 )
@@ -58,7 +59,7 @@ class ObjectsPanel:
 
             @upload.on_upload
             def _(event: GuiEvent[GuiUploadButtonHandle]) -> None:
-                desk.attempt("load", lambda: self._load(upload.value.content), event.client)
+                desk.attempt("load", lambda: self._load(upload.value.name, upload.value.content), event.client)
 
             save = gui.add_button("Save", icon=Icon.DOWNLOAD)
 
@@ -66,7 +67,7 @@ class ObjectsPanel:
             def _(event: GuiEvent[GuiButtonHandle]) -> None:
                 desk.attempt("save", lambda: self._save(event.client), event.client)
 
-        view.clicked = self._click
+        desk.server.scene.on_click()(self._click)
 
     def draw(self, scene: Scene | None) -> None:
         """Show the objects of a new scene."""
@@ -82,7 +83,9 @@ class ObjectsPanel:
             self._added = ""
         self._choose()
 
-    def _click(self, name: str) -> None:
+    def _click(self, event: SceneClickEvent) -> None:
+        base = np.array((0.0, self._desk.aside, 0.0))
+        name = self._view.hit(np.array(event.ray_origin) - base, np.array(event.ray_direction))
         if name in self._choice.options:
             put(self._choice, name)
 
@@ -140,17 +143,17 @@ class ObjectsPanel:
         self._desk.robot.scene.add(_made(self._kind.value, self._new_name.value, self._new_size.value, at))
         self._desk.note(f"added {self._new_name.value}")
 
-    def _load(self, content: bytes) -> None:
-        with tempfile.NamedTemporaryFile(suffix=".yaml") as file:
-            file.write(content)
-            file.flush()
-            self._desk.robot.scene.load(file.name)
+    def _load(self, name: str, content: bytes) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, Path(name).name)
+            file.write_bytes(content)
+            self._desk.robot.scene.load(file)
 
     def _save(self, client: Any) -> None:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "scene.yaml")
             self._desk.robot.scene.save(file)
-            client.send_file_download("scene.yaml", file.read_bytes())
+            client.send_file_download("scene.yaml", file.read_bytes(), save_immediately=True)
 
 
 _SIZES = "cuboid: edges; sphere: radius first; cylinder and capsule: radius, -, length; mesh: scale"

@@ -143,7 +143,7 @@ class _Part:
     def __init__(self, server: viser.ViserServer, shown: Shown, moves: bool, folders: Folders, aside: float) -> None:
         client = shown.source if isinstance(shown.source, Robot) else None
         moves = moves and client is not None
-        self.desk = Desk(server, shown.name, shown.description, client, moves)
+        self.desk = Desk(server, shown.name, shown.description, client, moves, aside)
         server.scene.add_frame(self.desk.root, show_axes=False, position=(0.0, aside, 0.0))
         self._picture = Picture(self.desk, folders.meshes)
         self._folder = server.gui.add_folder(shown.name)
@@ -217,7 +217,7 @@ class _Controls:
         with tabs.add_tab("Scene"):
             self._objects = ObjectsPanel(desk, picture.scene)
         with tabs.add_tab("Jog"):
-            self._jog = JogPanel(desk, self._goal)
+            JogPanel(desk, self._goal)
 
     def chosen(self, yes: bool) -> None:
         """Show or hide the handles."""
@@ -227,4 +227,3 @@ class _Controls:
         """Show what has changed."""
         self._motion.draw(news)
         self._objects.draw(news.scene)
-        self._jog.draw(news.servo)

@@ -9,9 +9,13 @@ from zarm.values import AXES, Axis, PathConstraint
 from zarm_contract.messages import PlannerSettings
 from zarm_viewer.desk import Desk
 
+PLANNERS = ("auto", "classic", "joint_space", "multi_point")
+"""Those that the contract names; auto takes the one for the kind of goal."""
 _DEFAULT = PlannerSettings()
 _HOLD = "What is ticked stays as it is at the start, all the way"
-_PLANNER = "auto takes the first that can reach the goal"
+_PLANNER = (
+    "classic: the pose, in whatever branch; joint_space: the branch that is shown; multi_point: through the waypoints"
+)
 _REPLAN = "When something is put in the way, plan anew in motion and swerve; else the robot waits until the way is free"
 
 
@@ -20,7 +24,7 @@ class PlanOptions:
 
     def __init__(self, desk: Desk) -> None:
         gui, default = desk.server.gui, _DEFAULT
-        self._planner = gui.add_text("planner", default.planner, hint=_PLANNER)
+        self._planner = gui.add_dropdown("planner", PLANNERS, initial_value=default.planner, hint=_PLANNER)
         self._replan = gui.add_checkbox("replan on the way", False, hint=_REPLAN)
         self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, default.velocity_scale)
         self._acceleration = gui.add_slider("acceleration", 0.05, 1.0, 0.05, default.acceleration_scale)
@@ -48,6 +52,11 @@ class PlanOptions:
             max_attempts=int(self._attempts.value),
             optimize_s=self._optimize.value,
         )
+
+    @property
+    def to_pose(self) -> bool:
+        """Whether the goal is the pose of the tip, and the planner chooses the joint positions that reach it."""
+        return self._planner.value == "classic" or self.path_constraint is not None
 
     @property
     def path_constraint(self) -> PathConstraint | None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from viser import SceneNodeHandle
 from viser.transforms import SE3
 
 from zarm_contract.messages import Scene, SceneObject
 from zarm_viewer.desk import Desk
 from zarm_viewer.drawing import Brush, draw_object
+from zarm_viewer.kinematics import Array
+from zarm_viewer.picking import distance
 
 OBJECT, CARRIED = (120, 144, 176), (230, 160, 60)
 
@@ -21,8 +23,6 @@ class SceneView:
     def __init__(self, desk: Desk, tip: str, meshes: tuple[Path, ...]) -> None:
         self._desk, self._tip, self._meshes = desk, tip, meshes
         self._drawn: dict[str, tuple[SceneObject, SceneNodeHandle | None]] = {}
-        self.clicked: Callable[[str], object] = lambda _: None
-        """Called with the name of an object that is clicked."""
 
     def draw(self, scene: Scene) -> None:
         """Show this scene."""
@@ -42,8 +42,6 @@ class SceneView:
                 self._drawn[node] = item, handle
                 if handle is None:
                     self._desk.note(f"{name} is not drawn: its mesh is in none of the viewer's --meshes folders")
-                elif not carried_too:
-                    self._listen(handle, name)
 
     def place(self, name: str, at: SE3) -> None:
         """Show an object at another pose during a drag; the next scene has its true pose."""
@@ -51,6 +49,12 @@ class SceneView:
         if handle is not None:
             handle.position, handle.wxyz = at.translation(), at.rotation().wxyz
 
-    def _listen(self, handle: SceneNodeHandle, name: str) -> None:
-        if self._desk.moves and hasattr(handle, "on_click"):
-            handle.on_click(lambda _: self.clicked(name))
+    def hit(self, origin: Array, direction: Array) -> str | None:
+        """The name of the object that a ray in the base frame hits first, None if it hits none; attached ones do not count."""
+        found = {
+            item.name: distance(origin, direction, handle)
+            for node, (item, handle) in self._drawn.items()
+            if handle is not None and node.startswith(f"{self._desk.root}/scene/")
+        }
+        nearest = min(found, key=found.__getitem__, default=None)
+        return nearest if nearest is not None and found[nearest] < np.inf else None

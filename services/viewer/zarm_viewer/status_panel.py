@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 
 from viser import ClientHandle, GuiButtonHandle, GuiEvent, Icon
@@ -14,6 +16,8 @@ from zarm_viewer.controls import put
 from zarm_viewer.desk import Desk
 from zarm_viewer.watching import News
 
+LINES = 5
+"""The least height of the status in lines of text. If it grew and shrank, buttons below it would move between two clicks."""
 SILENT = 1.0
 """Joint states older than this (s) are shown as stale."""
 LOOK = 1.0
@@ -25,8 +29,8 @@ class StatusPanel:
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self._text = desk.server.gui.add_markdown("*waiting for the robot*")
-        self._progress = desk.server.gui.add_progress_bar(0.0, visible=False)
+        self._text = desk.server.gui.add_html(_html(["<i>waiting for the robot</i>"]))
+        self._progress = desk.server.gui.add_progress_bar(0.0)
         self._state: ExecutorState | None = None
         self._goal: GoalState | None = None
         self._plan: Plan | None = None
@@ -45,51 +49,57 @@ class StatusPanel:
             self._goal = goal
         self._plan = news.plan or self._plan
         self._servo = news.servo or self._servo
-        text = "  \n".join(self._lines(age))
-        if self._text.content != text:
-            self._text.content = text
-        self._draw_progress()
+        put(self._text, _html(self._lines(age)), "content")
+        progress = 100 * self._goal.progress if self._goal is not None and not self._goal.done else 0.0
+        if abs(self._progress.value - progress) >= 1.0:
+            put(self._progress, progress)
 
     def _lines(self, age: float | None) -> list[str]:
-        state, goal, plan, servo = self._state, self._goal, self._plan, self._servo
+        """The status in lines of HTML."""
+        state = self._state
         if state is None:
-            return ["*no executor answers; `zarm status` shows what runs*"]
-        lines = [f"**{state.mode}** · {state.strategy} · speed {state.speed_scale:.0%}"]
+            return ["<i>no executor answers; <code>zarm status</code> shows what runs</i>"]
+        lines = [f"<b>{state.mode}</b> · {state.strategy} · speed {state.speed_scale:.0%}"]
         if age is None or age > SILENT:
-            lines.append("**no joint states**")
+            lines.append("<b>no joint states</b>")
         if state.problem is not None:
-            lines.append(f"**{state.problem.code}**: {state.problem.message}")
-            lines.append(MEANINGS[state.problem.code].remedy)
-        if goal is not None:
-            lines.append(f"{goal.status} · {goal.progress:.0%} of {goal.duration:.2f} s")
-            if goal.hold is not None:
-                what = goal.hold.obstruction
-                lines.append(
-                    f"held: {goal.hold.reason}" + (f", {what.object} in the way of {what.link}" if what else "")
-                )
-        if state.mode == "running" and not state.guarded:
-            lines.append("unguarded" + (", and the scene has changed" if state.scene_changed else ""))
-        if servo is not None and servo.session is not None:
-            lines.append(f"jog: {limited(servo.session)}")
-        if plan is not None:
-            stages = plan.timings
-            lines.append(
-                f"plan {plan.trajectory.duration:.2f} s · clearance {plan.clearance * 1e3:.0f} mm · planned in "
-                f"{stages.total * 1e3:.0f} ms"
-            )
-            lines.append(
-                f"ik {stages.ik * 1e3:.1f} · search {stages.search * 1e3:.1f} · shortcut {stages.shortcut * 1e3:.1f} · timing "
-                f"{stages.timing * 1e3:.1f} · verify {stages.verify * 1e3:.1f} · optimise {stages.optimize * 1e3:.1f} ms"
-            )
+            lines.append(f"<b>{state.problem.code}</b>: {escape(state.problem.message)}")
+            lines.append(escape(MEANINGS[state.problem.code].remedy))
+        if self._goal is not None:
+            lines.append(_goal(self._goal, state))
+        session = None if self._servo is None else self._servo.session
+        if session is not None:
+            near = "" if session.clearance is None else f" · clearance {session.clearance * 1e3:.0f} mm"
+            lines.append(f"jog: <b>{escape(limited(session))}</b>{near}")
+        elif self._plan is not None:
+            lines += _plan(self._plan)
         return lines
 
-    def _draw_progress(self) -> None:
-        goal = self._goal
-        running = goal is not None and not goal.done
-        if self._progress.visible != running:
-            self._progress.visible = running
-        if goal is not None and running and abs(self._progress.value - 100 * goal.progress) >= 1.0:
-            put(self._progress, 100 * goal.progress)
+
+def _html(lines: Sequence[str]) -> str:
+    style = f"line-height: 1.45; font-size: 0.875em; padding: 0 0.75em; min-height: {1.45 * LINES}em"
+    return f'<div style="{style}">{"<br>".join(lines)}</div>'
+
+
+def _goal(goal: GoalState, state: ExecutorState) -> str:
+    """How far a goal is, and what holds it."""
+    line = f"{goal.status} · {goal.progress:.0%} of {goal.duration:.2f} s"
+    if goal.hold is not None:
+        what = goal.hold.obstruction
+        line += f" · held: {goal.hold.reason}" + (f", {what.object} in the way of {what.link}" if what else "")
+    if state.mode == "running" and not state.guarded:
+        line += " · unguarded" + (", and the scene has changed" if state.scene_changed else "")
+    return escape(line)
+
+
+def _plan(plan: Plan) -> list[str]:
+    """A plan's figures: duration, clearance, and the time (ms) that each stage of planning took."""
+    stages = plan.timings
+    return [
+        f"plan {plan.trajectory.duration:.2f} s · clearance {plan.clearance * 1e3:.0f} mm · planned in {stages.total * 1e3:.0f} ms",
+        f"ik {stages.ik * 1e3:.1f} · search {stages.search * 1e3:.1f} · shortcut {stages.shortcut * 1e3:.1f} · timing "
+        f"{stages.timing * 1e3:.1f} · verify {stages.verify * 1e3:.1f} · optimise {stages.optimize * 1e3:.1f} ms",
+    ]
 
 
 class EventsPanel:
@@ -135,4 +145,4 @@ class EventsPanel:
                 f"{file.name} cannot be read any more: {error.strerror}; choose a newer one"
             ) from error
         if client is not None:
-            client.send_file_download(file.name, content)
+            client.send_file_download(file.name, content, save_immediately=True)

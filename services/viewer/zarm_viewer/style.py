@@ -16,7 +16,7 @@ PAIRED: Final = "gray"
 """The colour of buttons placed side by side in pairs."""
 
 _SHEET = f"""<style>
-canvas[data-engine] {{ background: linear-gradient(#c3d0e0, #eef2f6 60%); }}
+canvas[data-engine] {{ background: linear-gradient(#c3d0e0, #eef2f6 60%); cursor: grab !important; }}
 button[style*="-{STOP}-"] {{ height: 3em !important; font-size: 1.25em !important; font-weight: 700 !important; letter-spacing: 0.1em; }}
 div:has(canvas[data-engine]) {{ transition: none !important; }}
 div:has(> .mantine-Button-root[style*="-{PAIRED}-"]) {{ display: inline-block; width: calc(50% - 1.5em); }}
@@ -27,7 +27,7 @@ div:has(> .mantine-Button-root[style*="-{PAIRED}-"]) > .mantine-Button-root {{ t
   div[style*="position: fixed"][style*="width: 20em"] {{ bottom: 3.6em !important; max-height: 50% !important; }}
 }}
 </style>"""
-"""The sky is drawn behind the canvas, which costs nothing. On a phone, where all panels are one that scrolls, it is as wide as the screen
+"""The sky is drawn behind the canvas, which costs nothing. viser points at a view that can be clicked; this one is mostly turned. On a phone, where all panels are one that scrolls, it is as wide as the screen
 and ends above STOP, which keeps its place.
 """
 

@@ -201,6 +201,53 @@ def test_a_plan_passes_through_a_waypoint_where_it_was_dragged(page: Page, cell:
         page.get_by_text(folder).click()
 
 
+@pytest.mark.slow
+def test_the_goal_is_checked_again_when_the_scene_changes(page: Page, cell: Cell) -> None:
+    aim_home(page)
+    expect(page.get_by_text("reachable, free")).to_be_visible()
+    x, y, z = Chain(ROBOT).tip(np.array(HOME)).translation()
+    cell.robot.scene.add(zarm.Cuboid("put_there_later", size=(0.1, 0.1, 0.1), position=(x, y, z)))
+    expect(page.get_by_text("put_there_later").first).to_be_visible()
+    cell.robot.scene.clear()
+    expect(page.get_by_text("reachable, free")).to_be_visible()
+    page.get_by_role("button", name="Back to the robot").click()
+    page.get_by_text("Poses").click()
+
+
+@pytest.mark.slow
+def test_the_handle_is_dragged_out_of_an_object(page: Page, cell: Cell) -> None:
+    tip = cell.robot.tip().position
+    cell.robot.scene.add(zarm.Cuboid("around_it", size=(0.5, 0.5, 0.5), position=tip))
+    page.wait_for_function("() => '/doosan_m1013/scene/around_it' in window.__viserMutable.nodeRefFromName")
+    drag(page, cell.pixel((tip[0], tip[1], tip[2] - 0.12)), 32)
+    expect(page.get_by_text("around_it").first).to_be_visible()  # a goal was set, and collides
+    page.get_by_role("button", name="Plan", exact=True).click()
+    expect(page.get_by_role("alert").filter(has_text="Plan:").first).to_be_visible()
+    aim_home(page)
+    page.get_by_role("button", name="Back to the robot").click()
+    page.get_by_text("Poses").click()
+
+
+@pytest.mark.slow
+def test_jog_buttons_stay_where_they_are_while_the_robot_jogs(page: Page, cell: Cell) -> None:
+    page.get_by_role("tab", name="Jog").click()
+    button = page.get_by_role("button", name="+ x")
+
+    def top() -> float:
+        box = button.bounding_box()
+        assert box is not None
+        return box["y"]
+
+    button.scroll_into_view_if_needed()
+    before = top()
+    hold(page, "+ x")
+    expect(page.get_by_text("jog:").first).to_be_visible()
+    assert abs(top() - before) < 5  # px: a line of the status is 20, a pressed button goes down by 1
+    page.mouse.up()
+    eventually(cell.rests, "it rests")
+    assert abs(top() - before) < 5
+
+
 @pytest.mark.slow  # the ghost is seen where the handle is dragged
 def test_a_plan_is_looked_through_before_anything_moves(page: Page, cell: Cell) -> None:
     aim_home(page)

@@ -46,7 +46,6 @@ def test_chunks_continue_one_another_exactly_stay_inside_the_limits_and_end_at_r
     assert followed.duration >= streamed.time + REST
 
 
-@pytest.mark.slow
 @pytest.mark.lengthy
 def test_a_chunk_that_comes_late_is_followed_all_the_same_inside_the_limits() -> None:
     controller = Controller(MODEL, MotionCheck(MODEL), soft(LIMITS), HOME, margin=0.01)
