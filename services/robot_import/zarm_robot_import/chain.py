@@ -182,22 +182,32 @@ def _moving_below(robot: Description, link: str) -> list[Joint]:
 
 def _rigid(robot: Description, link: str) -> list[str]:
     """A link and all links connected to it by fixed joints."""
-    found = [link]
-    for joint in robot.children.get(link, ()):
-        if joint.type == "fixed":
-            found += _rigid(robot, joint.child)
+    found, waiting = [], [link]
+    while waiting:
+        found.append(waiting.pop())
+        joints = robot.children.get(found[-1], ())
+        waiting += [joint.child for joint in reversed(joints) if joint.type == "fixed"]
     return found
 
 
 def _length(robot: Description, joint: Joint) -> int:
     """The greatest number of moving joints in a row, from a joint on."""
-    return 1 + max((_length(robot, one) for one in _moving_below(robot, joint.child)), default=0)
+    length, branches = 0, [joint]
+    while branches:
+        length += 1
+        branches = [one for branch in branches for one in _moving_below(robot, branch.child)]
+    return length
 
 
 def _ends(robot: Description, link: str) -> list[str]:
     """The ends of the moving branches from a link on."""
-    below = _moving_below(robot, link)
-    return [end for joint in below for end in _ends(robot, joint.child)] or [link]
+    ends, waiting = [], [link]
+    while waiting:
+        one = waiting.pop()
+        below = _moving_below(robot, one)
+        waiting += [joint.child for joint in reversed(below)]
+        ends += [] if below else [one]
+    return ends
 
 
 def _assembled(

@@ -34,6 +34,10 @@ class Geometry:
     size: tuple[float, ...] = ()
 
 
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""The attributes of <inertia>."""
+
+
 @dataclass(frozen=True)
 class Link:
     """One <link>."""
@@ -42,6 +46,15 @@ class Link:
     element: ET.Element
     visual: tuple[Geometry, ...]
     collision: tuple[Geometry, ...]
+
+    @property
+    def inertia(self) -> Array | None:
+        """The inertia tensor (3, 3) in kg m^2 about the centre of mass, None if the URDF states none."""
+        stated = self.element.find("inertial/inertia")
+        if stated is None:
+            return None
+        xx, xy, xz, yy, yz, zz = (float(stated.get(key, "0")) for key in _INERTIA)
+        return np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
 
 
 @dataclass(frozen=True)
@@ -101,9 +114,10 @@ class Description:
 
     def below(self, link: str) -> Iterator[str]:
         """A link and all links below it."""
-        yield link
-        for joint in self.children.get(link, ()):
-            yield from self.below(joint.child)
+        waiting = [link]
+        while waiting:
+            yield (one := waiting.pop())
+            waiting += [joint.child for joint in reversed(self.children.get(one, ()))]
 
 
 def describe(source: Source) -> Description:
@@ -167,8 +181,21 @@ def _link(source: Source, element: ET.Element) -> Link:
     name = _attribute(source, element, "name")
     if len(name) > _LONGEST:
         raise source.fault(element, f"the name of a link has {len(name)} characters, more than {_LONGEST}; shorten it")
+    _check_inertial(source, element.find("inertial"), f"link {name}")
     found = {tag: tuple(_geometries(source, element, tag, name)) for tag in ("visual", "collision")}
     return Link(name, element, **found)
+
+
+def _check_inertial(source: Source, inertial: ET.Element | None, owner: str) -> None:
+    if inertial is None:
+        return
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    if mass is not None and (kilograms := _numbers(source, mass, "value", 1, owner)[0]) < 0.0:
+        raise source.fault(
+            mass, f"{owner} has a mass of {kilograms:g} kg; write a positive one, or leave <inertial> out"
+        )
+    for key in _INERTIA:
+        _numbers(source, inertia, key, 1, owner, (0.0,))
 
 
 def _geometries(source: Source, link: ET.Element, tag: str, name: str) -> Iterator[Geometry]:

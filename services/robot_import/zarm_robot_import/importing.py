@@ -19,6 +19,7 @@ from zarm_robot_import.contacts import Contacts
 from zarm_robot_import.description import describe
 from zarm_robot_import.fitting import fit
 from zarm_robot_import.home import choose_home
+from zarm_robot_import.inertia import unphysical
 from zarm_robot_import.limits import limits_of
 from zarm_robot_import.meshes import link_surface
 from zarm_robot_import.picture import draw
@@ -100,9 +101,12 @@ def _imported(
     left_out = [
         f"{link}: it hangs on no joint, so it is left out; add the joint that carries it" for link in robot.stray
     ]
+    suspect: list[str] = []
     for index, mounted in enumerate(chain.mounted):
         progress(f"meshes of {mounted.link}", 0.2 * index / len(chain.mounted))
         link = robot.links[mounted.link]
+        if unphysical(link.inertia):
+            suspect.append(f"{link.name}: no body has the inertia that its <inertial> states; correct it in the URDF")
         if surface := link_surface(robot.source, link, options.geometry):
             surfaces.append(surface)
         elif link.collision or link.visual:
@@ -154,7 +158,7 @@ def _imported(
         limits,
         pairs,
         home,
-        left_out,
+        [*left_out, *suspect],
         time.process_time() - begun,
         controller,
     )

@@ -17,7 +17,7 @@ from zarm_robot_import.self_collision import Pair
 class Report:
     """All decisions, and their reasons.
 
-    `left_out` lists the geometry not used; `controller` is the ros2_control trajectory controller that the URDF names.
+    `notes` name the geometry not used, and inertias that no body has; `controller` is the ros2_control trajectory controller that the URDF names.
     """
 
     name: str
@@ -28,14 +28,14 @@ class Report:
     limits: Sequence[JointLimits]
     pairs: Sequence[Pair]
     home: Sequence[float]
-    left_out: Sequence[str]
+    notes: Sequence[str]
     seconds: float
     controller: str | None = None
 
     @property
     def warnings(self) -> list[str]:
         """What should be reviewed."""
-        found = [*self.left_out, *self.chain.mimics]
+        found = [*self.notes, *self.chain.mimics]
         found += [f"{surface.link}: {warning}" for surface in self.surfaces for warning in surface.warnings]
         for joint, limit in zip(self.chain.joints, self.limits, strict=True):
             for what in ("range", "velocity"):

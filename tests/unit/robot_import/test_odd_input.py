@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from support.tiers import sampled
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.robot import load_robot
 from zarm_geometry.rows import distances
 from zarm_robot_import.body import Body
+from zarm_robot_import.chain import choose_chain
 from zarm_robot_import.description import describe
 from zarm_robot_import.importing import Options, import_robot
+from zarm_robot_import.inertia import unphysical
 from zarm_robot_import.meshes import MOST_KEPT, Surface, gathered, link_surface, sticks_out
 from zarm_robot_import.primitives import fit_primitives, rows_of
 from zarm_robot_import.source import read_source
@@ -132,6 +135,16 @@ def two_joints(limit: str = 'lower="-2" upper="2" velocity="1"', more: str = "")
     return f'<robot name="arm">{"".join(links + joints)}{more}</robot>'
 
 
+def weighed(mass: str, inertia: str) -> str:
+    """One more link, with the six numbers of its inertia."""
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    numbers = " ".join(f'{key}="{number}"' for key, number in zip(keys, inertia.split(), strict=True))
+    return (
+        f'<link name="lump"><inertial><mass value="{mass}"/><inertia {numbers}/></inertial></link>'
+        '<joint name="weld" type="fixed"><parent link="l2"/><child link="lump"/></joint>'
+    )
+
+
 FINGER = (
     '<link name="finger"/><joint name="slide" type="prismatic"><parent link="l2"/><child link="finger"/>'
     '<limit lower="0" upper="0.04" velocity="1"/></joint>'
@@ -150,6 +163,8 @@ XACRO = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot
         (XACRO.format('<xacro:include filename="none.xacro"/>'), {}, "none.xacro"),
         (two_joints(), {"packages": [Path("/none")]}, "there is no folder /none; name one that holds ROS packages"),
         (two_joints(), {"base": "l2", "tip": "l1"}, "the tip l1 does not hang on the base l2; swap them"),
+        (two_joints(more=weighed("-1", "1 0 0 1 0 1")), {}, "link lump has a mass of -1 kg; write a positive one"),
+        (two_joints(more=weighed("1", "1 0 0 nan 0 1")), {}, "link lump: iyy='nan' must be a finite number"),
         (two_joints(more=FINGER), {"fixed": {"slide": 4.0}}, "outside of the joint's limits, 0 to 0.04"),
         (two_joints(more=FINGER), {"fixed": {"slide": math.nan}}, "outside of the joint's limits, 0 to 0.04"),
     ],
@@ -193,8 +208,9 @@ def test_a_folder_in_which_nothing_can_be_written_is_said_before_anything_is_com
             two_joints(more='<link name="stray"><visual><geometry><sphere radius="1"/></geometry></visual></link>'),
             "stray: it hangs on no",
         ),
+        (two_joints(more=weighed("1", "3 0 0 1 0 1")), "lump: no body has the inertia that its <inertial> states"),
     ],
-    ids=["far from 0", "hardly any range", "stray link"],
+    ids=["far from 0", "hardly any range", "stray link", "impossible inertia"],
 )
 def test_an_odd_arm_is_imported_with_a_warning(tmp_path: Path, text: str, warning: str) -> None:
     (file := tmp_path / "a.urdf").write_text(text)
@@ -260,3 +276,30 @@ def test_where_nothing_but_what_floats_moves_it_is_refused_with_its_line(tmp_pat
     )
     with pytest.raises(InvalidRequest, match=rf"drone\.urdf:3: joint free is {kind}"):
         import_robot(file, tmp_path / "out", Options())
+
+
+@pytest.mark.parametrize(
+    ("inertia", "possible"),
+    [
+        ((1.0, 1.0, 1.0), True),
+        ((1e-6, 1.0, 1.0), True),
+        ((0.0, 0.0, 0.0), True),
+        ((-1.0, 1.0, 1.0), False),
+        ((3.0, 1.0, 1.0), False),
+    ],
+)
+def test_an_inertia_that_no_body_has_is_found(inertia: tuple[float, ...], possible: bool) -> None:
+    turn = Rotation.from_rotvec((0.3, 0.2, 0.1)).as_matrix()
+    assert unphysical(turn @ np.diag(inertia) @ turn.T) is not possible
+
+
+def test_a_tip_behind_thousands_of_fixed_links_is_found(tmp_path: Path) -> None:
+    count = 3000
+    links = "".join(f'<link name="f{i}"/>' for i in range(count))
+    joints = "".join(
+        f'<joint name="w{i}" type="fixed"><parent link="{f"f{i - 1}" if i else "l2"}"/><child link="f{i}"/></joint>'
+        for i in range(count)
+    )
+    file = tmp_path / "arm.urdf"
+    file.write_text(two_joints(more=links + joints))
+    assert choose_chain(describe(read_source(file))).tip == f"f{count - 1}"
