@@ -253,8 +253,8 @@ class Measure:
         """For one primitive (17,), without the parts inside the body or one of `others` (n, 17); sampled, so an upper
         bound. If it protrudes further than `most` (m), the answer says no more than that.
         """
-        if row.tobytes() not in self._known and (out := self._few(row, others)) > most:
-            return Out(out, 0.0, 0.0)
+        if row.tobytes() not in self._known and (far := self._few(row, others)) > most:
+            return Out(far, 0.0, 0.0)
         skin = self._skin(row)
         outer = np.flatnonzero(~within(skin.points, others, 1e-5))
         # Whether a point is within the body takes the longest to tell: first of those that decide.
