@@ -26,14 +26,15 @@ _AROUND = 1000
 
 @dataclass(frozen=True)
 class Body:
-    """The triangles (n, 3, 3) of a link, and points (m, 3) spread over the box around them (Halton points, since those
-    of a grid lie in planes).
+    """The triangles (n, 3, 3) of a link, their distinct corners (k, 3), and points (m, 3) spread over the box around them
+    (Halton points, since those of a grid lie in planes).
 
     For these, `distance` (m,) to the surface, and whether they are `out` (m,) of it; each represents a volume of `cell`
     (m^3). `surface` holds points on the surface; the link's true one may be `off` (m) from it.
     """
 
     triangles: Array
+    corners: Array
     points: Array
     distance: Array
     out: NDArray[np.bool_]
@@ -49,7 +50,8 @@ class Body:
         points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
         cell = float((upper - lower).prod() / len(points))
         out = np.abs(winding(points, thinned(triangles))) < 0.5
-        return cls(triangles, points, surface.query(points)[0], out, cell, surface, off)
+        corners = np.unique(triangles.reshape(-1, 3), axis=0)
+        return cls(triangles, corners, points, surface.query(points)[0], out, cell, surface, off)
 
     def around(self, points: Array) -> tuple[Array, Array]:
         """Points (n, 3) outside the body in the box around `points` (k, 3), slightly enlarged, and the cost of each:

@@ -81,7 +81,9 @@ def choose_chain(
     path = robot.path(base, tip)
     if path is None:
         remedy = "swap them" if robot.path(tip, base) else "choose --base and --tip on one branch"
-        raise InvalidRequest(f"{robot.source.path}: the tip {tip} does not hang on the base {base}; {remedy}")
+        raise InvalidRequest(
+            f"{robot.source.path}: no chain of joints leads from the base {base} to the tip {tip}; {remedy}"
+        )
     start = next((joint for joint in path if joint.type != "fixed"), None)
     if start is not None and start.type not in ("floating", "planar"):
         start = None

@@ -11,7 +11,7 @@ from zarm_robot_import.description import Description, Joint
 VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.1}
 """Default if the URDF gives none (rad/s, m/s): slow for any arm."""
 RAMP = 0.5
-"""Assumed time from rest to the highest velocity (s): half of what arms of 5 to 15 kg payload state or more."""
+"""Assumed time (s) from rest to the highest velocity, so that the assumed acceleration is at most `velocity / RAMP`."""
 JERK_RAMP = 0.1
 """Assumed time (s) from no acceleration to the highest."""
 MOST_ACCELERATION = 5.0

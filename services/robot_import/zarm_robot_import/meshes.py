@@ -97,7 +97,7 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
             found[kind], lost = _cleaned(np.concatenate(parts))
             if lost:
                 warnings.append(
-                    f"{lost} triangles of its {kind} geometry have coordinates that are no numbers, and are left out; export the mesh again"
+                    f"{lost} triangles of its {kind} geometry have NaN or infinite coordinates and are left out; export the mesh again"
                 )
     for kind, text in missing.items():
         # A partial link is useless: drop this kind if the other one is complete.
@@ -283,7 +283,7 @@ def _load(file: Path) -> Array:
         raise _Unreadable(f"{file} holds no triangles; export it again")
     count = sum(map(len, parts))
     if not any(np.isfinite(part).all(axis=(1, 2)).any() for part in parts):
-        raise _Unreadable(f"{file} holds coordinates that are no numbers; export it again")
+        raise _Unreadable(f"{file} has only NaN or infinite coordinates; export it again")
     if count > MOST_TRIANGLES:
         raise _Unreadable(f"{file} has {count} triangles, more than {MOST_TRIANGLES}; simplify it")
     triangles = np.concatenate(parts)

@@ -47,6 +47,8 @@ _POINTS = 250
 """Points that represent the surface in the search for planes."""
 _SAMPLES = 400
 """Points on each primitive used to measure how far it protrudes."""
+_EVERY = 10
+"""One of so many of them is measured first."""
 _CUTS = 5
 """Planes tried along each axis."""
 _FEWEST = 25
@@ -95,8 +97,8 @@ def triangles_of(row: Array) -> Array:
     if disc:
         placed = _cylinder() * (disc, disc, core[2])
     elif rounding:
-        mesh = trimesh.creation.capsule(2 * core[2], rounding, count=[24, 24])
-        placed = mesh.triangles - mesh.bounds.mean(axis=0)
+        placed = _capsule() * rounding
+        placed[..., 2] += np.where(placed[..., 2] > 0.0, core[2] - rounding, rounding - core[2])
     else:
         placed = _box() * core
     frame = row[:12].reshape(3, 4)
@@ -111,6 +113,13 @@ def _cylinder() -> Array:
 
 
 @cache
+def _capsule() -> Array:
+    """The surface (n, 3, 3) of a capsule of radius 1 whose ends are 2 apart."""
+    mesh = trimesh.creation.capsule(2.0, 1.0, count=[24, 24])
+    return np.array(mesh.triangles - mesh.bounds.mean(axis=0))
+
+
+@cache
 def _box() -> Array:
     """The surface (n, 3, 3) of a cube of size 2."""
     return np.array(trimesh.creation.box((2.0, 2.0, 2.0)).triangles)
@@ -118,13 +127,14 @@ def _box() -> Array:
 
 @dataclass(eq=False)
 class _Cell:
-    """The content between planes: triangles (n, 3, 3), the corners (k, 3) of their convex hull, points (m, 3) on them,
-    and the row of the enclosing primitive; `out` as in `_tightest`.
+    """The content between planes: triangles (n, 3, 3), their distinct vertices (j, 3), the corners (k, 3) of their convex
+    hull, points (m, 3) on them, and the row of the enclosing primitive; `out` as in `_tightest`.
 
     `axes` (l, 3, 3) are the frames to try here. `final` if no plane makes it tighter.
     """
 
     triangles: Array
+    vertices: Array
     corners: Array
     points: Array
     axes: Array
@@ -142,7 +152,7 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
     """Primitives that contain all triangles of a link's surface."""
     axes = _axes(body.surface.data, body.triangles, np.empty((0, 3, 3)))
     measure = Measure(body)
-    cells = [_piece(body.triangles, axes, body)]
+    cells = [_piece(body.triangles, body.corners, axes, body)]
     outs: dict[_Cell, Out] = {}
     while len(cells) < COUNT:
         _add_missing(outs, cells, measure)
@@ -231,8 +241,7 @@ class Measure:
     """How far primitives protrude from a body."""
 
     def __init__(self, body: Body) -> None:
-        corners = body.triangles.reshape(-1, 3)
-        self._cloud = cKDTree(np.concatenate([points_on(body.triangles, 20_000)[0], corners[:100_000]]))
+        self._cloud = cKDTree(np.concatenate([points_on(body.triangles, 20_000)[0], body.corners]))
         self._coarse = thinned(body.triangles)
         self._known: dict[bytes, _Skin] = {}
 
@@ -244,6 +253,8 @@ class Measure:
         """For one primitive (17,), without the parts inside the body or one of `others` (n, 17); sampled, so an upper
         bound. If it protrudes further than `most` (m), the answer says no more than that.
         """
+        if row.tobytes() not in self._known and (far := self._few(row, others)) > most:
+            return Out(far, 0.0, 0.0)
         skin = self._skin(row)
         outer = np.flatnonzero(~within(skin.points, others, 1e-5))
         # Whether a point is within the body takes the longest to tell: first of those that decide.
@@ -252,6 +263,14 @@ class Measure:
             self._tell(skin, outer)
         out = skin.out[outer]
         return Out(float(out.max(initial=0.0)), skin.each * float(out.sum()), skin.each * len(out))
+
+    def _few(self, row: Array, others: Array) -> float:
+        """How far (m) the farthest of a few of the points on a primitive protrudes: enough to reject most that protrude too far."""
+        points = points_on(triangles_of(row), _SAMPLES)[0][::_EVERY]
+        points = points[~within(points, others, 1e-5)]
+        out = self._cloud.query(points)[0]
+        unsure = out > MEAN
+        return float(out[unsure][np.abs(winding(points[unsure], self._coarse)) <= 0.5].max(initial=0.0))
 
     def _tell(self, skin: _Skin, some: NDArray[np.intp]) -> None:
         """Decide which of these points are within the body."""
@@ -329,19 +348,20 @@ def _faces(triangles: Array) -> Array:
     return np.column_stack((first, second, np.cross(first, second)))
 
 
-def _piece(triangles: Array, axes: Array, body: Body) -> _Cell:
-    """A cell of some of the triangles."""
-    corners = _hull(triangles.reshape(-1, 3))
+def _piece(triangles: Array, vertices: Array, axes: Array, body: Body) -> _Cell:
+    """A cell of some of the triangles, whose vertices are these."""
+    corners = _hull(vertices)
     along = corners @ axes[:, :, 2].T
     furthest = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0)]))
     points = np.concatenate([points_on(triangles, _POINTS)[0], corners[furthest]])
-    return _cell(triangles, corners, points, _axes(points, triangles, axes), body)
+    return _cell(triangles, vertices, corners, points, _axes(points, triangles, axes), body)
 
 
 def _union(a: _Cell, b: _Cell, axes: Array, body: Body) -> _Cell:
     """Two cells merged."""
     return _cell(
         np.concatenate([a.triangles, b.triangles]),
+        np.concatenate([a.vertices, b.vertices]),
         np.concatenate([a.corners, b.corners]),
         np.concatenate([a.points[::2], b.points[::2]]),
         np.concatenate([a.axes, b.axes[len(axes) :]]),
@@ -365,12 +385,12 @@ def _hull(points: Array) -> Array:
     return found
 
 
-def _cell(triangles: Array, corners: Array, points: Array, axes: Array, body: Body) -> _Cell:
+def _cell(triangles: Array, vertices: Array, corners: Array, points: Array, axes: Array, body: Body) -> _Cell:
     form = _form(points, axes)
     which, out = _tightest(points, form, body.around(points))
     one = [which % len(axes)]
     shapes = around(corners, form.turn[one], form.box[one], form.axis[one], form.middle)
-    return _Cell(triangles, corners, points, axes, grown(shapes[which // len(axes)], body.off), out)
+    return _Cell(triangles, vertices, corners, points, axes, grown(shapes[which // len(axes)], body.off), out)
 
 
 def grown(row: Array, by: float) -> Array:
@@ -420,7 +440,13 @@ def _halves(cell: _Cell, axes: Array, body: Body, outside: tuple[Array, Array]) 
         for offset in (middle - step, middle + step):
             if (out := left(axis, offset)) < best:
                 best, chosen = out, (axis, offset)
-    return [_piece(part, axes, body) for part in cut(cell.triangles, *chosen) if len(part)]
+    below, above, across = cut(cell.triangles, *chosen)
+    high = cell.vertices @ chosen[0] > chosen[1]
+    return [
+        _piece(part, np.concatenate([vertices, across]), axes, body)
+        for part, vertices in ((below, cell.vertices[~high]), (above, cell.vertices[high]))
+        if len(part)
+    ]
 
 
 class _Form(NamedTuple):
@@ -456,9 +482,9 @@ def _volumes(rows: Array) -> Array:
     return found
 
 
-def cut(triangles: Array, normal: Array, offset: float) -> tuple[Array, Array]:
+def cut(triangles: Array, normal: Array, offset: float) -> tuple[Array, Array, Array]:
     """The triangles (n, 3, 3) below and above the plane of points x with normal * x = offset, cut where it intersects
-    them.
+    them, and the points (k, 3) of these cuts.
     """
     away = triangles @ normal - offset
     above = away > 0.0
@@ -478,6 +504,7 @@ def cut(triangles: Array, normal: Array, offset: float) -> tuple[Array, Array]:
     return (
         np.concatenate([low, tip[~lone_above], rest[twice]]),
         np.concatenate([high, tip[lone_above], rest[~twice]]),
+        np.concatenate([ab, ac]),
     )
 
 

@@ -133,7 +133,7 @@ class _Link:
 def _points_of(rows: Array, outer: int, inner: int) -> Array:
     """Points (n, 3) throughout shapes (m, 17)."""
     grid = np.concatenate([_grid(row, inner // len(rows)) for row in rows])
-    return np.concatenate([outer_points(rows, outer), grid[depths(grid, rows) > 0.0]])
+    return np.concatenate([outer_points(rows, outer), grid[below(grid, rows)]])
 
 
 def _grid(row: Array, count: int) -> Array:

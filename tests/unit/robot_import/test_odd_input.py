@@ -113,14 +113,14 @@ def test_a_file_that_is_no_mesh_is_said_with_its_place(tmp_path: Path, content: 
 
 def test_a_mesh_without_numbers_is_refused_and_one_with_some_is_named(tmp_path: Path) -> None:
     nothing = np.full((3, 3), np.nan)
-    with pytest.raises(InvalidRequest, match="holds coordinates that are no numbers; export it again"):
+    with pytest.raises(InvalidRequest, match="has only NaN or infinite coordinates; export it again"):
         surface(tmp_path, trimesh.Trimesh(nothing, [[0, 1, 2]], process=False))
     (tmp_path / "some").mkdir()
     corners = np.concatenate([BOX.vertices, nothing])
     faces = np.concatenate([BOX.faces, [np.arange(3) + len(BOX.vertices)]])
     found = surface(tmp_path / "some", trimesh.Trimesh(corners, faces, process=False))
     assert len(found.triangles) == len(BOX.faces)
-    assert found.warnings[0].startswith("1 triangles of its visual geometry have coordinates that are no numbers")
+    assert found.warnings[0].startswith("1 triangles of its visual geometry have NaN or infinite coordinates")
 
 
 def two_joints(limit: str = 'lower="-2" upper="2" velocity="1"', more: str = "") -> str:
@@ -162,7 +162,11 @@ XACRO = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot
         (XACRO.format('<link name="${size}"/>'), {}, "name 'size' is not defined when evaluating"),
         (XACRO.format('<xacro:include filename="none.xacro"/>'), {}, "none.xacro"),
         (two_joints(), {"packages": [Path("/none")]}, "there is no folder /none; name one that holds ROS packages"),
-        (two_joints(), {"base": "l2", "tip": "l1"}, "the tip l1 does not hang on the base l2; swap them"),
+        (
+            two_joints(),
+            {"base": "l2", "tip": "l1"},
+            "no chain of joints leads from the base l2 to the tip l1; swap them",
+        ),
         (two_joints(more=weighed("-1", "1 0 0 1 0 1")), {}, "link lump has a mass of -1 kg; write a positive one"),
         (two_joints(more=weighed("1", "1 0 0 nan 0 1")), {}, "link lump: iyy='nan' must be a finite number"),
         (two_joints(more=FINGER), {"fixed": {"slide": 4.0}}, "outside of the joint's limits, 0 to 0.04"),

@@ -8,7 +8,7 @@ import trimesh
 
 from zarm_geometry.rows import distances
 from zarm_robot_import.body import Body
-from zarm_robot_import.primitives import MEAN, MOST, Measure, Out, cut, fit_primitives, rows_of
+from zarm_robot_import.primitives import MEAN, MOST, Measure, Out, cut, fit_primitives, rows_of, triangles_of
 
 Array = np.ndarray
 
@@ -57,10 +57,22 @@ def test_a_link_that_is_a_primitive_is_taken_for_that(name: str, kind: str) -> N
 
 def test_cut_triangles_lie_on_their_sides_of_the_plane_and_keep_their_area() -> None:
     normal = np.array((0.6, 0.0, 0.8))
-    below, above = cut(ELBOW, normal, 0.11)
+    below, above, across = cut(ELBOW, normal, 0.11)
     assert (below @ normal).max() <= 0.11 + 1e-12
     assert (above @ normal).min() >= 0.11 - 1e-12
+    np.testing.assert_allclose(across @ normal, 0.11, atol=1e-12)
     assert area(below) + area(above) == pytest.approx(area(ELBOW))
+
+
+@pytest.mark.parametrize(("half", "radius"), [(0.1, 0.03), (1e-4, 0.05), (0.0, 0.04)])
+def test_the_surface_of_a_capsule_is_its_radius_away_from_its_axis(half: float, radius: float) -> None:
+    row = np.zeros(17)
+    row[[0, 5, 10]], row[14], row[16] = 1.0, half, radius
+    points = triangles_of(row).reshape(-1, 3)
+    axis = np.zeros_like(points)
+    axis[:, 2] = np.clip(points[:, 2], -half, half)
+    np.testing.assert_allclose(np.linalg.norm(points - axis, axis=1), radius, rtol=1e-9)
+    assert np.ptp(points[:, 2]) == pytest.approx(2 * (half + radius))
 
 
 def area(triangles: Array) -> float:
