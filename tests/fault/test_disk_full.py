@@ -109,7 +109,7 @@ def test_a_motion_goes_on_over_a_full_disk_and_the_next_one_is_refused_until_the
 
         def not_saved() -> bool:
             disk.fill()
-            return "is not saved" in executor.output()
+            return "is no longer saved" in executor.output()
 
         eventually(not_saved, "the disk is full")
         assert saved_position(saved) is not None
@@ -129,7 +129,7 @@ def test_a_motion_goes_on_over_a_full_disk_and_the_next_one_is_refused_until_the
         with pytest.raises(Unavailable, match="ghost is active again"):
             client.strategy("emulator")
         assert saved.read_bytes() == old
-        assert executor.output().count("is not saved") == 1
+        assert executor.output().count("is no longer saved") == 1
 
         disk.empty()
         assert client.strategy("emulator").active == "emulator"

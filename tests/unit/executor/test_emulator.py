@@ -139,7 +139,7 @@ def test_losing_the_folder_in_motion_costs_a_warning_and_not_the_motion(
         (tmp_path / "state").write_text("a file where the folder should be")
         emulator.start(TimedTrajectory.of(rest_to_rest(moved(1.0)), JOINTS), 1.0)
         play(emulator, 4.0)
-        eventually(lambda: "not saved" in caplog.text, "a warning is logged")
+        eventually(lambda: "no longer saved" in caplog.text, "a warning is logged")
         np.testing.assert_allclose(position(emulator), moved(1.0), atol=1e-9)
     finally:
         emulator.close()
