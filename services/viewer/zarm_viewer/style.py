@@ -27,8 +27,8 @@ div:has(> .mantine-Button-root[style*="-{PAIRED}-"]) > .mantine-Button-root {{ t
   div[style*="position: fixed"][style*="width: 20em"] {{ bottom: 3.6em !important; max-height: 50% !important; }}
 }}
 </style>"""
-"""The sky is drawn behind the canvas, which costs nothing. viser points at a view that can be clicked; this one is mostly turned. On a phone, where all panels are one that scrolls, it is as wide as the screen
-and ends above STOP, which keeps its place.
+"""The sky is drawn behind the canvas, which costs nothing. viser shows a pointing hand over a view that can be clicked; this one is
+mostly turned. On a phone all panels are one that scrolls; it is as wide as the screen and ends above STOP, which keeps its place.
 """
 
 
