@@ -116,7 +116,7 @@ class Executor:
         running = self._reporter.publish().goal_id  # also records a goal that has just ended
         if goal_id is not None and (goal_id == running or self._reporter.knows(goal_id)):
             raise InvalidRequest(
-                f"there has been a goal {goal_id} already; give every goal a new goal_id", field="goal_id"
+                f"the goal_id {goal_id} was used before; give every goal a new goal_id", field="goal_id"
             )
         return goal_id or f"goal-{secrets.token_hex(4)}"
 

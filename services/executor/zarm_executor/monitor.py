@@ -134,7 +134,7 @@ class Monitor:
         return Problem(
             code="tolerance_violated",
             message=f"{self._joints[worst]} missed the end of the motion by {error[worst]:.4f} rad (goal_tolerance "
-            f"{self._execution.goal_tolerance:g}) and rests there; see what holds or pushes the robot, then plan again from "
+            f"{self._execution.goal_tolerance:g}) and rests there; find out what blocks or pushes the robot, then plan again from "
             "where it is",
             joint=self._joints[worst],
         )
@@ -156,8 +156,8 @@ class Monitor:
             if self._overdue(now):
                 if measured is None or not fresh:
                     raise ExecutionFailed(
-                        "the robot was told to stop and no longer reports its joints; look at it, use the emergency stop if "
-                        "it moves, see why its driver is silent",
+                        "the robot was told to stop and no longer reports its joints; watch the robot, use the emergency stop if "
+                        "it moves, and find out why its driver is silent",
                         code="driver_stalled",
                     )
                 self._refuse_to_move(measured)
@@ -193,7 +193,7 @@ class Monitor:
         if not error[worst] <= tolerance:
             raise failure(
                 f"{self._joints[worst]} left the commanded path by {error[worst]:.4f} rad (path_tolerance {tolerance:g}); "
-                "see what holds or pushes the robot",
+                "find out what blocks or pushes the robot",
                 code="tolerance_violated",
                 joint=self._joints[worst],
             )

@@ -61,7 +61,7 @@ class Streams:
         try:
             with self._admission.turn(arrival) as turn:
                 if chunk.start != 0.0:
-                    raise InvalidRequest("the first chunk of a stream starts at 0 s of it", field="start")
+                    raise InvalidRequest("the first chunk of a stream must start at 0", field="start")
                 planned = executable(chunk.trajectory, self._robot)
                 trajectory, at = placed(planned, self._admission.joint_state(), time.monotonic(), self._robot)
                 self._turns = trajectory.start - planned.start

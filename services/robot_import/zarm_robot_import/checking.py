@@ -82,7 +82,7 @@ def _joints(model: RobotModel) -> Iterator[str]:
         moved = home.copy()
         moved[index] += 0.1 if home[index] < model.upper[index] - 0.1 else -0.1
         if np.allclose(model.fk_tip(moved), still, atol=1e-9):
-            yield f"tip_link: {joint} does not move {descriptor.tip_link}; look at its axis in the URDF"
+            yield f"tip_link: {joint} does not move {descriptor.tip_link}; check its axis in the URDF"
 
 
 def _meshes(robot: RobotDescription) -> Iterator[str]:

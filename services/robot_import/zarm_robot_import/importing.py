@@ -98,9 +98,7 @@ def _imported(
             "--name"
         )
     surfaces = []
-    left_out = [
-        f"{link}: it hangs on no joint, so it is left out; add the joint that carries it" for link in robot.stray
-    ]
+    left_out = [f"{link}: no joint connects it to the robot, so it is left out; add that joint" for link in robot.stray]
     suspect: list[str] = []
     for index, mounted in enumerate(chain.mounted):
         progress(f"meshes of {mounted.link}", 0.2 * index / len(chain.mounted))
@@ -111,7 +109,7 @@ def _imported(
             surfaces.append(surface)
         elif link.collision or link.visual:
             left_out.append(
-                f"{link.name}: its geometry is smaller than 1 mm, so it is left out; look at its size and scale"
+                f"{link.name}: its geometry is smaller than 1 mm, so it is left out; check its size and scale"
             )
     if not surfaces:
         raise robot.source.fault(

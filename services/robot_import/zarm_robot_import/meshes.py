@@ -266,7 +266,7 @@ def _load(file: Path) -> Array:
         with file.open("rb") as opened:
             start = opened.read(len(_POINTER))
     except OSError as error:
-        raise _Unreadable(f"{file} cannot be read: {error.strerror}; look at its permissions") from error
+        raise _Unreadable(f"{file} cannot be read: {error.strerror}; check its permissions") from error
     if start == _POINTER:
         raise _Unreadable(f"{file} is not the mesh but a pointer of Git LFS; run `git lfs pull` where it was cloned")
     try:

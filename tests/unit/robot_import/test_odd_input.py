@@ -210,7 +210,7 @@ def test_a_folder_in_which_nothing_can_be_written_is_said_before_anything_is_com
         (two_joints('lower="0" upper="1e-6" velocity="1"'), "lets it hardly move"),
         (
             two_joints(more='<link name="stray"><visual><geometry><sphere radius="1"/></geometry></visual></link>'),
-            "stray: it hangs on no",
+            "stray: no joint connects it to the robot",
         ),
         (two_joints(more=weighed("1", "3 0 0 1 0 1")), "lump: no body has the inertia that its <inertial> states"),
     ],
@@ -267,7 +267,7 @@ def test_what_has_no_size_and_limits_in_degrees_are_imported_with_a_warning(tmp_
     file = tmp_path / "arm.urdf"
     file.write_text(f'<robot name="arm">{"".join(links + joints)}</robot>')
     _, report = import_robot(file, tmp_path / "out", Options())
-    assert report.warnings[0] == "l1: its geometry is smaller than 1 mm, so it is left out; look at its size and scale"
+    assert report.warnings[0] == "l1: its geometry is smaller than 1 mm, so it is left out; check its size and scale"
     assert sum("is most likely in degrees" in warning for warning in report.warnings) == 2
 
 
