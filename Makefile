@@ -25,11 +25,11 @@ define run_tests
 @$(PYTEST) --cache-clear $(1) $(2) || { [ $$? = 1 ] && echo "== what failed, once more" && $(PYTEST) $(1) $(if $(2),--numprocesses=1) --last-failed; }
 endef
 
-# Every promise once. Tests mostly wait for robots, so two cores can run five at a time; timed tests run alone. Without the ROS
+# Every promise once. Tests mostly wait for robots, so two cores can run four at a time; timed tests run alone. Without the ROS
 # bridge its tests are skipped, and say so.
 test: $(VENV)/.dev $(VENV)/.kernels
 	@$(MAKE) --no-print-directory ros || true
-	$(call run_tests,-m "not slow and not timed",--numprocesses=5)
+	$(call run_tests,-m "not slow and not timed",--numprocesses=4)
 	$(call run_tests,-m "timed and not slow")
 
 # Every test, also the slow ones that `make test` skips, with more examples of each property.
