@@ -86,5 +86,9 @@ def test_zarm_up_with_a_urdf_moves_the_arm_through_the_controller_that_it_names(
         assert len(commands[0].points) > 2
         last = dict(zip(commands[0].joint_names, commands[0].points[-1].positions, strict=True))
         assert last == pytest.approx(GOAL, abs=1e-6)
-        arrived = dict(zip(states[-1].name, states[-1].position, strict=True))
-        assert list(map(arrived.get, GOAL)) == pytest.approx(list(GOAL.values()), abs=1e-3)
+
+        def arrived() -> bool:
+            joints = dict(zip(states[-1].name, states[-1].position, strict=True))
+            return bool(list(map(joints.get, GOAL)) == pytest.approx(list(GOAL.values()), abs=1e-3))
+
+        eventually(arrived, "the controller tells the joints of the goal")
