@@ -18,7 +18,7 @@ from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.limits import WIDEST
 from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.source import read_source
-from zarm_robot_import.spheres import ball_rows, depths, outer_points
+from zarm_robot_import.spheres import protrusion
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,6 @@ LARGEST, SMALLEST = 6.0, 0.05
 OUTSIDE = 0.004
 """Exact geometry outside its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
 _FINEST = 0.0005
-_POINTS = 500
-"""Points on a sphere at which its distance to the link is measured."""
 PROTRUDES = 0.06
 """A sphere that protrudes from its link by more than this (m) most likely belongs elsewhere."""
 APART = 0.1
@@ -104,18 +102,13 @@ def _covers(robot: RobotDescription) -> Iterator[str]:
                 f"spheres.{link}: its exact geometry stands out of its spheres, by up to {1e3 * lacking:.0f} mm; the search would "
                 "take what is verified as a collision afterwards: enlarge the spheres or add some"
             )
-        out = [_stands_out(ball, rows) for ball in balls]
+        out = [protrusion(ball, rows) for ball in balls]
         if max(out) > PROTRUDES:
             index = int(np.argmax(out))
             yield (
                 f"spheres.{link}[{index}]: it stands out of the link by {1e3 * out[index]:.0f} mm and takes free space; look at its "
                 "center and radius"
             )
-
-
-def _stands_out(ball: Array, rows: Array) -> float:
-    """How far (m) the surface of a ball (4,) is from the union of shapes (m, 17), at most."""
-    return -float(depths(outer_points(ball_rows(ball[None]), _POINTS), rows).min())
 
 
 def _neighbours(model: RobotModel, q: Array) -> Iterator[str]:

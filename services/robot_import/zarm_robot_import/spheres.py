@@ -35,6 +35,8 @@ _POINTS, _INNER = 3000, 700
 """Points on the boundary of a link and inside it to which its balls are fitted, ..."""
 _MORE_POINTS, _MORE_INNER = 20_000, 6000
 """... and those checked at the end: uncovered ones are added to the others."""
+_SURFACE = 500
+"""Points on a ball at which its protrusion is measured."""
 _OUTSIDE = 3000
 """Points in the space around a link."""
 _FAR = 0.02
@@ -94,6 +96,11 @@ def outer_points(rows: Array, count: int) -> Array:
         points = np.concatenate([points_on(surface, number)[0], corners])
         found.append(points[~below(points, np.delete(rows, i, axis=0))])
     return np.concatenate(found)
+
+
+def protrusion(ball: Array, rows: Array) -> float:
+    """How far (m) a ball (4,) stands out of the union of shapes (m, 17), measured at points on its surface."""
+    return -float(depths(outer_points(ball_rows(ball[None]), _SURFACE), rows).min())
 
 
 def below(points: Array, rows: Array) -> NDArray[np.bool_]:

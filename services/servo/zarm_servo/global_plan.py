@@ -67,7 +67,8 @@ def find_global_plan(
     distance: float,
     timeout: float,
 ) -> GlobalPlan:
-    """A plan from rest at `start` (J,) to a target, `margin` (m) away from everything, found within `timeout` (s).
+    """A plan from rest at `start` (J,) to a target, `margin` (m) away from everything. Each request for the target itself has
+    `timeout` (s).
 
     If a pose, `distance` (m) away, cannot be reached, the plan leads to a pose with the same orientation that is closer
     to it than the robot. Raises the planner's error for the target.

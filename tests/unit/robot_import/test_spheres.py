@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
 from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
 from zarm_robot_import.primitives import rows_of, triangles_of
-from zarm_robot_import.spheres import ball_rows, fit_covers
+from zarm_robot_import.spheres import ball_rows, fit_covers, protrusion
 
 TUBE = CollisionCylinder(kind="cylinder", a=(0.0, 0.0, 0.0), b=(0.0, 0.0, 0.6), radius=0.06)
 PLATE = CollisionCuboid(kind="cuboid", center=(0.1, 0.0, 0.0), size=(0.3, 0.2, 0.02), orientation=(0.0, 0.0, 0.0, 1.0))
@@ -34,6 +36,15 @@ def points_in(shape: CollisionPrimitive, count: int) -> np.ndarray:
 def within(points: np.ndarray, balls: np.ndarray) -> np.ndarray:
     """Which points are in some ball."""
     return (np.linalg.norm(points[:, None] - balls[:, :3], axis=2) <= balls[:, 3]).any(axis=1)
+
+
+def test_a_ball_around_many_small_shapes_stands_out_by_what_is_outside_of_all() -> None:
+    cubes: list[CollisionPrimitive] = [
+        CollisionCuboid(kind="cuboid", center=(x, y, z), size=(0.05, 0.05, 0.05), orientation=(0.0, 0.0, 0.0, 1.0))
+        for x, y, z in itertools.product((-0.025, 0.025), repeat=3)
+    ]
+    around = np.array((0.0, 0.0, 0.0, 0.05 * np.sqrt(3)))
+    assert protrusion(around, rows_of(cubes)) == pytest.approx(around[3] - 0.05, abs=0.002)
 
 
 @pytest.mark.lengthy
