@@ -105,7 +105,7 @@ def _by_rest(
         trajectory.at(rest)[0], limits.velocity, limits.acceleration, limits.jerk
     )
     longest = float(BLENDS[-1])
-    if not (rest <= end <= rest + longest and way.time[-2] <= longest):
+    if not (rest - _CLOSE <= end <= rest + longest and way.time[-2] <= longest):
         return None
     return _followed_by(trajectory, now, rest, way.states[:, :1], way.begun_at(rest), rest, _CLOSE)
 

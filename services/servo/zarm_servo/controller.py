@@ -11,10 +11,11 @@ import numpy as np
 from zarm_contract.messages import Attached
 from zarm_geometry.motion_check import MotionCheck, MovingObject, NearPair
 from zarm_geometry.robot_model import RobotModel
+from zarm_servo.kernels.projection import projected
+from zarm_servo.speed_change import SpeedChange
 from zarm_servo.targets import Target, Wish, wish, within_speed
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
-from zarm_trajectory.speed_change import SpeedChange
 
 PERIOD = 0.004
 """Seconds from one step to the next."""
@@ -32,10 +33,6 @@ _SAMPLES, _SAMPLE = 10, 0.01
 """A braking motion is checked at so many positions or every so many s, whichever is finer, but at most once a period:
 a check allows for how far a joint may swing between two positions, so that beside a wall coarse ones block every step.
 """
-_ROUNDS = 20
-"""Iterations of the projection onto the bounds; the check catches any remaining error."""
-_EXACT = 1e-5
-"""The projection ends once no bound is violated by more than this (m/s)."""
 _PARTS = (1.0, 0.5, 0.2)
 """Shares of the wanted step to try; the first that is free is taken."""
 _LEAVING = 0.03
@@ -126,7 +123,7 @@ class Controller:
             wanted, limitation = self._bounded(asked, limitation, around)
         for part in _PARTS:
             change = SpeedChange.to(part * wanted, self.state, acceleration, self._limits.jerk)
-            after = change.sample(np.array([PERIOD]))[:, 0]
+            after = change.at(PERIOD)
             braking = self._to_rest(after)
             obstruction = self._obstruction(braking, around)
             if obstruction is None:
@@ -134,7 +131,7 @@ class Controller:
                 return Step(after, braking, 0.0, limitation)
             limitation = obstruction
         self._braked += PERIOD
-        self.state = self._braking.sample(np.array([self._braked]))[:, 0]
+        self.state = self._braking.at(self._braked)
         return Step(self.state, self._braking, self._braked, limitation)
 
     def _to_rest(self, state: Array) -> SpeedChange:
@@ -245,20 +242,9 @@ def _towards(left: Array, acceleration: Array) -> Array:
 
 def _projected(wanted: Array, metric: Array, bounds: Sequence[tuple[Array, float]]) -> Array:
     """The speeds nearest to `wanted` in the metric (J, J) whose product with each gradient (J,) is at least its bound."""
-    if all(float(gradient @ wanted) >= least for gradient, least in bounds):
+    if not bounds:
         return wanted
-    found, inverse = wanted, np.linalg.inv(metric)
-    ways = [(gradient, inverse @ gradient, least) for gradient, least in bounds if gradient @ gradient > 1e-9]
-    steep = [float(gradient @ way) for gradient, way, _ in ways]
-    force = [0.0] * len(bounds)
-    for _ in range(_ROUNDS):
-        largest = 0.0
-        for i, (gradient, way, least) in enumerate(ways):
-            push = max(-force[i], (least - float(gradient @ found)) / steep[i])
-            if push != 0.0:
-                force[i] += push
-                found = found + push * way
-                largest = max(largest, abs(push) * steep[i])
-        if largest < _EXACT:
-            break
-    return found
+    gradients, least = np.array([gradient for gradient, _ in bounds]), np.array([least for _, least in bounds])
+    if np.all(gradients @ wanted >= least):
+        return wanted
+    return projected(wanted, np.asarray(np.linalg.inv(metric), np.float64), gradients, least)

@@ -64,8 +64,8 @@ _REMEMBERED = 50
 """Number of chunks remembered."""
 _REPEATED = 0.08
 """Longest time (s) between two chunks, however slowly the robot moves."""
-_CAUGHT_UP = 2
-"""Most steps in one cycle after cycles were missed."""
+_CATCHING_UP = PERIOD / 2
+"""Time (s) from one cycle to the next while steps are missing, at the start or after a late cycle."""
 _LATE = 0.002
 """A cycle that begins later than this (s) counts as late."""
 _SOFT = 0.02
@@ -276,7 +276,7 @@ class Session:
                 took = time.monotonic() - now
                 self._took.append(took)
                 self._metrics.time("zarm_servo_cycle_seconds", "How long cycles of sessions took.", took)
-                due += PERIOD * (1.0 + (time.monotonic() - due) // PERIOD)
+                due = max(due + (_CATCHING_UP if self._behind(now) else PERIOD), now)
         except Exception:
             log.exception("the session failed; the robot is brought to rest goal_id=%s", self.goal_id)
         finally:
@@ -299,16 +299,19 @@ class Session:
         elif now - self._used > _UNUSED:
             log.info("the session ends, no targets arrive seconds=%g goal_id=%s", _UNUSED, self.goal_id)
             self._closing = True
-        commanded = self._clock.time(now)
-        if self._astray and not self._found(commanded, now):
+        if self._astray and not self._found(self._clock.time(now), now):
             return
-        for _ in range(_CAUGHT_UP):
-            coming = self._streamed.time + PERIOD - commanded
-            if coming > LEAD:
-                break
-            self._step(None if self._closing else target, age, max(coming, 0.0))
+        if self._behind(now):
+            self._step(None if self._closing else target, age, max(self._coming(now), 0.0))
         if self._streamed.pending >= CHUNK or now - self._sent_at > _REPEATED:
             self._put(*self._streamed.chunk())
+
+    def _coming(self, now: float) -> float:
+        """In how long (s) from `now` on the next step is commanded."""
+        return self._streamed.time + PERIOD - self._clock.time(now)
+
+    def _behind(self, now: float) -> bool:
+        return self._coming(now) <= LEAD
 
     def _found(self, commanded: float, now: float) -> bool:
         """Continue from the trajectory that the executor follows, once it has taken all chunks; returns whether this

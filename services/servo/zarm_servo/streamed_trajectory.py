@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from zarm_servo.controller import PERIOD, Step
+from zarm_servo.speed_change import SpeedChange
 from zarm_trajectory.quintic import Array
-from zarm_trajectory.speed_change import SpeedChange
 from zarm_trajectory.trajectory import TimedTrajectory
 
 REST = 0.5
@@ -21,7 +21,7 @@ class StreamedTrajectory:
     def __init__(self, start: float, state: Array, braking: SpeedChange) -> None:
         self._begun, self._steps = start, 0
         self._states = [state]
-        self._brake(braking, 0.0)
+        self._braking, self._braked = braking, 0.0
 
     @property
     def time(self) -> float:
@@ -36,24 +36,22 @@ class StreamedTrajectory:
     def add(self, step: Step) -> None:
         """Append a step."""
         self._states.append(step.state)
-        self._brake(step.braking, step.braked)
-
-    def _brake(self, braking: SpeedChange, braked: float) -> None:
-        times = braking.knots
-        times = times[times > braked + _APART]
-        times = times[np.append(True, np.diff(times) > _APART)] if len(times) else times
-        self._braking = times - braked, braking.sample(times)
+        self._braking, self._braked = step.braking, step.braked
 
     def chunk(self) -> tuple[float, TimedTrajectory]:
         """The stream time (s) at which the next chunk starts, and its trajectory to rest. It begins exactly where the
         steps of the previous chunk ended.
         """
         start, times = self._begun + self._steps * PERIOD, PERIOD * np.arange(len(self._states))
-        after, braking = self._braking
-        states = np.concatenate((np.stack(self._states, axis=1), braking), axis=1)
+        knots = self._braking.knots
+        knots = knots[knots > self._braked + _APART]
+        knots = (
+            knots[np.append(np.diff(knots) > _APART, True)] if len(knots) else knots
+        )  # the last one is exactly at rest
+        states = np.concatenate((np.stack(self._states, axis=1), self._braking.sample(knots)), axis=1)
         rest = states[:, -1:].copy()
         rest[1:] = 0.0
-        times = np.concatenate((times, times[-1] + after))
+        times = np.concatenate((times, times[-1] + knots - self._braked))
         self._steps += self.pending
         self._states = self._states[-1:]
         return start, TimedTrajectory(np.append(times, times[-1] + REST), *np.concatenate((states, rest), axis=1))

@@ -50,8 +50,7 @@ class PoseTarget:
         pose[:3, 3] += passed * self.velocity[:3]
         angle = passed * float(np.linalg.norm(self.velocity[3:]))
         if angle > 0.0:
-            x, y, z = self.velocity[3:] * (passed / angle)
-            cross = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))  # Rodrigues' formula
+            cross = _cross(self.velocity[3:] * (passed / angle))  # Rodrigues' formula
             pose[:3, :3] = (np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross) @ pose[:3, :3]
         return pose
 
@@ -148,11 +147,16 @@ def _change(jacobian: Array, u: Array, v: Array) -> Array:
 
     (Bruyninckx and De Schutter, "Symbolic differentiation of the velocity mapping for a serial kinematic chain", 1996.)
     """
-    linear, angular, joints = jacobian[:3].T, jacobian[3:].T, np.arange(jacobian.shape[1])
-    first, second = np.minimum.outer(joints, joints), np.maximum.outer(joints, joints)
-    shifted = np.cross(angular[first], linear[second]) @ u[:3]
-    turned = np.cross(angular[None, :], angular[:, None]) @ u[3:]
-    return np.asarray(v @ (shifted + np.where(joints[None, :] < joints[:, None], turned, 0.0)))
+    linear, angular = jacobian[:3].T, jacobian[3:].T
+    shifted = np.triu(-angular @ _cross(u[:3]) @ linear.T)  # (a x b) u for each pair, here as -a (u x b)
+    turned = np.tril(angular @ _cross(u[3:]) @ angular.T, -1)
+    return np.asarray(v @ (shifted + np.triu(shifted, 1).T + turned))
+
+
+def _cross(vector: Array) -> Array:
+    """The matrix (3, 3) whose product with any b is the cross product of `vector` (3,) with b."""
+    x, y, z = vector
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
 
 def rotation_vector(turn: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Compiles the kernels of the motion check, or loads them from the cache.
+"""Compiles the kernels of the motion check and of the local controller, or loads them from the cache.
 
 Run `python -m zarm_servo.warm_up` after an installation, so that no servo has to compile them.
 """
@@ -15,6 +15,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.controller import Controller
+from zarm_servo.kernels.projection import projected
 from zarm_servo.moving_objects import Mover
 from zarm_servo.scene_monitor import SceneSnapshot
 from zarm_servo.targets import TwistTarget
@@ -32,6 +33,7 @@ def warm_up(checker: Checker, check: SceneCheck) -> None:
     check.load({"far": box})
     controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
     controller.step(TwistTarget(np.zeros(6)), 0.0)
+    projected(np.ones(model.dof), np.eye(model.dof), np.ones((1, model.dof)), np.full(1, 2.0 * model.dof))
     check.load({})
 
 
