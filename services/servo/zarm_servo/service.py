@@ -33,6 +33,7 @@ from zarm_contract.messages import (
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.mesh_folders import add_meshes
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.guard import Guard
@@ -136,6 +137,8 @@ def main() -> int:
     """Run the servo of one robot until SIGTERM or SIGINT; the exit code."""
     parser = service_parser("servo")
     add_meshes(parser)
+    # As in the executor: a thread descheduled while it holds the interpreter holds up the cycles.
+    ask_for_realtime(PROCESS_PRIORITY)
     return run_service("servo", parser, start)
 
 
