@@ -146,14 +146,19 @@ class RobotModel:
     def tip_jacobian(self, q: ArrayLike) -> Array:
         """The tip Jacobian (6, dof) at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base frame."""
         out = np.empty((1, self.dof + 1, 4, 4))
-        joint = np.append(np.arange(self.dof), self.dof - 1).astype(np.int32)
-        offset = np.append(np.repeat(np.eye(4)[None], self.dof, axis=0), self.offset[-1:], axis=0)
+        joint, offset = self._joints_and_tip
         frames(self.origin, self.revolute, joint, offset, np.array(q, np.float64, ndmin=2), out)
         axes, arms = out[0, :-1, :3, 2], out[0, -1, :3, 3] - out[0, :-1, :3, 3]
         (a, b, c), (x, y, z) = axes.T, arms.T
         turning = (b * z - c * y, c * x - a * z, a * y - b * x, a, b, c)
         sliding = (a, b, c, 0 * a, 0 * b, 0 * c)
         return np.where(self.revolute, turning, sliding)
+
+    @cached_property
+    def _joints_and_tip(self) -> tuple[NDArray[np.int32], Array]:
+        """The frames of all joints and of the tip, as `kernels.kinematics.frames` takes them."""
+        joint = np.append(np.arange(self.dof), self.dof - 1).astype(np.int32)
+        return joint, np.append(np.repeat(np.eye(4)[None], self.dof, axis=0), self.offset[-1:], axis=0)
 
     def link_transforms(self, q: ArrayLike) -> Array:
         """The poses (..., len(links), 4, 4) of `links` for joints (..., dof)."""

@@ -11,7 +11,7 @@ import numpy as np
 from zarm_contract.messages import Attached
 from zarm_geometry.motion_check import MotionCheck, MovingObject, NearPair
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.kernels.projection import projected
+from zarm_servo.kernels.projection import FLAT, projected
 from zarm_servo.speed_change import SpeedChange
 from zarm_servo.targets import Target, Wish, wish, within_speed
 from zarm_trajectory.limits import Limits
@@ -192,30 +192,33 @@ class Controller:
         if np.any(np.abs(inside - asked.velocity) > 1e-6):
             limitation = Limitation("joint_limit")
         pairs = self._nearby(position, RANGE, around)
-        least_left = min((self._left(pair) for pair in pairs), default=RANGE)
+        left = np.array([self._left(pair) for pair in pairs])
         # Move away slowly from what is too close. This check ignores time, so it is not used while anything moves.
-        too_near = least_left < (_KEPT / 2 if self._leaving else 0.0)
+        too_near = left.min(initial=RANGE) < (_KEPT / 2 if self._leaving else 0.0)
         self._leaving = too_near and not around.moving
-        bounds = [(pair, self._least(pair, acceleration)) for pair in pairs if pair.gradient @ pair.gradient > 1e-9]
-        bounds = [(pair, least) for pair, least in bounds if pair.gradient @ inside < least or least > -RANGE]
-        speed = np.minimum(self._limits.velocity, _CREEPING) if self._leaving else self._limits.velocity
-        rows = [(pair.gradient, least) for pair, least in bounds]
+        gradients = np.array([pair.gradient for pair in pairs]).reshape(-1, len(position))
+        least = self._least(left - _KEPT, gradients)
+        excess = gradients @ inside - least
+        bounding = np.flatnonzero(
+            (np.square(gradients).sum(axis=1) > FLAT) & ((excess < 0.0) | (least > -RANGE)),
+        )
+        rows, bounds = gradients[bounding], least[bounding]
         if asked.singularity is not None:
             value, change = asked.singularity
             slowly = -max(_CROSSING, float(_towards(np.array(value), np.abs(change) @ acceleration)))
             if change @ inside < slowly:
                 limitation = Limitation("singularity")
-            rows.append((change, slowly))
-        slowest = within_speed(np.clip(_projected(inside, asked.metric, rows), lowest, highest), speed)
-        if bounds and np.abs(slowest - inside).max() > 1e-3:
-            excess, nearest = min(
-                ((float(pair.gradient @ inside) - least, pair) for pair, least in bounds), key=lambda held: held[0]
-            )
+            rows, bounds = np.vstack((rows, change)), np.append(bounds, slowly)
+        speed = np.minimum(self._limits.velocity, _CREEPING) if self._leaving else self._limits.velocity
+        slowest = within_speed(np.clip(_projected(inside, asked.metric, rows, bounds), lowest, highest), speed)
+        if bounding.size and np.abs(slowest - inside).max() > 1e-3:
+            nearest = bounding[excess[bounding].argmin()]
             if self._leaving:
-                nearest = min(pairs, key=self._left)
-            elif limitation.kind == "singularity" and excess >= 0.0:
+                nearest = left.argmin()
+            elif limitation.kind == "singularity" and excess[nearest] >= 0.0:
                 return slowest, limitation
-            limitation = Limitation("slowing", (nearest.link, nearest.object), nearest.distance)
+            pair = pairs[nearest]
+            limitation = Limitation("slowing", (pair.link, pair.object), pair.distance)
         return slowest, limitation
 
     def _kept(self, pair: NearPair) -> float:
@@ -226,25 +229,24 @@ class Controller:
         """How much closer (m) a pair may come."""
         return pair.distance - self._kept(pair)
 
-    def _least(self, pair: NearPair, acceleration: Array) -> float:
-        """The least rate (m/s) at which the distance of a pair has to grow; it may fall if this is negative."""
-        left = self._left(pair) - _KEPT
-        if self._leaving and left < 0.0:
-            return min(_LEAVING, -_NEARING * left)
-        return -float(_towards(np.array(left), np.abs(pair.gradient) @ acceleration))
+    def _least(self, left: Array, gradients: Array) -> Array:
+        """The least rates (N,) in m/s at which distances have to grow of which so much is `left` (N,), in m, and that
+        change with the joints by `gradients` (N, J); a distance may fall if its rate is negative.
+        """
+        least = -_towards(left, np.abs(gradients) @ self._limits.acceleration)
+        return np.where(left < 0.0, np.minimum(_LEAVING, -_NEARING * left), least) if self._leaving else least
 
 
 def _towards(left: Array, acceleration: Array) -> Array:
     """The highest speed towards something `left` away that still allows braking in time; 0 if nothing is left."""
-    braking = np.sqrt(2 * _BRAKING * acceleration * np.maximum(left, 0.0))
-    return np.where(left > 0.0, np.minimum(_NEARING * left, braking), 0.0)
+    left = np.maximum(left, 0.0)
+    return np.minimum(_NEARING * left, np.sqrt(2 * _BRAKING * acceleration * left))
 
 
-def _projected(wanted: Array, metric: Array, bounds: Sequence[tuple[Array, float]]) -> Array:
-    """The speeds nearest to `wanted` in the metric (J, J) whose product with each gradient (J,) is at least its bound."""
-    if not bounds:
-        return wanted
-    gradients, least = np.array([gradient for gradient, _ in bounds]), np.array([least for _, least in bounds])
+def _projected(wanted: Array, metric: Array, gradients: Array, least: Array) -> Array:
+    """The speeds nearest to `wanted` (J,) in the metric (J, J) whose product with each of the `gradients` (N, J) is at
+    least its bound `least` (N,).
+    """
     if np.all(gradients @ wanted >= least):
         return wanted
     return projected(wanted, np.asarray(np.linalg.inv(metric), np.float64), gradients, least)

@@ -102,14 +102,14 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
         return Wish(within_speed(target.velocity, speed), joints)
     if isinstance(target, JointTarget):
         return Wish(within_speed(_approach(target.position - position, acceleration), speed), joints)
-    tip, jacobian = model.fk_tip(position), model.tip_jacobian(position)
+    jacobian = model.tip_jacobian(position)
     inverse, share, singularity = _damped_inverse(jacobian)
     if isinstance(target, TwistTarget):
-        turn = tip[:3, :3] if target.frame == "tool" else np.eye(3)
+        turn = model.fk_tip(position)[:3, :3] if target.frame == "tool" else np.eye(3)
         twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
         velocity = inverse @ twist
     else:
-        pose = target.after(age)
+        tip, pose = model.fk_tip(position), target.after(age)
         error = np.concatenate((pose[:3, 3] - tip[:3, 3], rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
         velocity = _approach(inverse @ error, acceleration) + inverse @ target.velocity
     return Wish(
