@@ -14,6 +14,7 @@ from zarm_planner.context import PlanningContext
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import Planner
 from zarm_planner.timing.improvement import GAIN
+from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import least_duration
 from zarm_planner.verification.margins import too_near
 from zarm_planner.verification.verify import VerificationFailed, verify
@@ -108,6 +109,7 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
 def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and the deadline's error."""
     goals, limits, check = problem.goals, context.limits, context.deadline.check
+    trajectory = rounded(trajectory, limits)
     end = problem.targets[-1][np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
     start, motion = (problem.start.asked, None) if (led := problem.lead_in) is None else (led.state[0], led.state[1:])
     clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)

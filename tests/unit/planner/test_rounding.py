@@ -1,0 +1,32 @@
+"""What rounding a trajectory promises: the same motion in half as many characters, inside the same limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from support.trajectories import ROBOT, curved_path, moved, rest_to_rest
+from zarm_contract.codec import encode
+from zarm_planner.timing.rounding import rounded
+from zarm_planner.timing.sampling import load
+from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
+
+LIMITS = Limits.of(ROBOT)
+JOINTS = ROBOT.descriptor.joints
+
+
+def test_its_message_is_half_as_long_and_it_needs_no_more_of_the_limits() -> None:
+    for seed in range(5):
+        motion = curved_path(seed)
+        short = rounded(motion, LIMITS)
+        assert len(encode(short.message(JOINTS))) < 0.65 * len(encode(motion.message(JOINTS)))
+        assert abs(load(short, LIMITS) - load(motion, LIMITS)) < 1e-4
+        np.testing.assert_allclose(short.states[0], motion.states[0], rtol=0, atol=1e-8)
+        assert np.array_equal(short.states[:, [0, -1]], motion.states[:, [0, -1]])
+
+
+def test_samples_close_together_keep_the_decimals_that_the_jerk_needs() -> None:
+    motion = TimedTrajectory.of(rest_to_rest(moved(0.5)), JOINTS)
+    times = np.sort(np.concatenate((motion.time, motion.time[5:40] + 1e-4)))
+    dense = TimedTrajectory(times, *motion.sample(times))
+    assert abs(load(rounded(dense, LIMITS), LIMITS) - load(dense, LIMITS)) < 1e-4
