@@ -58,7 +58,10 @@ timed out or did not answer is asked again twice its time limit after it was ask
 
 
 class LocalGoal:
-    """Decides step by step for one robot; `find` runs in `pool`, one call at a time."""
+    """Decides step by step for one robot; `find` runs in `pool`.
+
+    One call counts at a time. If the target jumps meanwhile, its plan is of no use: it is not waited for.
+    """
 
     def __init__(self, model: RobotModel, find: Find, free: Free, pool: Executor) -> None:
         self._model, self._find, self._free = model, find, free
@@ -111,6 +114,9 @@ class LocalGoal:
         if self._asked_for is None or revision != self._revision or _apart(wanted, self._asked_for, _SAME):
             self._attempts, self._timeout = 0, _TIMEOUTS[0]
             self.problem = None
+        if self._asked is not None and self._asked_for is not None and _apart(wanted, self._asked_for, _FAR):
+            self._asked.cancel()
+            self._asked = None
 
     def _take(self) -> None:
         """Take the requested plan once it is ready."""

@@ -28,7 +28,7 @@ from zarm_contract.robot import RobotDescription
 from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Latest, Publisher
 from zarm_runtime.metrics import Metrics
-from zarm_runtime.realtime import ask_for_realtime
+from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_servo.check import SceneCheck
 from zarm_servo.clock import StreamClock
 from zarm_servo.controller import PERIOD, STALE, Controller, Limitation
@@ -86,6 +86,8 @@ _TELLS = 0.05
 """Least time (s) between two reports of what limits a session."""
 _MOVES = 1e-3
 """Joint speed (rad/s) above which a robot counts as moving."""
+_SEARCHES = 2
+"""Most global plans searched for at a time: one for the target, and one for a target that has jumped since."""
 _PRIORITY = 15
 """Real-time priority of the cycles, below that of the executor's."""
 
@@ -133,8 +135,12 @@ class Session:
         limits = soft(Limits.of(robot, request.velocity_scale, request.acceleration_scale))
         self._controller = Controller(self._model, check.motions, limits, position, margin=request.margin)
         self._metrics = metrics
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="global-plan")
-        self._pool.submit(int).result()  # start the thread here: it must not inherit the priority of the cycles
+        self._pool = ThreadPoolExecutor(
+            _SEARCHES,
+            thread_name_prefix="global-plan",
+            initializer=ask_for_realtime,  # else a thread that a cycle starts has the priority of the cycles
+            initargs=(PROCESS_PRIORITY,),
+        )
         find = partial(find_global_plan, plan, self._joints, request.margin)
         self._local_goal = LocalGoal(self._model, find, partial(self._scene.is_free, margin=request.margin), self._pool)
         self._streamed = StreamedTrajectory(0.0, self._controller.state, self._controller.braking)

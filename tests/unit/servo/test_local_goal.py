@@ -144,3 +144,26 @@ def test_who_jogs_is_never_led_elsewhere() -> None:
     robot, twist = Stuck(), TwistTarget(np.zeros(6))
     assert robot.stay(twist) is twist
     assert robot.asked == 0
+
+
+def test_after_a_jump_the_plan_to_where_the_target_was_is_not_waited_for() -> None:
+    asked: list[Future[GlobalPlan]] = []
+
+    class Slow(Executor):
+        """Never finishes what it is given."""
+
+        def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+            asked.append(Future())
+            return asked[-1]  # type: ignore[return-value]
+
+    local_goal = LocalGoal(MODEL, lambda *_: GlobalPlan(PATH, TARGET), lambda *_: True, Slow())
+    for _ in range(SECOND):
+        local_goal.target(TARGET, START, "1-a")
+    assert len(asked) == 1
+    elsewhere = PoseTarget(MODEL.fk_tip(PATH[-1] - (PATH[-1] - PATH[0]) * 2))
+    for _ in range(SECOND):
+        local_goal.target(elsewhere, START, "1-a")
+    before, now = asked
+    assert before.cancelled()
+    now.set_result(GlobalPlan(PATH, elsewhere))
+    assert isinstance(local_goal.target(elsewhere, START, "1-a"), JointTarget)
