@@ -9,6 +9,8 @@ from zarm_viewer.style import dress
 
 BESIDE = 2.5
 """Distance (m) between robots in the view, along y: the bus does not report where their bases are."""
+PANEL = 384
+"""Width (px) of the panels beside the view."""
 PORTRAIT, LOWER = 0.7, 0.6
 """On a page narrower than this share of its height, the camera looks this much (m) lower, because panels cover its
 lower half.
@@ -36,8 +38,9 @@ def furnish(server: viser.ViserServer, robots: int) -> None:
     camera, away = server.initial_camera, 1.3 * across
     camera.position = (1.45 + away, -0.82 - across / 4, 1.08 + away / 2)
     camera.look_at = (0.35, 0.15 + across / 2, 0.45)
-    gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    gui.configure_theme(show_logo=False, show_share_button=False)
     gui.main_panel.dock_right()  # beside the view, so that it covers no robot
+    gui.main_panel.set_width(PANEL)  # a page that docks the panel before it reads the theme loses that width
 
     @server.on_client_connect
     def _(client: ClientHandle) -> None:
