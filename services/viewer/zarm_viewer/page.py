@@ -217,11 +217,12 @@ class _Controls:
         with tabs.add_tab("Scene"):
             self._objects = ObjectsPanel(desk, picture.scene)
         with tabs.add_tab("Jog"):
-            JogPanel(desk, self._goal)
+            self._jog = JogPanel(desk, self._goal)
 
     def chosen(self, yes: bool) -> None:
-        """Show or hide the handles."""
+        """Show or hide the handles, and take keys or leave them."""
         self._motion.chosen(yes)
+        self._jog.chosen(yes)
 
     def draw(self, news: News) -> None:
         """Show what has changed."""

@@ -248,6 +248,65 @@ def test_jog_buttons_stay_where_they_are_while_the_robot_jogs(page: Page, cell: 
     assert abs(top() - before) < 5
 
 
+@pytest.mark.slow  # as with buttons, in the tests around it
+@pytest.mark.parametrize(
+    ("key", "axis", "sign"), [("I", 0, 1), ("K", 0, -1), ("J", 1, 1), ("L", 1, -1), ("U", 2, 1), ("O", 2, -1)]
+)
+def test_a_key_with_shift_jogs_along_its_axis_until_it_is_let_go(
+    page: Page, cell: Cell, key: str, axis: int, sign: int
+) -> None:
+    start = np.array(cell.robot.tip().position)
+    page.keyboard.down("Shift")
+
+    def moved_along() -> bool:
+        page.keyboard.down(key)  # again and again, as while it is held
+        way = np.array(cell.robot.tip().position) - start
+        return bool(sign * way[axis] > 0.005 and np.abs(np.delete(way, axis)).max() < 0.002)
+
+    eventually(moved_along, "the tip moves along the axis of the key")
+    page.keyboard.up(key)
+    page.keyboard.up("Shift")
+    eventually(cell.rests, "it rests")
+
+
+@pytest.mark.slow
+def test_keys_jog_the_chosen_robot_and_no_other(page: Page, cell: Cell, chromium: Browser) -> None:
+    cell.begin("executor", "ur5e", "beside_it")  # without a servo, so a jog of it is refused
+    both = opened(chromium, cell.serve("--robot", "beside_it=ur5e"))
+    choose(both, "robot", "beside_it")
+    both.mouse.click(100, 400)  # in the view: in an input, keys are letters
+    before = cell.robot.joint_state().position
+    told = both.get_by_role("alert").filter(has_text="jog: unavailable")
+
+    def refused() -> bool:
+        both.keyboard.down("I")
+        return told.count() > 0
+
+    both.keyboard.down("Shift")
+    eventually(refused, "the chosen robot is asked to jog")
+    assert cell.robot.joint_state().position == before
+    both.close()
+
+
+@pytest.mark.slow
+def test_save_and_download_save_at_once(page: Page, cell: Cell) -> None:
+    records = cell.folder / KEYS.robot / "records"
+    records.mkdir(parents=True, exist_ok=True)
+    (records / "fault.mcap").write_bytes(b"a record")
+    cell.robot.scene.add(zarm.Cuboid("to_be_saved", size=(0.1, 0.1, 0.1), position=(0.5, 0.4, 0.2)))
+    page.get_by_role("tab", name="Scene").click()
+    page.get_by_text("File", exact=True).click()
+    with page.expect_download() as scene:
+        page.get_by_role("button", name="Save").click()
+    assert "to_be_saved" in scene.value.path().read_text()
+    page.get_by_text("File", exact=True).click()
+    page.get_by_role("tab", name="Log").click()
+    with page.expect_download() as record:
+        page.get_by_role("button", name="Download").click()
+    assert record.value.suggested_filename == "fault.mcap"
+    assert record.value.path().read_bytes() == b"a record"
+
+
 @pytest.mark.slow  # the ghost is seen where the handle is dragged
 def test_a_plan_is_looked_through_before_anything_moves(page: Page, cell: Cell) -> None:
     aim_home(page)
