@@ -78,6 +78,11 @@ def drawn_where_measured(page: Page, cell: Cell) -> bool:
     return tip is not None and bool(np.allclose(tip, cell.robot.tip().position, atol=1e-3))
 
 
+def drawn(page: Page, node: str) -> bool:
+    """Whether the scene graph of the page has this node of the robot."""
+    return bool(page.evaluate("name => !!window.__viserMutable.nodeRefFromName[name]?.parent", f"/{KEYS.robot}/{node}"))
+
+
 def drag(page: Page, at: tuple[float, float], down: int) -> None:
     """Drag a handle by its arrow down the page."""
     page.mouse.move(*at)
@@ -145,10 +150,13 @@ def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_
     aim_home(page)
     expect(page.get_by_text("collision", exact=True)).to_be_visible()
     told = page.get_by_role("alert")
+    assert drawn(page, "path")
     page.get_by_role("button", name="Plan", exact=True).click()
     expect(told.filter(has_text="Plan:").first).to_be_visible()
+    eventually(lambda: not drawn(page, "path"), "the path of the plan before is gone")
     page.get_by_role("button", name="Execute", exact=True).click()
     expect(told.filter(has_text="there is no plan").first).to_be_visible()
+    expect(page.get_by_text("clearance")).to_be_hidden()
     assert cell.rests()
     page.get_by_role("button", name="Back to the robot").click()
     page.get_by_text("Poses").click()
