@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import viser
 from viser import ClientHandle
 
@@ -11,9 +12,11 @@ BESIDE = 2.5
 """Distance (m) between robots in the view, along y: the bus does not report where their bases are."""
 PANEL = 384
 """Width (px) of the panels beside the view."""
-PORTRAIT, LOWER = 0.7, 0.6
-"""On a page narrower than this share of its height, the camera looks this much (m) lower, because panels cover its
-lower half.
+PORTRAIT, TABLET = 0.7, 1000
+"""A page narrower than this share of its height is upright, and that of a phone if it is less than this high (px)."""
+LOWER, AWAY = 0.6, 2.0
+"""On a phone the camera looks this much (m) lower, because panels cover the lower half; on another upright page it is
+this many times as far away, because they leave a narrow view.
 """
 
 
@@ -45,5 +48,9 @@ def furnish(server: viser.ViserServer, robots: int) -> None:
     @server.on_client_connect
     def _(client: ClientHandle) -> None:
         if client.camera.aspect < PORTRAIT:
-            x, y, z = camera.look_at
-            client.camera.look_at = (x, y, z - LOWER)
+            at = np.array(camera.look_at)
+            if client.camera.image_height < TABLET:
+                client.camera.look_at = at - (0.0, 0.0, LOWER)
+            else:
+                client.camera.position = at + AWAY * (np.array(camera.position) - at)
+                client.camera.look_at = at  # which moves with the position

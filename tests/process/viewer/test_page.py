@@ -18,7 +18,7 @@ import zarm
 from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
-from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, free_port, opened
+from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, drawn_width, free_port, opened
 from zarm_contract.messages import Plan
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -27,7 +27,7 @@ from zarm_viewer.kinematics import Chain
 pytestmark = (
     pytest.mark.timed
 )  # who jogs keeps the robot as long as their page asks 7 times a second, which it draws in software
-PHONE = (390, 844)
+PHONE, TABLET = (390, 844), (820, 1180)
 
 
 @pytest.fixture(scope="module")
@@ -313,6 +313,15 @@ def test_save_and_download_save_at_once(page: Page, cell: Cell) -> None:
         page.get_by_role("button", name="Download").click()
     assert record.value.suggested_filename == "fault.mcap"
     assert record.value.path().read_bytes() == b"a record"
+
+
+@pytest.mark.slow
+def test_on_a_tablet_the_robot_has_room_in_the_view_beside_the_panels(
+    page: Page, chromium: Browser, address: str
+) -> None:
+    tablet = opened(chromium, address, TABLET)
+    eventually(lambda: 0.0 < drawn_width(tablet) < 0.7, "the robot is in view, and does not fill it")
+    tablet.close()
 
 
 @pytest.mark.slow  # the ghost is seen where the handle is dragged
