@@ -78,7 +78,8 @@ def vector(values: tuple[float, ...]) -> str:
 class Command:
     """A `zarm` command that runs until it ends or is signalled. Leaving kills whatever is left of it."""
 
-    def __init__(self, *arguments: str, folder: Path, **variables: str) -> None:
+    def __init__(self, *arguments: str, folder: Path, stdin: int | None = None, **variables: str) -> None:
+        self._stdin = stdin
         self._mark = uuid.uuid4().hex
         self._arguments = [ZARM, *arguments]
         self.variables = environment(**variables)
@@ -89,7 +90,12 @@ class Command:
     def __enter__(self) -> Self:
         with self._output.open("wb") as out, self._errors.open("wb") as err:
             self.process = subprocess.Popen(
-                self._arguments, env=self._environment, stdout=out, stderr=err, start_new_session=True
+                self._arguments,
+                env=self._environment,
+                stdin=self._stdin,
+                stdout=out,
+                stderr=err,
+                start_new_session=True,
             )
         return self
 

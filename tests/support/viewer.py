@@ -118,6 +118,11 @@ def drawn_ghost(page: Page) -> tuple[float, ...] | None:
     return _drawn(page, ROBOT.descriptor.name, "goal_ghost", ROBOT.descriptor.tip_link)
 
 
+def drawn_width(page: Page) -> float:
+    """How far the frames of the links are from the middle of the view at most: 0 none is there yet, 1 at its edge."""
+    return float(page.evaluate(_WIDTH, f"/{ROBOT.descriptor.name}/robot/"))
+
+
 def _drawn(page: Page, robot: str, arm: str, node: str) -> tuple[float, ...] | None:
     found = page.evaluate(_PLACE, [f"/{robot}", arm, node])
     return None if found is None else tuple(found)
@@ -131,4 +136,13 @@ _PLACE = """([root, arm, node]) => {
     base.updateWorldMatrix(true, false);
     found.updateWorldMatrix(true, false);
     return base.matrixWorld.clone().invert().multiply(found.matrixWorld).elements.slice(12, 15);
+}"""
+_WIDTH = """root => {
+    const {nodeRefFromName: nodes, camera} = window.__viserMutable ?? {nodeRefFromName: {}};
+    const frames = Object.keys(nodes).filter(name => name.startsWith(root)).map(name => nodes[name]).filter(node => node?.parent);
+    camera?.updateMatrixWorld();
+    return Math.max(0, ...frames.map(node => {
+        node.updateWorldMatrix(true, false);
+        return Math.abs(node.position.clone().setFromMatrixPosition(node.matrixWorld).project(camera).x);
+    }));
 }"""

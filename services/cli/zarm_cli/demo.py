@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import select
 import socket
+import sys
 import tempfile
 import time
 from contextlib import nullcontext, suppress
@@ -18,6 +20,7 @@ from rich.table import Table
 import zarm
 from zarm.robot import Robot
 from zarm_cli.execution import demand_success, run_goal
+from zarm_cli.interrupts import pause
 from zarm_cli.launcher import launch
 from zarm_cli.output import err, facts, out, pose_text
 from zarm_cli.planning import plan_table
@@ -52,6 +55,9 @@ def demo(
         with err.status("starting") as status:
             stack.wait_ready(status.update)
         out.print(f"{ROBOT}: router, planner and executor are ready after {time.monotonic() - began:.1f} s.")
+        if view and sys.stdin.isatty():
+            out.print("Open the page at the address printed here, then press Enter: the robot moves for 4 s.")
+            _wait_for_enter()
         _go_around_the_post(stack.client)
         if view:
             out.print("The page stays open, and the robot is yours: Ctrl-C ends it.")
@@ -59,6 +65,12 @@ def demo(
     out.print(
         "Next: `zarm demo --view` shows it in a browser; `zarm up` in one terminal, `zarm status` and `zarm watch` in another."
     )
+
+
+def _wait_for_enter() -> None:
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        pause(0.1)
+    sys.stdin.readline()
 
 
 def _go_around_the_post(robot: Robot) -> None:

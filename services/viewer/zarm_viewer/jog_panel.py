@@ -50,9 +50,16 @@ class JogPanel:
             "the robot follows the handle", False, hint="It moves while the handle is dragged."
         )
         goal.dragged = self._dragged
+        self._keys = []
         for key, (axis, sign) in _KEYS.items():
             command = gui.add_command(f"Jog {'+' if sign > 0 else '-'}{_AXES[axis]}", hotkey=key, modifier="shift")  # type: ignore[arg-type]
             command.on_trigger(self._asks(partial(self._twist, axis=axis, sign=sign, hold=KEY_HOLD)))
+            self._keys.append(command)
+
+    def chosen(self, yes: bool) -> None:
+        """Take keys, or leave them to another robot."""
+        for command in self._keys:
+            command.disabled = not yes
 
     def _choose(self) -> None:
         """Show the buttons for the chosen kind of jog."""

@@ -30,10 +30,13 @@ NO_GOAL = "Drag the handle at the tip, or choose a pose."
 
 
 class MotionPanel:
-    """Buttons that plan and move, joint sliders, numbers, named poses, options, and scrubbing through a plan."""
+    """Buttons that plan and move, joint sliders, numbers, named poses, options, and scrubbing through a plan.
 
-    def __init__(self, desk: Desk, goal: Goal, poses: NamedPoses) -> None:
-        self._desk, self._goal, self._poses = desk, goal, poses
+    `forget_plan` removes the last plan from the rest of the page, when the next one is asked for.
+    """
+
+    def __init__(self, desk: Desk, goal: Goal, poses: NamedPoses, forget_plan: Callable[[], object]) -> None:
+        self._desk, self._goal, self._poses, self._forget_plan = desk, goal, poses, forget_plan
         self._plan: Plan | None = None
         self._timed: TimedTrajectory | None = None
         self._waypoints = WaypointHandles(desk)
@@ -169,7 +172,9 @@ class MotionPanel:
         return tuple(aim.branch.joints.tolist())
 
     def _plan_it(self) -> Plan:
-        self._plan = None  # if planning fails, Execute must not run the previous plan
+        self._plan = None  # if planning fails, the previous plan must neither be executed nor be shown
+        self._scrub.disabled = True
+        self._forget_plan()
         options = self._options
         plan = self._desk.robot.plan(self._target(), path_constraint=options.path_constraint, **options.settings)
         self._take(plan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -156,7 +156,7 @@ class _Part:
                 self._add_reset()
             tabs = server.gui.add_tab_group()
             if moves:
-                self._controls = _Controls(self.desk, self._picture, tabs, folders.state)
+                self._controls = _Controls(self.desk, self._picture, tabs, folders.state, self._forget_plan)
             if isinstance(shown.source, Playback):
                 with tabs.add_tab("Record"):
                     self._record = RecordPanel(self.desk, shown.source)
@@ -198,6 +198,10 @@ class _Part:
         if self._events is not None:
             self._events.draw()
 
+    def _forget_plan(self) -> None:
+        self._picture.forget_path()
+        self._status.forget_plan()
+
     def _add_reset(self) -> None:
         self._reset = self.desk.server.gui.add_button("Reset the fault", color="orange", visible=False)
 
@@ -209,19 +213,22 @@ class _Part:
 class _Controls:
     """Controls that move a robot; the page of a viewer role has none."""
 
-    def __init__(self, desk: Desk, picture: Picture, tabs: GuiTabGroupHandle, state: Path) -> None:
+    def __init__(
+        self, desk: Desk, picture: Picture, tabs: GuiTabGroupHandle, state: Path, forget_plan: Callable[[], object]
+    ) -> None:
         self._goal = Goal(desk)
         poses = NamedPoses(state / "viewer", desk.robot.name, desk.description.descriptor.home)
         with tabs.add_tab("Move"):
-            self._motion = MotionPanel(desk, self._goal, poses)
+            self._motion = MotionPanel(desk, self._goal, poses, forget_plan)
         with tabs.add_tab("Scene"):
             self._objects = ObjectsPanel(desk, picture.scene)
         with tabs.add_tab("Jog"):
-            JogPanel(desk, self._goal)
+            self._jog = JogPanel(desk, self._goal)
 
     def chosen(self, yes: bool) -> None:
-        """Show or hide the handles."""
+        """Show or hide the handles, and take keys or leave them."""
         self._motion.chosen(yes)
+        self._jog.chosen(yes)
 
     def draw(self, news: News) -> None:
         """Show what has changed."""

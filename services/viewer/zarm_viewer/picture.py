@@ -58,6 +58,10 @@ class Picture:
         elif news.trajectory is not None:
             self._draw_path(news.trajectory.trajectory)
 
+    def forget_path(self) -> None:
+        """Remove the path of a plan that no longer holds."""
+        self._desk.server.scene.remove_by_name(f"{self._desk.root}/path")
+
     def show_clearance(self, points: tuple[Vector3, Vector3] | None) -> None:
         """Show a line between two points (m) in the base frame, or none."""
         if points != self._clearance:

@@ -17,7 +17,8 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import GoalState, JointState, Message
 from zarm_runtime.record import read_record
 from zarm_runtime.recorded import Recorded
-from zarm_viewer.watching import News, in_order
+from zarm_viewer.kinematics import Array
+from zarm_viewer.watching import News, in_order, tracking_error
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Playback speeds relative to real time."""
@@ -89,6 +90,7 @@ class Playback:
                     found.append((times[index], key, message))
         found.sort(key=lambda each: each[0])
         goals = tuple(message for _, _, message in found if isinstance(message, GoalState))
+        tracked = next(((at, message) for at, _, message in reversed(found) if isinstance(message, GoalState)), None)
         newest: dict[str, Any] = {key: message for _, key, message in found}
         measured = newest.get(self._keys.joint_states)
         joints = in_order(measured, joint_names) if isinstance(measured, JointState) else None
@@ -102,6 +104,7 @@ class Playback:
             servo=newest.get(self._keys.servo_state),
             plan=newest.get(self._keys.plans),
             goals=goals,
+            tracking_error=None if tracked is None else self._tracking_error(*tracked, joint_names),
         )
 
     def age(self) -> float | None:
@@ -109,6 +112,14 @@ class Playback:
         times = self._times.get(self._keys.joint_states, [])
         index = bisect(times, self._at) - 1
         return self._at - times[index] if index >= 0 else None
+
+    def _tracking_error(self, at: float, goal: GoalState, joint_names: tuple[str, ...]) -> Array | None:
+        key = self._keys.joint_states
+        index = bisect(self._times[key], at) - 1
+        joints = self._decoded(key, self._payloads[key][index]) if index >= 0 else None
+        if not isinstance(joints, JointState):
+            return None
+        return tracking_error(goal, joints, at - self._times[key][index], joint_names)
 
     def _decoded(self, key: str, payload: bytes) -> Message | None:
         model = self._recorded.model(key)

@@ -18,7 +18,6 @@ from zarm_viewer.watching import News
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 SECONDS, RATE = 10.0, 10.0
 """Length (s) of the live plots, and their sample rate (Hz)."""
-SAMPLES = 150
 LIVE = (*QUANTITIES, "tracking error (mrad)")
 TICKS = "tick lateness (ms)"
 _COLOURS = ("#e03131", "#2f9e44", "#1971c2", "#f08c00", "#9c36b5", "#0c8599", "#495057")
@@ -59,7 +58,7 @@ class PlotsPanel:
         self._limits = (half, np.array(cspace.velocity), np.array(cspace.acceleration), np.array(cspace.jerk))
         self._plan: Plan | None = None
         self._past: deque[tuple[float, Array]] = deque(maxlen=int(SECONDS * RATE))
-        self._command: Array | None = None
+        self._error = np.zeros(len(lower))
         self._ticks: deque[tuple[float, float]] = deque(maxlen=int(SECONDS * RATE))
         self._measured = Measured(len(lower))
         gui = desk.server.gui
@@ -81,15 +80,16 @@ class PlotsPanel:
             self._measured.add(news.velocity, news.measured_at)
         now = time.monotonic()
         for goal in news.goals:
-            self._command = None if goal.done else np.array(goal.joint_command)
+            if goal.done:
+                self._error = np.zeros(len(self._error))
+            elif news.tracking_error is not None:
+                self._error = 1e3 * news.tracking_error
             if goal.tick_lateness is not None:
                 self._ticks.append((now, 1e3 * goal.tick_lateness))
         if self._past and now - self._past[-1][0] < 1 / RATE:
             return
-        joints = self._desk.joints
-        error = np.zeros(len(joints)) if self._command is None else 1e3 * (joints - self._command)
-        shares = 100 * np.array([joints - self._middle, *self._measured.rates()]) / self._limits
-        self._past.append((now, np.array([*shares, error])))
+        shares = 100 * np.array([self._desk.joints - self._middle, *self._measured.rates()]) / self._limits
+        self._past.append((now, np.array([*shares, self._error])))
         shown = self._live.value
         for plot, visible in ((self._of_now, shown in LIVE), (self._of_ticks, shown == TICKS)):
             if plot.visible != visible:
@@ -100,7 +100,8 @@ class PlotsPanel:
             self._of_now.data = (times, *np.array([rows[row] for _, rows in self._past]).T)
         if shown == TICKS and len(self._ticks) > 1:
             times, late = np.array(self._ticks).T
-            self._of_ticks.data = (times - now, late)
+            recent = times > now - SECONDS
+            self._of_ticks.data = (times[recent] - now, late[recent])
 
     def _plot(self, title: str, labels: Sequence[str]) -> GuiUplotHandle:
         series = (
@@ -119,8 +120,17 @@ class PlotsPanel:
         if self._plan is None:
             return
         timed = TimedTrajectory.of(self._plan.trajectory, self._desk.description.descriptor.joints)
-        times = np.linspace(float(timed.time[0]), timed.duration, SAMPLES)
-        position, velocity, acceleration = timed.sample(times)
-        rows = (position - self._middle, velocity, acceleration, np.gradient(acceleration, times, axis=0))
+        times, (position, *rates) = sampled(timed)
+        rows = (position - self._middle, *rates)
         chosen = QUANTITIES.index(self._choice.value)
         self._of_plan.data = (times, *(100 * rows[chosen] / self._limits[chosen]).T)
+
+
+def sampled(timed: TimedTrajectory) -> tuple[Array, tuple[Array, Array, Array, Array]]:
+    """Times (K,) in s, and position, velocity, acceleration and jerk (K, J) there, in rad/s^n.
+
+    The times are those of the samples and half-way between: jerk lasts a few ms, and even times would miss it.
+    """
+    times = np.sort(np.concatenate((timed.time, timed.time[:-1] + timed.steps / 2)))
+    position, velocity, acceleration = timed.sample(times)
+    return times, (position, velocity, acceleration, timed.jerks(times))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import viser
 from viser import ClientHandle
 
@@ -9,9 +10,13 @@ from zarm_viewer.style import dress
 
 BESIDE = 2.5
 """Distance (m) between robots in the view, along y: the bus does not report where their bases are."""
-PORTRAIT, LOWER = 0.7, 0.6
-"""On a page narrower than this share of its height, the camera looks this much (m) lower, because panels cover its
-lower half.
+PANEL = 384
+"""Width (px) of the panels beside the view."""
+PORTRAIT, TABLET = 0.7, 1000
+"""A page narrower than this share of its height is upright, and that of a phone if it is less than this high (px)."""
+LOWER, AWAY = 0.6, 2.0
+"""On a phone the camera looks this much (m) lower, because panels cover the lower half; on another upright page it is
+this many times as far away, because they leave a narrow view.
 """
 
 
@@ -36,11 +41,16 @@ def furnish(server: viser.ViserServer, robots: int) -> None:
     camera, away = server.initial_camera, 1.3 * across
     camera.position = (1.45 + away, -0.82 - across / 4, 1.08 + away / 2)
     camera.look_at = (0.35, 0.15 + across / 2, 0.45)
-    gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    gui.configure_theme(show_logo=False, show_share_button=False)
     gui.main_panel.dock_right()  # beside the view, so that it covers no robot
+    gui.main_panel.set_width(PANEL)  # a page that docks the panel before it reads the theme loses that width
 
     @server.on_client_connect
     def _(client: ClientHandle) -> None:
         if client.camera.aspect < PORTRAIT:
-            x, y, z = camera.look_at
-            client.camera.look_at = (x, y, z - LOWER)
+            at = np.array(camera.look_at)
+            if client.camera.image_height < TABLET:
+                client.camera.look_at = at - (0.0, 0.0, LOWER)
+            else:
+                client.camera.position = at + AWAY * (np.array(camera.position) - at)
+                client.camera.look_at = at  # which moves with the position

@@ -54,6 +54,10 @@ class StatusPanel:
         if abs(self._progress.value - progress) >= 1.0:
             put(self._progress, progress)
 
+    def forget_plan(self) -> None:
+        """Leave out the figures of a plan that no longer holds."""
+        self._plan = None
+
     def _lines(self, age: float | None) -> list[str]:
         """The status in lines of HTML."""
         state = self._state

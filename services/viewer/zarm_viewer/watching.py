@@ -28,7 +28,8 @@ from zarm_viewer.kinematics import Array
 @dataclass(frozen=True)
 class News:
     """Changes since the last drawing; unchanged values are None. Joints are (J,) in rad, in the order of the
-    descriptor, and were `measured_at` a time (Unix, s).
+    descriptor, and were `measured_at` a time (Unix, s). `tracking_error` (J,) in rad is measured minus commanded, when the
+    newest state of a goal came.
     """
 
     joints: Array | None = None
@@ -42,6 +43,7 @@ class News:
     plan: Plan | None = None
     trajectory: GoalTrajectory | None = None
     goals: tuple[GoalState, ...] = ()
+    tracking_error: Array | None = None
 
 
 @dataclass
@@ -52,6 +54,8 @@ class Watching:
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _newest: dict[str, Any] = field(default_factory=dict)
     _goals: dict[str, GoalState] = field(default_factory=dict)
+    _tracked: tuple[GoalState, JointState, float] | None = None
+    """The newest state of a goal, the joints when it came, and their age then (s)."""
 
     def __post_init__(self) -> None:
         bus, keys = self.robot.connection.bus, self.robot.connection.keys
@@ -75,6 +79,7 @@ class Watching:
         with self._lock:
             newest, self._newest = self._newest, {}
             goals, self._goals = tuple(self._goals.values()), {}
+            tracked, self._tracked = self._tracked, None
         joints = self._new_joints("joints", self._joints.received(), joint_names)
         preview = self._new_joints("preview", self._preview.received(), joint_names)
         return News(
@@ -83,6 +88,7 @@ class Watching:
             measured_at=None if joints is None else joints.stamp,
             preview=None if preview is None else preview.position,
             goals=goals,
+            tracking_error=None if tracked is None else tracking_error(*tracked, joint_names),
             **newest,
         )
 
@@ -106,8 +112,12 @@ class Watching:
         return put
 
     def _put_goal(self, _: str, goal: GoalState) -> None:
+        received = self._joints.received()
         with self._lock:
             self._goals[goal.goal_id] = goal
+            if received is not None:
+                joints, at = received
+                self._tracked = goal, joints, time.monotonic() - at
 
 
 class Ordered(NamedTuple):
@@ -124,3 +134,14 @@ def in_order(state: JointState, joint_names: tuple[str, ...]) -> Ordered | None:
         return None
     order = [state.joint_names.index(joint) for joint in joint_names]
     return Ordered(np.array(state.position)[order], np.array(state.velocity)[order], state.stamp)
+
+
+def tracking_error(goal: GoalState, joints: JointState, age: float, joint_names: tuple[str, ...]) -> Array | None:
+    """Measured minus commanded joints (J,) in rad, in the order of `joint_names`; the joints were measured `age` s before.
+
+    None if they are other joints.
+    """
+    measured = in_order(joints, joint_names)
+    if measured is None:
+        return None
+    return np.asarray(measured.position + age * measured.velocity - np.array(goal.joint_command))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import pty
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from support.command_line import Command
-from support.harness import eventually
+from support.harness import eventually, free_endpoint
 from support.tiers import sampled
 
 
@@ -42,3 +44,21 @@ def test_ctrl_c_in_the_middle_of_the_demo_leaves_no_process(tmp_path: Path, mome
         demo.interrupt()
         assert demo.end() == 130
         assert demo.family() == []
+
+
+@pytest.mark.slow
+def test_with_a_page_the_demo_moves_when_somebody_has_opened_it_and_stays(tmp_path: Path) -> None:
+    person, terminal = pty.openpty()
+    with Command(
+        "demo", "--view", folder=tmp_path, stdin=terminal, ZARM_VIEW=free_endpoint().removeprefix("tcp/")
+    ) as demo:
+        demo.wait_for("press Enter")
+        eventually(lambda: "http://" in demo.errors(), "the page is served")
+        assert "post" not in demo.output()
+        os.write(person, b"\n")
+        demo.wait_for("stays open")
+        demo.interrupt()
+        assert demo.end() == 0
+        assert demo.family() == []
+    os.close(person)
+    os.close(terminal)

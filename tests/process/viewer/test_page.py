@@ -18,7 +18,7 @@ import zarm
 from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
-from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, free_port, opened
+from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, drawn_width, free_port, opened
 from zarm_contract.messages import Plan
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -27,7 +27,7 @@ from zarm_viewer.kinematics import Chain
 pytestmark = (
     pytest.mark.timed
 )  # who jogs keeps the robot as long as their page asks 7 times a second, which it draws in software
-PHONE = (390, 844)
+PHONE, TABLET = (390, 844), (820, 1180)
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +76,11 @@ def drawn_where_measured(page: Page, cell: Cell) -> bool:
     """Whether the scene graph of the page has the tip where the bus says that it is."""
     tip = drawn_tip(page)
     return tip is not None and bool(np.allclose(tip, cell.robot.tip().position, atol=1e-3))
+
+
+def drawn(page: Page, node: str) -> bool:
+    """Whether the scene graph of the page has this node of the robot."""
+    return bool(page.evaluate("name => !!window.__viserMutable.nodeRefFromName[name]?.parent", f"/{KEYS.robot}/{node}"))
 
 
 def drag(page: Page, at: tuple[float, float], down: int) -> None:
@@ -145,10 +150,13 @@ def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_
     aim_home(page)
     expect(page.get_by_text("collision", exact=True)).to_be_visible()
     told = page.get_by_role("alert")
+    assert drawn(page, "path")
     page.get_by_role("button", name="Plan", exact=True).click()
     expect(told.filter(has_text="Plan:").first).to_be_visible()
+    eventually(lambda: not drawn(page, "path"), "the path of the plan before is gone")
     page.get_by_role("button", name="Execute", exact=True).click()
     expect(told.filter(has_text="there is no plan").first).to_be_visible()
+    expect(page.get_by_text("clearance")).to_be_hidden()
     assert cell.rests()
     page.get_by_role("button", name="Back to the robot").click()
     page.get_by_text("Poses").click()
@@ -246,6 +254,74 @@ def test_jog_buttons_stay_where_they_are_while_the_robot_jogs(page: Page, cell: 
     page.mouse.up()
     eventually(cell.rests, "it rests")
     assert abs(top() - before) < 5
+
+
+@pytest.mark.slow  # as with buttons, in the tests around it
+@pytest.mark.parametrize(
+    ("key", "axis", "sign"), [("I", 0, 1), ("K", 0, -1), ("J", 1, 1), ("L", 1, -1), ("U", 2, 1), ("O", 2, -1)]
+)
+def test_a_key_with_shift_jogs_along_its_axis_until_it_is_let_go(
+    page: Page, cell: Cell, key: str, axis: int, sign: int
+) -> None:
+    start = np.array(cell.robot.tip().position)
+    page.keyboard.down("Shift")
+
+    def moved_along() -> bool:
+        page.keyboard.down(key)  # again and again, as while it is held
+        way = np.array(cell.robot.tip().position) - start
+        return bool(sign * way[axis] > 0.005 and np.abs(np.delete(way, axis)).max() < 0.002)
+
+    eventually(moved_along, "the tip moves along the axis of the key")
+    page.keyboard.up(key)
+    page.keyboard.up("Shift")
+    eventually(cell.rests, "it rests")
+
+
+@pytest.mark.slow
+def test_keys_jog_the_chosen_robot_and_no_other(page: Page, cell: Cell, chromium: Browser) -> None:
+    cell.begin("executor", "ur5e", "beside_it")  # without a servo, so a jog of it is refused
+    both = opened(chromium, cell.serve("--robot", "beside_it=ur5e"))
+    choose(both, "robot", "beside_it")
+    both.mouse.click(100, 400)  # in the view: in an input, keys are letters
+    before = cell.robot.joint_state().position
+    told = both.get_by_role("alert").filter(has_text="jog: unavailable")
+
+    def refused() -> bool:
+        both.keyboard.down("I")
+        return told.count() > 0
+
+    both.keyboard.down("Shift")
+    eventually(refused, "the chosen robot is asked to jog")
+    assert cell.robot.joint_state().position == before
+    both.close()
+
+
+@pytest.mark.slow
+def test_save_and_download_save_at_once(page: Page, cell: Cell) -> None:
+    records = cell.folder / KEYS.robot / "records"
+    records.mkdir(parents=True, exist_ok=True)
+    (records / "fault.mcap").write_bytes(b"a record")
+    cell.robot.scene.add(zarm.Cuboid("to_be_saved", size=(0.1, 0.1, 0.1), position=(0.5, 0.4, 0.2)))
+    page.get_by_role("tab", name="Scene").click()
+    page.get_by_text("File", exact=True).click()
+    with page.expect_download() as scene:
+        page.get_by_role("button", name="Save").click()
+    assert "to_be_saved" in scene.value.path().read_text()
+    page.get_by_text("File", exact=True).click()
+    page.get_by_role("tab", name="Log").click()
+    with page.expect_download() as record:
+        page.get_by_role("button", name="Download").click()
+    assert record.value.suggested_filename == "fault.mcap"
+    assert record.value.path().read_bytes() == b"a record"
+
+
+@pytest.mark.slow
+def test_on_a_tablet_the_robot_has_room_in_the_view_beside_the_panels(
+    page: Page, chromium: Browser, address: str
+) -> None:
+    tablet = opened(chromium, address, TABLET)
+    eventually(lambda: 0.0 < drawn_width(tablet) < 0.7, "the robot is in view, and does not fill it")
+    tablet.close()
 
 
 @pytest.mark.slow  # the ghost is seen where the handle is dragged

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from zarm_viewer.plots_panel import RATE, Measured
+from zarm_contract.messages import GoalState, JointState
+from zarm_trajectory.trajectory import TimedTrajectory
+from zarm_viewer.plots_panel import RATE, Measured, sampled
+from zarm_viewer.watching import tracking_error
 
 
 @pytest.mark.parametrize("rate", [100.0, 30.0])
@@ -17,3 +20,24 @@ def test_acceleration_and_jerk_are_told_from_velocities(rate: float) -> None:
     assert velocity == pytest.approx([3.0 * time, 5.0 * time**2 / 2])
     assert acceleration == pytest.approx([3.0, 5.0 * time], abs=5.0 * 2 / RATE)
     assert jerk == pytest.approx([0.0, 5.0], abs=1e-6)
+
+
+def test_a_jerk_of_milliseconds_is_in_the_plot_of_a_plan_with_its_whole_height() -> None:
+    jerk, short, long = 50.0, 0.004, 1.0
+    speed, far = jerk * short**2 / 2, jerk * short**3 / 6
+    rate = jerk * short  # the acceleration that it leads to
+    time = np.array([0.0, short, short + long])
+    position = np.array([0.0, far, far + speed * long + rate * long**2 / 2])
+    velocity, acceleration = np.array([0.0, speed, speed + rate * long]), np.array([0.0, rate, rate])
+    timed = TimedTrajectory(time, *(row[:, None] for row in (position, velocity, acceleration)))
+    _, (*_, seen) = sampled(timed)
+    assert seen.max() == pytest.approx(jerk, rel=1e-3)
+
+
+def test_the_tracking_error_of_a_robot_that_follows_exactly_is_none_however_old_its_joints_are() -> None:
+    position, velocity, age = (0.1, 0.2), (1.0, -2.0), 0.05
+    joints = JointState(stamp=0.0, joint_names=("b", "a"), position=position, velocity=velocity)
+    command = tuple(at + age * speed for at, speed in zip(position, velocity, strict=True))[::-1]
+    goal = GoalState(goal_id="g", status="running", progress=0.5, elapsed=1.0, duration=2.0, joint_command=command)
+    assert tracking_error(goal, joints, age, ("a", "b")) == pytest.approx([0.0, 0.0])
+    assert tracking_error(goal, joints, age, ("a", "c")) is None
