@@ -12,6 +12,7 @@ from zarm_contract.robot import RobotDescription
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.rows import bounds
 from zarm_geometry.shapes import distance
 from zarm_geometry.world import World
 from zarm_robot_import.kernels.balls import around_shapes
@@ -29,8 +30,10 @@ LARGEST, SMALLEST = 6.0, 0.05
 OUTSIDE = 0.004
 """Exact geometry outside its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
 _FINEST = 0.0005
-PROTRUDES = 0.06
-"""A sphere that protrudes from its link by more than this (m) most likely belongs elsewhere."""
+PROTRUDES, SHARE = 0.06, 0.35
+"""A sphere that protrudes from its link by more than this (m), and by more than this share of the link's length, most likely
+belongs elsewhere. A sphere around a cube protrudes by 0.21 of the cube's diagonal.
+"""
 APART = 0.1
 """Neighbouring links that are never closer than this (m) most likely have a wrong frame, axis or unit."""
 RARELY = 0.02
@@ -103,7 +106,9 @@ def _covers(robot: RobotDescription) -> Iterator[str]:
                 "take what is verified as a collision afterwards: enlarge the spheres or add some"
             )
         out = [protrusion(ball, rows) for ball in balls]
-        if max(out) > PROTRUDES:
+        lower, upper = bounds(rows)
+        length = float(np.linalg.norm(upper.max(axis=0) - lower.min(axis=0)))
+        if max(out) > max(PROTRUDES, SHARE * length):
             index = int(np.argmax(out))
             yield (
                 f"spheres.{link}[{index}]: it stands out of the link by {1e3 * out[index]:.0f} mm and takes free space; look at its "

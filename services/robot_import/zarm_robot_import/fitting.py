@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,10 +34,10 @@ class Fitted:
 
 
 def fit(
-    surfaces: Sequence[Surface], budget: int, standing: Collection[str], done: Callable[[str], None]
+    surfaces: Sequence[Surface], budget: int, carried: Mapping[str, int], done: Callable[[str], None]
 ) -> list[Fitted]:
-    """Fit all links, with at most `budget` balls in all covers, few of them for the links in `standing`, which do not
-    move; `done` is called with each link whose exact geometry is ready.
+    """Fit all links, with at most `budget` balls in all covers, more of them where more joints carry a link, as
+    `carried` says; `done` is called with each link whose exact geometry is ready.
     """
     bodies = {surface.link: Body.of(surface.triangles, surface.off) for surface in surfaces}
     primitives: dict[str, list[CollisionPrimitive]] = {}
@@ -45,7 +45,7 @@ def fit(
         primitives[link] = fit_primitives(body)
         done(link)
     rows = {link: rows_of(each) for link, each in primitives.items()}
-    covers = fit_covers(rows, budget, standing)
+    covers = fit_covers(rows, carried, budget)
     found = []
     for link, body in bodies.items():
         measure = Measure(body)

@@ -127,8 +127,7 @@ def _imported(
         fitted_links += 1
         progress(f"geometry of {link}", 0.2 + 0.5 * fitted_links / len(surfaces))
 
-    standing = [mounted.link for mounted in chain.mounted if mounted.body == 0]
-    fitted = fit(surfaces, options.spheres, standing, counted)
+    fitted = fit(surfaces, options.spheres, contacts.body, counted)
     meshes = {surface.link: surface.triangles for surface in surfaces}
     (work / f"{name}.urdf").write_text(urdf_text(robot, chain, limits, folder), encoding="utf-8")
     descriptor = work / f"{name}.yaml"

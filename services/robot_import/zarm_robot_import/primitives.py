@@ -43,6 +43,8 @@ MEAN, MOST = 0.004, 0.012
 """A link whose primitives protrude (m) by no more than this on average, and at most, is not cut further ..."""
 COUNT = 130
 """... nor one with this many primitives."""
+_ROUNDS = 3
+"""A link with so many is cut further once those that can be are merged, at most so many times."""
 _POINTS = 250
 """Points that represent the surface in the search for planes."""
 _SAMPLES = 400
@@ -153,6 +155,16 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
     axes = _axes(body.surface.data, body.triangles, np.empty((0, 3, 3)))
     measure = Measure(body)
     cells = [_piece(body.triangles, body.corners, axes, body)]
+    for _ in range(_ROUNDS):
+        cut = _cut(cells, axes, body, measure)
+        cells = _merged(cut, axes, body, measure)
+        if len(cut) < COUNT or len(cells) == COUNT:
+            break
+    return [written(cell.row) for cell in cells]
+
+
+def _cut(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> list[_Cell]:
+    """The cells, cut until they protrude no more than wanted or are `COUNT`."""
     outs: dict[_Cell, Out] = {}
     while len(cells) < COUNT:
         _add_missing(outs, cells, measure)
@@ -171,7 +183,7 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
             outs = {cell: out for cell, out in outs.items() if not _adjoin(cell, worst)}
         else:
             worst.final = True
-    return [written(cell.row) for cell in _merged(cells, axes, body, measure)]
+    return cells
 
 
 def _merged(cells: list[_Cell], axes: Array, body: Body, measure: Measure) -> list[_Cell]:

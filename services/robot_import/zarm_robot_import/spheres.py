@@ -1,6 +1,7 @@
 """The sphere cover of a robot: spheres that contain the exact geometry of its links, for the search.
 
-The cost is the space that the balls occupy outside the links, and more the farther it is. Each link begins as one ball.
+The cost is the space that the balls occupy outside a link, compared to the link's size, and more the farther it is. The
+more joints carry a link, the more it counts: a gripper reaches into narrow places. Each link begins as one ball.
 The ball whose split frees the most space is split repeatedly, until the whole robot has its budget of balls; and balls
 are moved and shrunk to what they alone contain. So few balls are spent where more would change little, such as along a
 tube or into the edges of its ends. Containment is then proven, not sampled: `kernels.balls` grows the balls until
@@ -31,6 +32,8 @@ BUDGET = 80
 """Balls in the cover of the whole robot."""
 STANDING = 0.25
 """Weight of the space around what stands on the base: the scene is checked only against the moving links."""
+OUTWARD = 1.2
+"""Factor by which each joint increases the weight of the space around what it carries."""
 _POINTS, _INNER = 3000, 700
 """Points on the boundary of a link and inside it to which its balls are fitted, ..."""
 _MORE_POINTS, _MORE_INNER = 20_000, 6000
@@ -54,12 +57,14 @@ _FINEST = 5e-4
 """Finest subdivision (m) of the proof."""
 
 
-def fit_covers(rows: Mapping[str, Array], budget: int = BUDGET, standing: Collection[str] = ()) -> dict[str, Array]:
+def fit_covers(rows: Mapping[str, Array], carried: Mapping[str, int], budget: int = BUDGET) -> dict[str, Array]:
     """Balls (n, 4) of each link, in the descriptor's form, that contain its exact geometry (m, 17).
 
-    They are at most `budget` in all, but at least one each. The links in `standing` do not move.
+    They are at most `budget` in all, but at least one each. `carried` says how many joints carry each link.
     """
-    links = {link: _Link.of(table, STANDING if link in standing else 1.0) for link, table in rows.items()}
+    links = {
+        link: _Link.of(table, OUTWARD ** carried[link] if carried[link] else STANDING) for link, table in rows.items()
+    }
     covers = {link: _around(each.points)[None] for link, each in links.items()}
     for _ in range(_ROUNDS):
         covers = _split(links, covers, max(budget, len(rows)))
@@ -125,6 +130,7 @@ class _Link:
     def of(cls, rows: Array, weight: float) -> Self:
         points = _points_of(rows, _POINTS, _INNER)
         low, high = points.min(axis=0), points.max(axis=0)
+        weight /= float(np.square(high - low).sum())
         beside = 0.02 + 0.25 * float((high - low).max())
         low, high = low - beside, high + beside
         space = qmc.scale(qmc.Halton(3, scramble=False).random(_OUTSIDE), low, high)

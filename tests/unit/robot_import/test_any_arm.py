@@ -20,6 +20,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
+from zarm_robot_import.checking import findings
 from zarm_robot_import.importing import Options, import_robot
 from zarm_robot_import.primitives import Out
 from zarm_trajectory.limits import Limits
@@ -60,6 +61,7 @@ def test_an_arm_is_imported_and_its_motions_touch_nothing_on_the_original_meshes
     assert report.spheres <= 80
 
     model = RobotModel.of(load_robot(str(descriptor)))
+    assert findings(model.robot) == []
     original = OriginalRobot(model, original_meshes(file))
     home = np.array(model.robot.descriptor.home)
     checked = {(model.links[i], model.links[j]) for i, j in model.pairs.tolist()}

@@ -50,7 +50,7 @@ def test_a_ball_around_many_small_shapes_stands_out_by_what_is_outside_of_all() 
 @pytest.mark.lengthy
 def test_a_cover_contains_every_shape_within_its_budget() -> None:
     links = {"arm": [TUBE, ELBOW], "plate": [PLATE]}
-    covers = fit_covers({link: rows_of(shapes) for link, shapes in links.items()}, 20)
+    covers = fit_covers({link: rows_of(shapes) for link, shapes in links.items()}, {"arm": 1, "plate": 1}, 20)
     assert sum(map(len, covers.values())) <= 20
     for link, shapes in links.items():
         for shape in shapes:
@@ -61,17 +61,24 @@ def test_a_cover_contains_every_shape_within_its_budget() -> None:
 @pytest.mark.lengthy
 def test_a_tube_costs_a_third_more_than_its_own_volume_in_twelve_balls() -> None:
     """The least that balls in a row can do is a fifth more: what their waists need, and half a ball at each end."""
-    (balls,) = fit_covers({"tube": rows_of([TUBE])}, 12).values()
+    (balls,) = fit_covers({"tube": rows_of([TUBE])}, {"tube": 1}, 12).values()
     space = np.random.default_rng(1).uniform((-0.2, -0.2, -0.2), (0.2, 0.2, 0.8), (100_000, 3))
     volume = 0.4 * 0.4 * 1.0 * within(space, balls).mean()
     assert volume < 1.35 * np.pi * 0.06**2 * 0.6
 
 
 @pytest.mark.lengthy
-def test_what_stands_still_gets_fewer_balls() -> None:
+def test_what_stands_still_gets_fewer_balls_and_what_more_joints_carry_gets_more() -> None:
     same = rows_of([TUBE])
-    covers = fit_covers({"base": same, "arm": same}, 16, ["base"])
-    assert len(covers["base"]) < len(covers["arm"])
+    covers = fit_covers({"base": same, "arm": same, "hand": same}, {"base": 0, "arm": 1, "hand": 6}, 30)
+    assert len(covers["base"]) < len(covers["arm"]) < len(covers["hand"])
+
+
+@pytest.mark.lengthy
+def test_a_small_link_gets_as_many_balls_as_a_large_one_of_its_shape() -> None:
+    small = CollisionCylinder(kind="cylinder", a=(0.0, 0.0, 0.0), b=(0.0, 0.0, 0.15), radius=0.015)
+    covers = fit_covers({"large": rows_of([TUBE]), "small": rows_of([small])}, {"large": 1, "small": 1}, 20)
+    assert len(covers["small"]) >= 6
 
 
 @pytest.mark.lengthy
@@ -80,6 +87,6 @@ def test_every_ball_is_large_enough_to_be_drawn_and_measured() -> None:
     tiny = CollisionCuboid(
         kind="cuboid", center=(0.0, 0.0, 0.0), size=(0.012, 0.008, 0.004), orientation=(0.0, 0.0, 0.0, 1.0)
     )
-    (balls,) = fit_covers({"tiny": rows_of([tiny])}, 40).values()
+    (balls,) = fit_covers({"tiny": rows_of([tiny])}, {"tiny": 1}, 40).values()
     assert balls[:, 3].min() >= 0.002
     assert all(len(triangles_of(row)) for row in ball_rows(balls))
