@@ -265,7 +265,7 @@ class Guard:
                 found.time,
                 validity.until or 0.0,
             )
-        if state.scene_lost and not (before and before.scene_lost):
+        if state.scene_lost and scene.revision is not None and not (before and before.scene_lost):
             log.warning("the planner is gone or has lost its scene; the last known scene still counts")
         for name in set(state.lost_objects) - set(before.lost_objects if before else ()):
             log.warning("a moving object is lost, its poses no longer arrive object=%s", name)

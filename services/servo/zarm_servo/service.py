@@ -45,6 +45,8 @@ log = logging.getLogger(__name__)
 
 PLANNER_PERIOD = 1.0
 """Interval (s) at which the servo checks that there is a planner."""
+MISSED = 2
+"""A planner counts as gone after so many checks: on a busy machine the answer to one may come too late."""
 ANSWER = 0.2
 """Extra time (s) for an answer to arrive after the deadline of the request."""
 GONE = 1.5
@@ -111,8 +113,11 @@ def start(service: Service) -> Iterator[None]:
         ended = threading.Event()
 
         def look_for_planner() -> None:
+            missed = 0
             while not ended.wait(PLANNER_PERIOD):
-                guard.hear_planner(gone=not bus.alive(keys.alive("planner", "*"), timeout=PLANNER_PERIOD))
+                alive = bus.alive(keys.alive("planner", "*"), timeout=PLANNER_PERIOD)
+                missed = 0 if alive else missed + 1
+                guard.hear_planner(gone=missed >= MISSED)
 
         looking = threading.Thread(target=look_for_planner, name="planner", daemon=True)
         looking.start()

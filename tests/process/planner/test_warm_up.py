@@ -5,13 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import pytest
-
 from support.paths import PROGRAMS
 from zarm_planner.warm_up import STAGES
 
 
-@pytest.mark.slow
 def test_warming_up_says_each_stage_in_a_line() -> None:
     done = subprocess.run([sys.executable, "-m", "zarm_planner.warm_up"], capture_output=True, text=True, check=True)
     stages = done.stdout.splitlines()

@@ -162,7 +162,6 @@ def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_
     page.get_by_text("Poses").click()
 
 
-@pytest.mark.slow
 def test_plots_show_the_plan_and_what_the_robot_does_now(page: Page, cell: Cell) -> None:
     page.get_by_role("tab", name="Plots").click()
     of_plan, of_now = page.locator(".uplot").nth(0), page.locator(".uplot").nth(1)
@@ -209,7 +208,6 @@ def test_a_plan_passes_through_a_waypoint_where_it_was_dragged(page: Page, cell:
         page.get_by_text(folder).click()
 
 
-@pytest.mark.slow
 def test_the_goal_is_checked_again_when_the_scene_changes(page: Page, cell: Cell) -> None:
     aim_home(page)
     expect(page.get_by_text("reachable, free")).to_be_visible()
@@ -222,7 +220,6 @@ def test_the_goal_is_checked_again_when_the_scene_changes(page: Page, cell: Cell
     page.get_by_text("Poses").click()
 
 
-@pytest.mark.slow
 def test_the_handle_is_dragged_out_of_an_object(page: Page, cell: Cell) -> None:
     tip = cell.robot.tip().position
     cell.robot.scene.add(zarm.Cuboid("around_it", size=(0.5, 0.5, 0.5), position=tip))
@@ -236,7 +233,6 @@ def test_the_handle_is_dragged_out_of_an_object(page: Page, cell: Cell) -> None:
     page.get_by_text("Poses").click()
 
 
-@pytest.mark.slow
 def test_jog_buttons_stay_where_they_are_while_the_robot_jogs(page: Page, cell: Cell) -> None:
     page.get_by_role("tab", name="Jog").click()
     button = page.get_by_role("button", name="+ x")
@@ -296,7 +292,6 @@ def test_keys_jog_the_chosen_robot_and_no_other(page: Page, cell: Cell, chromium
     both.close()
 
 
-@pytest.mark.slow
 def test_save_and_download_save_at_once(page: Page, cell: Cell) -> None:
     records = cell.folder / KEYS.robot / "records"
     records.mkdir(parents=True, exist_ok=True)
@@ -380,7 +375,6 @@ def test_an_object_added_on_one_page_is_on_the_bus_and_on_the_other_page(page: P
     eventually(lambda: not cell.robot.scene.objects(), "it is gone")
 
 
-@pytest.mark.slow
 def test_on_a_phone_the_stop_is_in_reach_wherever_the_page_is_scrolled_to(page: Page, second: Page) -> None:
     second.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
     stop = second.get_by_role("button", name="STOP").first
@@ -474,7 +468,6 @@ def test_a_record_plays_on_a_page_to_its_end(cell: Cell, chromium: Browser, tmp_
         page.close()
 
 
-@pytest.mark.slow
 def test_the_page_goes_on_when_the_executor_is_started_again(page: Page, cell: Cell) -> None:
     cell.services["executor"].kill()
     expect(page.get_by_text("no joint states")).to_be_visible()

@@ -225,7 +225,6 @@ def test_an_odd_arm_is_imported_with_a_warning(tmp_path: Path, text: str, warnin
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.slow
 @pytest.mark.lengthy
 @pytest.mark.parametrize("count", sampled(3, 12))
 def test_many_joints_without_limits_with_strange_names_on_a_floating_base(tmp_path: Path, count: int) -> None:

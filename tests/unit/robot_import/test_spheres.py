@@ -57,7 +57,6 @@ def test_a_cover_contains_every_shape_within_its_budget() -> None:
             assert within(points_in(shape, 20_000), covers[link]).all()
 
 
-@pytest.mark.slow
 @pytest.mark.lengthy
 def test_a_tube_costs_a_third_more_than_its_own_volume_in_twelve_balls() -> None:
     """The least that balls in a row can do is a fifth more: what their waists need, and half a ball at each end."""
