@@ -30,9 +30,11 @@ LARGEST, SMALLEST = 6.0, 0.05
 OUTSIDE = 0.004
 """Exact geometry outside its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
 _FINEST = 0.0005
-PROTRUDES, SHARE = 0.06, 0.35
-"""A sphere that protrudes from its link by more than this (m), and by more than this share of the link's length, most likely
-belongs elsewhere. A sphere around a cube protrudes by 0.21 of the cube's diagonal.
+PROTRUDES = 0.06
+"""A sphere that protrudes from its link by more than this (m) most likely belongs elsewhere, unless the link is large: ..."""
+INSIDE, BESIDE, OFF = 0.35, 0.2, 0.9
+"""... then it may protrude by as much as INSIDE of the link's length, or BESIDE if that is more than OFF of its radius: then its
+centre is hardly inside the link.
 """
 APART = 0.1
 """Neighbouring links that are never closer than this (m) most likely have a wrong frame, axis or unit."""
@@ -108,8 +110,12 @@ def _covers(robot: RobotDescription) -> Iterator[str]:
         out = [protrusion(ball, rows) for ball in balls]
         lower, upper = bounds(rows)
         length = float(np.linalg.norm(upper.max(axis=0) - lower.min(axis=0)))
-        if max(out) > max(PROTRUDES, SHARE * length):
-            index = int(np.argmax(out))
+        allowed = [
+            max(PROTRUDES, length * (BESIDE if far > OFF * ball[3] else INSIDE))
+            for far, ball in zip(out, balls, strict=True)
+        ]
+        index = int(np.argmax(np.subtract(out, allowed)))
+        if out[index] > allowed[index]:
             yield (
                 f"spheres.{link}[{index}]: it stands out of the link by {1e3 * out[index]:.0f} mm and takes free space; look at its "
                 "center and radius"
