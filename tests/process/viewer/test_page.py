@@ -178,7 +178,6 @@ def test_plots_show_the_plan_and_what_the_robot_does_now(page: Page, cell: Cell)
     choose(page, "live", "off")
 
 
-@pytest.mark.slow
 def test_a_plan_passes_through_a_waypoint_where_it_was_dragged(page: Page, cell: Cell) -> None:
     page.get_by_text("Waypoints").click()
     cell.robot.execute(cell.robot.plan(moved(-0.8)))
@@ -273,7 +272,6 @@ def test_a_key_with_shift_jogs_along_its_axis_until_it_is_let_go(
     eventually(cell.rests, "it rests")
 
 
-@pytest.mark.slow
 def test_keys_jog_the_chosen_robot_and_no_other(page: Page, cell: Cell, chromium: Browser) -> None:
     cell.begin("executor", "ur5e", "beside_it")  # without a servo, so a jog of it is refused
     both = opened(chromium, cell.serve("--robot", "beside_it=ur5e"))
@@ -310,7 +308,6 @@ def test_save_and_download_save_at_once(page: Page, cell: Cell) -> None:
     assert record.value.path().read_bytes() == b"a record"
 
 
-@pytest.mark.slow
 def test_on_a_tablet_the_robot_has_room_in_the_view_beside_the_panels(
     page: Page, chromium: Browser, address: str
 ) -> None:
@@ -449,7 +446,6 @@ def test_a_viewer_sees_two_robots_and_can_only_stop(page: Page, cell: Cell, chro
     watching.close()
 
 
-@pytest.mark.slow
 def test_a_record_plays_on_a_page_to_its_end(cell: Cell, chromium: Browser, tmp_path: Path) -> None:
     cell.home()
     file = str(tmp_path / "one.mcap")
