@@ -31,11 +31,11 @@ OUTSIDE = 0.004
 """Exact geometry outside its spheres by more than this (m) is reported; the proof itself may be off by 3 mm."""
 _FINEST = 0.0005
 PROTRUDES = 0.06
-"""A sphere that protrudes from its link by more than this (m) most likely belongs elsewhere, unless the link is large: ..."""
-INSIDE, BESIDE, OFF = 0.35, 0.2, 0.9
-"""... then it may protrude by as much as INSIDE of the link's length, or BESIDE if that is more than OFF of its radius: then its
-centre is hardly inside the link.
-"""
+"""A sphere may protrude from its link by this (m), however small the link is, ..."""
+_SHARE, _SHARE_OUTSIDE = 0.35, 0.2
+"""... and from a large link by this share of its length; the second one if its centre is most likely outside the link."""
+_CENTRE_OUTSIDE = 0.9
+"""A sphere that protrudes by more than this share of its radius most likely has its centre outside the link."""
 APART = 0.1
 """Neighbouring links that are never closer than this (m) most likely have a wrong frame, axis or unit."""
 RARELY = 0.02
@@ -111,7 +111,7 @@ def _covers(robot: RobotDescription) -> Iterator[str]:
         lower, upper = bounds(rows)
         length = float(np.linalg.norm(upper.max(axis=0) - lower.min(axis=0)))
         allowed = [
-            max(PROTRUDES, length * (BESIDE if far > OFF * ball[3] else INSIDE))
+            max(PROTRUDES, length * (_SHARE_OUTSIDE if far > _CENTRE_OUTSIDE * ball[3] else _SHARE))
             for far, ball in zip(out, balls, strict=True)
         ]
         index = int(np.argmax(np.subtract(out, allowed)))

@@ -45,9 +45,8 @@ class StreamedTrajectory:
         start, times = self._begun + self._steps * PERIOD, PERIOD * np.arange(len(self._states))
         knots = self._braking.knots
         knots = knots[knots > self._braked + _APART]
-        knots = (
-            knots[np.append(np.diff(knots) > _APART, True)] if len(knots) else knots
-        )  # the last one is exactly at rest
+        if len(knots):  # of two close ones the later stays: the last is exactly at rest
+            knots = knots[np.append(np.diff(knots) > _APART, True)]
         states = np.concatenate((np.stack(self._states, axis=1), self._braking.sample(knots)), axis=1)
         rest = states[:, -1:].copy()
         rest[1:] = 0.0

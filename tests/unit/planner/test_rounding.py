@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from support.trajectories import ROBOT, curved_path, moved, rest_to_rest
+from support.trajectories import HOME, ROBOT, curved_path, moved, rest_to_rest
 from zarm_contract.codec import encode
+from zarm_contract.messages import JointGoal
+from zarm_geometry.exact import ExactScene
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
+from zarm_planner.pipeline import plan
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.sampling import load
 from zarm_trajectory.limits import Limits
@@ -30,3 +39,11 @@ def test_samples_close_together_keep_the_decimals_that_the_jerk_needs() -> None:
     times = np.sort(np.concatenate((motion.time, motion.time[5:40] + 1e-4)))
     dense = TimedTrajectory(times, *motion.sample(times))
     assert abs(load(rounded(dense, LIMITS), LIMITS) - load(dense, LIMITS)) < 1e-4
+
+
+def test_every_plan_is_rounded() -> None:
+    model, world = RobotModel.of(ROBOT), World((), 0.0)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    goal = JointGoal(kind="joints", position=tuple(moved(0.5).tolist()))
+    found = plan(FreePlanner(), PlanningContext(scene, LIMITS, Deadline(5.0), seed=0), HOME, goal).trajectory
+    np.testing.assert_array_equal(found.states, rounded(found, LIMITS).states)
