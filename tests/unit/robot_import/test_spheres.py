@@ -69,7 +69,7 @@ def test_a_tube_costs_a_third_more_than_its_own_volume_in_twelve_balls() -> None
 @pytest.mark.lengthy
 def test_what_stands_still_gets_fewer_balls_and_what_more_joints_carry_gets_more() -> None:
     same = rows_of([TUBE])
-    covers = fit_covers({"base": same, "arm": same, "hand": same}, {"base": 0, "arm": 1, "hand": 6}, 30)
+    covers = fit_covers({"base": same, "arm": same, "hand": same}, {"base": 0, "arm": 1, "hand": 6}, 24)
     assert len(covers["base"]) < len(covers["arm"]) < len(covers["hand"])
 
 
