@@ -158,7 +158,7 @@ def example(program: str, role: str, up: Up, folder: Path) -> list[str]:
 
 def test_a_viewer_sees_everything_and_may_stop_the_robot(up: Up, tmp_path: Path) -> None:
     viewer = {"ZARM_ROLE": "viewer"}
-    for command in (("status",), ("strategy",), ("speed",), ("stop",)):
+    for command in (("status",), ("strategy",), ("speed",), ("check",), ("stop",)):
         done(up, *command, **viewer)
     file = tmp_path / "seen.mcap"
     done(up, "record", str(file), "--seconds", "0.5", "--name", up.keys.robot, **viewer)

@@ -194,6 +194,7 @@ EXAMPLES: tuple[Message, ...] = (
     m.CheckResults(results=(_CHECKED,)),
     m.PlannerSettings(
         planner="multi_point",
+        planners=("auto", "multi_point"),
         timeout=3.0,
         max_attempts=5,
         optimize_s=0.1,

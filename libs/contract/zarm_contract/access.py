@@ -71,7 +71,7 @@ TABLE: Mapping[str, Rights] = {
     "plan_cancel": _request("planner"),
     "ik": _request("planner"),
     "fk": _request("planner", by=_EVERYONE),  # for the tip's pose
-    "check": _request("planner"),
+    "check": _request("planner", by=_EVERYONE),  # for clearances
     "occupancy": _request("planner"),
     "settings": _value("planner", changed_by=_DRIVES),
     "plans": _value("planner"),

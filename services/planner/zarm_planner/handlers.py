@@ -56,7 +56,7 @@ from zarm_planner.goals.moving_start import state_of
 from zarm_planner.kinematics.batches import batch_fk, batch_ik
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.base import Planner
-from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose
+from zarm_planner.planners.registry import AUTO, PLANNERS, check_name, choose, names_of
 from zarm_planner.scene.moved_objects import MovedObjects
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.scene.store import SceneStore
@@ -96,7 +96,7 @@ class Handlers:
         self._planners = planners
         self._scheduler = Scheduler(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
-        self._settings = PlannerSettings()
+        self._settings = PlannerSettings(planners=names_of(planners))
         self.moved = MovedObjects(lambda: store.scene)
         # The robot with attached objects and ignored links, cached by both.
         self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model

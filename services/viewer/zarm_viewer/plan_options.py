@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, cast
 
 from zarm.planning import Settings
 from zarm.values import AXES, Axis, PathConstraint
 from zarm_contract.messages import PlannerSettings
+from zarm_viewer.controls import put
 from zarm_viewer.desk import Desk
 
-PLANNERS = ("auto", "classic", "joint_space", "multi_point")
-"""Those that the contract names; auto takes the one for the kind of goal."""
 _DEFAULT = PlannerSettings()
 _HOLD = "What is ticked stays as it is at the start, all the way"
 _PLANNER = (
@@ -24,7 +24,7 @@ class PlanOptions:
 
     def __init__(self, desk: Desk) -> None:
         gui, default = desk.server.gui, _DEFAULT
-        self._planner = gui.add_dropdown("planner", PLANNERS, initial_value=default.planner, hint=_PLANNER)
+        self._planner = gui.add_dropdown("planner", default.planners, initial_value=default.planner, hint=_PLANNER)
         self._replan = gui.add_checkbox("replan on the way", False, hint=_REPLAN)
         self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, default.velocity_scale)
         self._acceleration = gui.add_slider("acceleration", 0.05, 1.0, 0.05, default.acceleration_scale)
@@ -34,6 +34,10 @@ class PlanOptions:
         self._optimize = gui.add_number("optimise (s)", default.optimize_s, min=0.0, max=30.0, step=0.01)
         self._held = {axis: gui.add_checkbox(f"hold {axis}", False, hint=_HOLD) for axis in AXES}
         self._frame = gui.add_dropdown("hold in", ["base", "tool"])
+
+    def offer(self, planners: Sequence[str]) -> None:
+        """Offer the planners of these names."""
+        put(self._planner, tuple(planners), "options")
 
     @property
     def replan(self) -> bool:

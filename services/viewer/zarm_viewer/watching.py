@@ -18,6 +18,7 @@ from zarm_contract.messages import (
     JointState,
     Message,
     Plan,
+    PlannerSettings,
     Scene,
     ServoState,
     Strategies,
@@ -41,6 +42,7 @@ class News:
     servo: ServoState | None = None
     scene: Scene | None = None
     plan: Plan | None = None
+    settings: PlannerSettings | None = None
     trajectory: GoalTrajectory | None = None
     goals: tuple[GoalState, ...] = ()
     tracking_error: Array | None = None
@@ -67,6 +69,7 @@ class Watching:
             ("servo", keys.servo_state, ServoState),
             ("scene", keys.scene, Scene),
             ("plan", keys.plans, Plan),
+            ("settings", keys.settings, PlannerSettings),
             ("trajectory", keys.goal_trajectory, GoalTrajectory),
             ("strategies", keys.strategy, Strategies),
         )

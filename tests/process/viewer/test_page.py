@@ -19,7 +19,7 @@ from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
 from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, drawn_width, free_port, opened
-from zarm_contract.messages import Plan
+from zarm_contract.messages import Plan, PlannerSettings
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
@@ -160,6 +160,27 @@ def test_a_goal_in_collision_is_said_to_be_and_nothing_is_executed_that_was_not_
     assert cell.rests()
     page.get_by_role("button", name="Back to the robot").click()
     page.get_by_text("Poses").click()
+
+
+def test_the_page_offers_the_planners_that_the_planner_has(page: Page, cell: Cell) -> None:
+    page.get_by_text("Options", exact=True).click()
+    planner = page.get_by_role("combobox", name="planner")
+
+    def offers(*names: str) -> None:
+        planner.click()
+        for name in names:
+            expect(page.get_by_role("option", name=name, exact=True)).to_be_visible()
+        planner.press("Escape")
+
+    known = cell.robot.settings()
+    offers(*known.planners)
+    assert "joint_space" in known.planners
+    with_another = known.model_copy(update={"planners": (*known.planners, "straight_line")})
+    restarted = cell.bus.publisher(KEYS.settings, PlannerSettings)
+    restarted.put(with_another)
+    offers("auto", "straight_line")
+    restarted.put(known)
+    page.get_by_text("Options", exact=True).click()
 
 
 def test_plots_show_the_plan_and_what_the_robot_does_now(page: Page, cell: Cell) -> None:

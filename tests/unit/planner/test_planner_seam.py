@@ -83,6 +83,12 @@ def test_a_request_that_names_the_new_planner_gets_its_trajectory(handlers: Hand
     assert plan.timings.search == 0.0
 
 
+def test_settings_say_which_planners_there_are_each_once(handlers: Handlers) -> None:
+    assert handlers.change_settings(SettingsChange()).planners == (
+        "auto", "classic", "joint_space", "multi_point", "straight_line", "too_fast",
+    )  # fmt: skip
+
+
 def test_settings_can_name_it_for_all_requests(handlers: Handlers) -> None:
     handlers.change_settings(SettingsChange(planner="straight_line"))
     assert handlers.plan(request(planner=None)).timings.search == 0.0

@@ -274,10 +274,11 @@ class PlannerSettings(Message):
     """Defaults for plan requests; see `PlanRequest`.
 
     `margin` (m) is kept on the way, but a start and a goal may be nearer to an object. Goal configurations that keep it are
-    preferred.
+    preferred. `planners` are the names to choose from.
     """
 
     planner: PlannerKind = "auto"
+    planners: tuple[PlannerKind, ...] = ("auto",)
     timeout: Timeout = 5.0
     max_attempts: Attempts = 100
     optimize_s: OptimizeSeconds = 0.02

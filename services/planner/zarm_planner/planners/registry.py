@@ -44,8 +44,13 @@ def choose(
     return fitting[chosen]
 
 
+def names_of(planners: Sequence[Planner] = PLANNERS) -> tuple[str, ...]:
+    """The names that a request may give, each once."""
+    return tuple(dict.fromkeys((AUTO, *(name for planner in planners for name in planner.names.values()))))
+
+
 def check_name(name: str, planners: Sequence[Planner] = PLANNERS) -> None:
     """Raises InvalidRequest unless there is a planner of this name, for some kind of goal."""
-    known = dict.fromkeys((AUTO, *(known for planner in planners for known in planner.names.values())))
+    known = names_of(planners)
     if name not in known:
         raise InvalidRequest(f"there is no planner {name}; choose one of {', '.join(known)}", field="planner")
