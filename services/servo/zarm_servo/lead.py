@@ -1,15 +1,15 @@
-"""How far ahead on a running trajectory a new one takes over: as soon as it can be ready."""
+"""How far ahead on a running trajectory a new one takes over: as soon as it is likely to be ready."""
 
 from __future__ import annotations
 
 from collections import deque
 
-SHORTEST, LONGEST = 0.04, 0.4
+SHORTEST, LONGEST = 0.05, 0.4
 """Bounds of the lead (s)."""
 _SPARE = 1.25
-"""Factor on the longest of the recent times that gives the lead."""
+"""Factor on the second longest of the recent times that gives the lead: one slow plan does not delay the next takeovers."""
 _LATER = 1.5
-"""A trajectory that came too late is assumed to have needed this many times the lead it was given."""
+"""Factor by which the lead grows each time that a trajectory came too late, until one is in time."""
 _REMEMBERED = 4
 """Number of recent times remembered."""
 
@@ -18,17 +18,20 @@ class Lead:
     """Learns from the time it takes to plan and hand over a trajectory."""
 
     def __init__(self) -> None:
-        self._took: deque[float] = deque(maxlen=_REMEMBERED)
+        self._took: deque[float] = deque((0.0, 0.0), maxlen=_REMEMBERED)
+        self._late = 0
 
     @property
     def seconds(self) -> float:
         """The lead: how long (s) after the request a new trajectory takes over."""
-        return min(max(_SPARE * max(self._took, default=0.0), SHORTEST), LONGEST)
+        likely = max(_SPARE * sorted(self._took)[-2], SHORTEST)
+        return min(likely * _LATER**self._late, LONGEST)
 
     def in_time(self, took: float) -> None:
         """A trajectory was ready after this time (s)."""
         self._took.append(took)
+        self._late = 0
 
     def too_late(self) -> None:
         """A trajectory was not ready in time."""
-        self._took.append(_LATER * self.seconds)
+        self._late += 1
