@@ -426,6 +426,30 @@ def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
 
 
 @pytest.mark.slow  # as when the page is lost
+def test_jogging_ends_and_a_goal_goes_on_while_the_tabs_are_frozen(
+    cell: Cell, chromium: Browser, page: Page, second: Page
+) -> None:
+    second.get_by_role("tab", name="Jog").click()
+    start = cell.robot.tip().position
+    hold(second, "+ x")
+    eventually(lambda: abs(cell.robot.tip().position[0] - start[0]) > 0.01, "it moves as long as the button is held")
+    processes = chromium.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
+    tabs = [process["id"] for process in processes if process["type"] == "renderer"]
+    for tab in tabs:
+        os.kill(tab, signal.SIGSTOP)
+    try:
+        eventually(cell.rests, "the robot rests")
+        cell.robot.execute(cell.robot.plan(moved(0.5)))
+    finally:
+        for tab in tabs:
+            os.kill(tab, signal.SIGCONT)
+    second.mouse.up()
+    eventually(cell.rests, "nobody holds the button any more")
+    for each in (page, second):
+        eventually(lambda shown=each: drawn_where_measured(shown, cell), "the page shows the robot where it is now")
+
+
+@pytest.mark.slow  # as when the page is lost
 def test_jogging_ends_and_a_goal_goes_on_while_the_viewer_stands_still_and_when_it_is_killed(
     page: Page, cell: Cell, chromium: Browser
 ) -> None:
