@@ -1,4 +1,4 @@
-"""What the page costs while the robot moves, `python tests/benchmarks/page.py`: the viewer's share of a core and bytes a second for each page; ticks beside it;
+"""What the page costs while the robot moves, `python tests/benchmarks/page.py`: the viewer's share of a core and bytes a second for each page; how far apart poses arrive; ticks beside it;
 and how long it takes from a drag of the handle to the ghost.
 
 A page is a WebSocket client that reads what a browser would; 100 000 voxels are in the scene. How soon a page is opened
@@ -60,15 +60,25 @@ class Reader:
     def __init__(self, address: str) -> None:
         self._socket = connected(address)
         self._socket.send(msgspec.msgpack.encode(CAMERA))
-        self.bytes = 0
+        self.frames: list[tuple[float, str | bytes]] = []
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
         try:
             for frame in self._socket:
-                self.bytes += len(frame)
+                self.frames.append((time.monotonic(), frame))
         except ConnectionClosed:
             return
+
+    def intervals(self, since: float) -> list[float]:
+        """The time (s) between one pose of the robot's first link and the next, since a moment (s, monotonic)."""
+        poses = [at for at, frame in self.frames if at > since and f"/{KEYS.robot}/robot/link_1" in turned(frame)]
+        return np.diff(poses).tolist()
+
+    @property
+    def bytes(self) -> int:
+        """So many were sent to it."""
+        return sum(len(frame) for _, frame in self.frames)
 
     def close(self) -> None:
         self._socket.close()
@@ -187,12 +197,13 @@ def main() -> None:
             sent = (
                 sum(reader.bytes - start for reader, start in zip(readers, first, strict=True)) / max(pages, 1) / took
             )
+            intervals = [1e3 * apart for reader in readers for apart in reader.intervals(began)]
             ticks = robot.state().missed_ticks - missed
             (count, late), (count_before, late_before) = lateness(metrics), before
             Console().print(
                 f"{pages} pages: viewer {share:.0%} of a core, {sent / 1e3:.0f} kB/s a page, filled with "
                 f"{max(first, default=0) / 1e6:.2f} MB, {ticks} of "
-                f"{count - count_before:.0f} ticks missed, {1e6 * (late - late_before) / (count - count_before):.0f} us late on average"
+                f"{count - count_before:.0f} ticks missed, poses {np.median(intervals or [0]):.0f} ms apart, {1e6 * (late - late_before) / (count - count_before):.0f} us late on average"
             )
             for reader in readers:
                 reader.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,8 @@ log = logging.getLogger(__name__)
 
 PERIOD = 1 / 30
 """Interval (s) between two drawings while anything changes."""
+LEAST = PERIOD / 4
+"""The least pause (s) between two drawings, in which other threads get the interpreter."""
 UNSEEN = 0.5
 """The same (s) while no page is open."""
 
@@ -128,13 +131,16 @@ class Page:
         choose()
 
     def _draw(self) -> None:
-        while not self._ended.wait(PERIOD if self.server.get_clients() else UNSEEN):
+        due = time.monotonic()
+        while not self._ended.wait(due - time.monotonic()):
             try:
                 with self.server.atomic():
                     for part in self._parts:
                         part.draw()
+                self.server.flush()
             except Exception:
                 log.exception("drawing failed")
+            due = max(due + (PERIOD if self.server.get_clients() else UNSEEN), time.monotonic() + LEAST)
 
 
 class _Part:
