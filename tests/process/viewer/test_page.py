@@ -427,11 +427,12 @@ def test_who_jogs_has_the_robot_and_it_rests_when_their_page_is_lost(
 
 @pytest.mark.slow  # as when the page is lost
 def test_jogging_ends_and_a_goal_goes_on_while_the_tabs_are_frozen(
-    cell: Cell, chromium: Browser, page: Page, second: Page
+    page: Page, cell: Cell, chromium: Browser, address: str
 ) -> None:
-    second.get_by_role("tab", name="Jog").click()
+    jogging = opened(chromium, address)
+    jogging.get_by_role("tab", name="Jog").click()
     start = cell.robot.tip().position
-    hold(second, "+ x")
+    hold(jogging, "+ x")
     eventually(lambda: abs(cell.robot.tip().position[0] - start[0]) > 0.01, "it moves as long as the button is held")
     processes = chromium.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
     tabs = [process["id"] for process in processes if process["type"] == "renderer"]
@@ -443,10 +444,11 @@ def test_jogging_ends_and_a_goal_goes_on_while_the_tabs_are_frozen(
     finally:
         for tab in tabs:
             os.kill(tab, signal.SIGCONT)
-    second.mouse.up()
+    jogging.mouse.up()
     eventually(cell.rests, "nobody holds the button any more")
-    for each in (page, second):
+    for each in (page, jogging):
         eventually(lambda shown=each: drawn_where_measured(shown, cell), "the page shows the robot where it is now")
+    jogging.close()
 
 
 @pytest.mark.slow  # as when the page is lost
