@@ -194,7 +194,6 @@ EXAMPLES: tuple[Message, ...] = (
     m.CheckResults(results=(_CHECKED,)),
     m.PlannerSettings(
         planner="multi_point",
-        planners=("auto", "multi_point"),
         timeout=3.0,
         max_attempts=5,
         optimize_s=0.1,
@@ -202,6 +201,7 @@ EXAMPLES: tuple[Message, ...] = (
         acceleration_scale=0.25,
         margin=0.01,
     ),
+    m.Planners(names=("auto", "multi_point")),
     m.SettingsChange(
         planner="multi_point",
         timeout=3.0,

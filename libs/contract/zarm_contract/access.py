@@ -74,6 +74,7 @@ TABLE: Mapping[str, Rights] = {
     "check": _request("planner", by=_EVERYONE),  # for clearances
     "occupancy": _request("planner"),
     "settings": _value("planner", changed_by=_DRIVES),
+    "planners": _value("planner"),
     "plans": _value("planner"),
     "scene": _value("planner"),
     "scene_object": _value("planner"),

@@ -60,6 +60,11 @@ class Keys:
         return self._key("planner", "settings")
 
     @property
+    def planners(self) -> str:
+        """Planners. The planners that a request may name."""
+        return self._key("planner", "planners")
+
+    @property
     def plans(self) -> str:
         """Plan. Every successful plan."""
         return self._key("planner", "plans")

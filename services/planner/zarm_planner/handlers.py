@@ -31,6 +31,7 @@ from zarm_contract.messages import (
     Occupancy,
     OccupancyRequest,
     Plan,
+    Planners,
     PlannerSettings,
     PlanRequest,
     PlanTimings,
@@ -96,7 +97,7 @@ class Handlers:
         self._planners = planners
         self._scheduler = Scheduler(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
-        self._settings = PlannerSettings(planners=names_of(planners))
+        self._settings = PlannerSettings()
         self.moved = MovedObjects(lambda: store.scene)
         # The robot with attached objects and ignored links, cached by both.
         self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model
@@ -297,6 +298,10 @@ class Handlers:
                 raise InvalidRequest(
                     f"{name} is not a link with collision geometry; those are {', '.join(links)}", field=f"{field}.{i}"
                 )
+
+    def planners(self) -> Planners:
+        """The planners that a request may name."""
+        return Planners(names=names_of(self._planners))
 
     def change_settings(self, change: SettingsChange) -> PlannerSettings:
         """Apply all changes at once, and return all settings. Raises InvalidRequest."""

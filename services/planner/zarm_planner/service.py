@@ -21,6 +21,7 @@ from zarm_contract.messages import (
     ObjectPose,
     OccupancyRequest,
     Plan,
+    Planners,
     PlannerSettings,
     PlanRequest,
     Scene,
@@ -122,7 +123,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         _serve_scene(service, store.scene, handlers.edit, store.notes)
         bus.subscribe(keys.object_pose("*"), ObjectPose, handlers.moved.hear)
         bus.serve(keys.settings, SettingsChange, change_settings, workers=1, readable=True)
-        settings.put(handlers.change_settings(SettingsChange()))  # for those who were there before
+        bus.latched(keys.planners, Planners).set(handlers.planners())
         bus.serve(keys.plan_cancel, CancelPlan, handlers.cancel)
         bus.serve(keys.fk, FkRequest, when_warm(handlers.fk))
         compute(keys.plan, PlanRequest, plan)

@@ -74,8 +74,8 @@ class MotionPanel:
         if news.strategies is not None:
             self._strategy.options = [each.name for each in news.strategies.strategies if each.available] or ["-"]
             put(self._strategy, news.strategies.active)
-        if news.settings is not None:
-            self._options.offer(news.settings.planners)
+        if news.planners is not None:
+            self._options.offer(news.planners.names)
         if news.plan is not None:
             self._take(news.plan)
         if news.scene is not None:

@@ -24,7 +24,7 @@ class PlanOptions:
 
     def __init__(self, desk: Desk) -> None:
         gui, default = desk.server.gui, _DEFAULT
-        self._planner = gui.add_dropdown("planner", default.planners, initial_value=default.planner, hint=_PLANNER)
+        self._planner = gui.add_dropdown("planner", [default.planner], initial_value=default.planner, hint=_PLANNER)
         self._replan = gui.add_checkbox("replan on the way", False, hint=_REPLAN)
         self._velocity = gui.add_slider("velocity", 0.05, 1.0, 0.05, default.velocity_scale)
         self._acceleration = gui.add_slider("acceleration", 0.05, 1.0, 0.05, default.acceleration_scale)

@@ -18,7 +18,7 @@ from zarm_contract.messages import (
     JointState,
     Message,
     Plan,
-    PlannerSettings,
+    Planners,
     Scene,
     ServoState,
     Strategies,
@@ -42,7 +42,7 @@ class News:
     servo: ServoState | None = None
     scene: Scene | None = None
     plan: Plan | None = None
-    settings: PlannerSettings | None = None
+    planners: Planners | None = None
     trajectory: GoalTrajectory | None = None
     goals: tuple[GoalState, ...] = ()
     tracking_error: Array | None = None
@@ -69,7 +69,7 @@ class Watching:
             ("servo", keys.servo_state, ServoState),
             ("scene", keys.scene, Scene),
             ("plan", keys.plans, Plan),
-            ("settings", keys.settings, PlannerSettings),
+            ("planners", keys.planners, Planners),
             ("trajectory", keys.goal_trajectory, GoalTrajectory),
             ("strategies", keys.strategy, Strategies),
         )

@@ -19,7 +19,7 @@ from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
 from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, drawn_width, free_port, opened
-from zarm_contract.messages import Plan, PlannerSettings
+from zarm_contract.messages import Plan, Planners
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
 from zarm_viewer.kinematics import Chain
@@ -172,12 +172,11 @@ def test_the_page_offers_the_planners_that_the_planner_has(page: Page, cell: Cel
             expect(page.get_by_role("option", name=name, exact=True)).to_be_visible()
         planner.press("Escape")
 
-    known = cell.robot.settings()
-    offers(*known.planners)
-    assert "joint_space" in known.planners
-    with_another = known.model_copy(update={"planners": (*known.planners, "straight_line")})
-    restarted = cell.bus.publisher(KEYS.settings, PlannerSettings)
-    restarted.put(with_another)
+    known = cell.bus.read(KEYS.planners, Planners, timeout=PATIENCE)
+    offers(*known.names)
+    assert "joint_space" in known.names
+    restarted = cell.bus.publisher(KEYS.planners, Planners)
+    restarted.put(Planners(names=(*known.names, "straight_line")))
     offers("auto", "straight_line")
     restarted.put(known)
     page.get_by_text("Options", exact=True).click()

@@ -274,11 +274,10 @@ class PlannerSettings(Message):
     """Defaults for plan requests; see `PlanRequest`.
 
     `margin` (m) is kept on the way, but a start and a goal may be nearer to an object. Goal configurations that keep it are
-    preferred. `planners` are the names to choose from.
+    preferred.
     """
 
     planner: PlannerKind = "auto"
-    planners: tuple[PlannerKind, ...] = ("auto",)
     timeout: Timeout = 5.0
     max_attempts: Attempts = 100
     optimize_s: OptimizeSeconds = 0.02
@@ -297,3 +296,9 @@ class SettingsChange(ShortMessage):
     velocity_scale: Scale | None = None
     acceleration_scale: Scale | None = None
     margin: Margin | None = None
+
+
+class Planners(Message):
+    """The names of planners that a request or the settings may give."""
+
+    names: tuple[PlannerKind, ...]
