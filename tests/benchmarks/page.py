@@ -1,5 +1,5 @@
-"""What the page costs while the robot moves, `python tests/benchmarks/page.py`: the viewer's share of a core and bytes a second for each page; how far apart poses arrive; ticks beside it;
-and how long it takes from a drag of the handle to the ghost.
+"""What the page costs while the robot moves, `python tests/benchmarks/page.py`: the viewer's share of a core; for each page, bytes a
+second and how far apart the robot's poses arrive; ticks beside it; and how long it takes from a drag of the handle to the ghost.
 
 A page is a WebSocket client that reads what a browser would; 100 000 voxels are in the scene. How soon a page is opened
 is seen in Chromium, before those are there.
@@ -203,7 +203,8 @@ def main() -> None:
             Console().print(
                 f"{pages} pages: viewer {share:.0%} of a core, {sent / 1e3:.0f} kB/s a page, filled with "
                 f"{max(first, default=0) / 1e6:.2f} MB, {ticks} of "
-                f"{count - count_before:.0f} ticks missed, poses {np.median(intervals or [0]):.0f} ms apart, {1e6 * (late - late_before) / (count - count_before):.0f} us late on average"
+                f"{count - count_before:.0f} ticks missed, {1e6 * (late - late_before) / (count - count_before):.0f} us late on average"
+                + (f"; poses {np.median(intervals):.0f} ms apart" if intervals else "")
             )
             for reader in readers:
                 reader.close()

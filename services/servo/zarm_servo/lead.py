@@ -34,4 +34,5 @@ class Lead:
 
     def too_late(self) -> None:
         """A trajectory was not ready in time."""
-        self._late += 1
+        if self.seconds < LONGEST:
+            self._late += 1

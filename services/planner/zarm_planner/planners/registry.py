@@ -44,7 +44,7 @@ def choose(
     return fitting[chosen]
 
 
-def names_of(planners: Sequence[Planner] = PLANNERS) -> tuple[str, ...]:
+def names_of(planners: Sequence[Planner]) -> tuple[str, ...]:
     """The names that a request may give, each once."""
     return tuple(dict.fromkeys((AUTO, *(name for planner in planners for name in planner.names.values()))))
 
