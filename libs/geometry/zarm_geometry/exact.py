@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zarm_geometry.kernels.clearance import Obstacles, RobotParts, course, look
+from zarm_geometry.kernels.clearance import begin, look
 from zarm_geometry.kernels.convex import PRECISION
+from zarm_geometry.kernels.course import Obstacles, RobotParts, course
 from zarm_geometry.kernels.motion import MotionBody, Solids, motion_body, solids
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.shapes import Shape, distance, nearest_points, obstacle_shape
@@ -150,7 +151,10 @@ class ExactScene:
         (m).
         """
         motion = course(self._body, q, asked)
-        smallest, over, looks = within, False, []
+        found, smallest = begin(
+            self._body, self.model.cover, self._obstacles, self._world.arrays.shapes, motion, asked, within
+        )
+        over, looks = False, [found]
         while not over:
             check()
             found, smallest, over = look(self._body, self._obstacles, motion, smallest, _LOOKS)

@@ -14,7 +14,7 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, SceneObject, Vector3
 from zarm_geometry import rows
 from zarm_geometry.exact import obstacles, robot_parts, room, subjects
-from zarm_geometry.kernels.clearance import Obstacles
+from zarm_geometry.kernels.course import Obstacles
 from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, first_contact, motion, motion_body, solids
 from zarm_geometry.kernels.nearby import GRADIENT, near
 from zarm_geometry.meshes import Meshes

@@ -17,12 +17,17 @@ from zarm_contract.messages import Attached
 from zarm_contract.robot import RobotDescription
 from zarm_geometry.body import Body, along, attached_body, link_body
 from zarm_geometry.kernels.arrays import RobotArrays
+from zarm_geometry.kernels.broad_phase import Cover
 from zarm_geometry.kernels.kinematics import frames
 from zarm_geometry.kernels.simd import LANES
 from zarm_geometry.self_margin import CONFIGURATIONS, pair_room
 from zarm_geometry.shapes import Shape
+from zarm_geometry.sphere_cover import sphere_cover
 
 Array = NDArray[np.float64]
+
+_COVER = 12
+"""Most balls around an exact shape in the broad phase."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,27 @@ class RobotModel:
         """
         q = np.random.default_rng(0).uniform(self.lower, self.upper, (CONFIGURATIONS, self.dof))
         return pair_room(self.bodies, self.link_transforms(q), self.arrays.pairs)
+
+    @cached_property
+    def cover(self) -> Cover:
+        """Balls around the exact `parts`, whatever the spheres of the descriptor contain."""
+        balls = [
+            np.concatenate([np.empty((0, 4)), *(sphere_cover(shape, _COVER) for shape in body.shapes)])
+            for body in self.bodies
+        ]
+        placed = [replace(body, balls=own).placed_balls for body, own in zip(self.bodies, balls, strict=True)]
+        around = [_bounding_sphere(own) if len(own) else np.zeros(4) for own in placed]
+        spread = [
+            np.linalg.norm(own[:, :3] - ball[:3], axis=1).max(initial=0.0)
+            for own, ball in zip(placed, around, strict=True)
+        ]
+        return Cover(
+            origin=self.arrays.origin,
+            revolute=self.arrays.revolute,
+            balls=np.concatenate([np.empty((0, 4)), *placed]).astype(np.float32),
+            first=np.cumsum([0, *map(len, placed)], dtype=np.int32),
+            around=np.column_stack([np.reshape(around, (-1, 4)), spread]).astype(np.float32),
+        )
 
     def fk_tip(self, q: ArrayLike) -> Array:
         """The pose of `tip_link` (..., 4, 4) for joints (..., dof)."""

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Index, Pointer
-from zarm_geometry.kernels.clearance import Obstacles, RobotParts
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Turn, Vector, core_gap, core_point, core_reach, turned, turned_back
+from zarm_geometry.kernels.course import Obstacles, RobotParts
 from zarm_geometry.kernels.kinematics import joint_frames
 from zarm_geometry.kernels.simd import pointer
 

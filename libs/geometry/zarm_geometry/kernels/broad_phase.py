@@ -1,0 +1,366 @@
+"""The broad phase of the exact check: which subjects may come near anything, in which intervals of a motion.
+
+16 intervals at once are looked at in single precision, on balls that contain the exact shapes (Schwarzer, Saha and
+Latombe's bound, as in `clearance`). It is conservative: what it leaves out is farther away than asked.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zarm_geometry.kernels.arrays import SHAPE, Pointer, Single
+from zarm_geometry.kernels.collision import sine_cosine, squared_distance
+from zarm_geometry.kernels.compiled import inlined
+from zarm_geometry.kernels.course import Course, Obstacles, RobotParts, push
+from zarm_geometry.kernels.simd import (
+    LANES,
+    Lanes,
+    Mask,
+    below,
+    larger,
+    load,
+    lowest_bit,
+    magnitude,
+    pointer,
+    root,
+    smaller,
+    splat,
+    store,
+    where_positive,
+)
+
+Index = NDArray[np.int32]
+
+FEW = 32
+"""Motions of fewer samples are not worth a broad phase."""
+BLOCKS = 256
+"""Intervals that a longer motion is divided into, a multiple of 16."""
+ERROR = 1e-4
+"""What the balls are larger than they need to be (m), far more than single precision gets wrong within 10 m; further
+away it is more, see `Obstacles.slack`.
+"""
+_BALLS = 64
+"""Balls of a link that descend the tree together."""
+
+
+class Cover(NamedTuple):
+    """Balls that contain a robot's exact shapes, sorted by link.
+
+    `balls` (n, 4): x, y, z, radius (m) in the frame of the joint that carries them; `first` (links + 1,): the index of
+    a link's first ball; `around` (links, 5): a ball that encloses those of a link, and the distance from its centre to
+    the farthest of their centres. `origin` (dof, 3, 4) and `revolute` (dof,): as in `RobotArrays`.
+    """
+
+    origin: Single
+    revolute: NDArray[np.uint8]
+    balls: Single
+    first: Index
+    around: Single
+
+
+class _View(NamedTuple):
+    """Robot, world and working memory as counts and pointers.
+
+    `way` (dof, 16): the most that each joint moves from the middle of an interval to one of its ends; `axes` (dof, 6,
+    16): as in `Course`; `centers` (balls, 3, 16), `around` (links, 3, 16): centres of the balls, and of those that
+    enclose a link's; `travel` (links, dof, 16): how far a link moves by this joint and those beyond it.
+    """
+
+    dof: int
+    links: int
+    nodes: int
+    origin: Pointer
+    revolute: Pointer
+    link_joint: Pointer
+    first: Pointer
+    balls: Pointer
+    bounds: Pointer
+    shapes: Pointer
+    boxes: Pointer
+    skip: Pointer
+    leaf: Pointer
+    angle: Pointer
+    way: Pointer
+    axes: Pointer
+    centers: Pointer
+    around: Pointer
+    travel: Pointer
+    active: Pointer
+    until: Pointer
+
+
+@inlined
+def _place(view: _View) -> None:
+    """Place the axes, the balls and the balls around links for the joints in `angle`."""
+    zero, one = splat(0.0), splat(1.0)
+    xx, xy, xz = one, zero, zero
+    yx, yy, yz = zero, one, zero
+    zx, zy, zz = zero, zero, one
+    px, py, pz = zero, zero, zero
+    link = 0
+    for k in range(-1, view.dof):
+        if k >= 0:
+            f = 12 * k
+            m = view.origin
+            px, py, pz = (
+                px + m[f + 3] * xx + m[f + 7] * yx + m[f + 11] * zx,
+                py + m[f + 3] * xy + m[f + 7] * yy + m[f + 11] * zy,
+                pz + m[f + 3] * xz + m[f + 7] * yz + m[f + 11] * zz,
+            )
+            ax = m[f] * xx + m[f + 4] * yx + m[f + 8] * zx
+            ay = m[f] * xy + m[f + 4] * yy + m[f + 8] * zy
+            az = m[f] * xz + m[f + 4] * yz + m[f + 8] * zz
+            bx = m[f + 1] * xx + m[f + 5] * yx + m[f + 9] * zx
+            by = m[f + 1] * xy + m[f + 5] * yy + m[f + 9] * zy
+            bz = m[f + 1] * xz + m[f + 5] * yz + m[f + 9] * zz
+            zx, zy, zz = (
+                m[f + 2] * xx + m[f + 6] * yx + m[f + 10] * zx,
+                m[f + 2] * xy + m[f + 6] * yy + m[f + 10] * zy,
+                m[f + 2] * xz + m[f + 6] * yz + m[f + 10] * zz,
+            )
+            q = load(view.angle, k * LANES)
+            if view.revolute[k] != 0:
+                s, c = sine_cosine(q)
+                xx, xy, xz = c * ax + s * bx, c * ay + s * by, c * az + s * bz
+                yx, yy, yz = c * bx - s * ax, c * by - s * ay, c * bz - s * az
+            else:
+                xx, xy, xz, yx, yy, yz = ax, ay, az, bx, by, bz
+                px, py, pz = px + q * zx, py + q * zy, pz + q * zz
+            at = 6 * k * LANES
+            store(view.axes, at, zx)
+            store(view.axes, at + LANES, zy)
+            store(view.axes, at + 2 * LANES, zz)
+            store(view.axes, at + 3 * LANES, px)
+            store(view.axes, at + 4 * LANES, py)
+            store(view.axes, at + 5 * LANES, pz)
+        while link < view.links and view.link_joint[link] == k:
+            b = view.bounds
+            i, at = 5 * link, 3 * link * LANES
+            store(view.around, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
+            store(view.around, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
+            store(view.around, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
+            b = view.balls
+            for ball in range(view.first[link], view.first[link + 1]):
+                i, at = 4 * ball, 3 * ball * LANES
+                store(view.centers, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
+                store(view.centers, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
+                store(view.centers, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
+            link += 1
+
+
+@inlined
+def _measure_travel(view: _View, link: int) -> None:
+    """Write upper bounds (m) on how far a link's balls move from the middle of an interval to any of its samples.
+
+    A joint moves them by at most its rotation times their distance from its axis, which joints further out may increase
+    by as much as they move them.
+    """
+    at = 3 * link * LANES
+    x, y, z = load(view.around, at), load(view.around, at + LANES), load(view.around, at + 2 * LANES)
+    spread = view.bounds[5 * link + 4]
+    travel = splat(0.0)
+    for joint in range(view.link_joint[link], -1, -1):
+        way = load(view.way, joint * LANES)
+        if view.revolute[joint] != 0:
+            a = 6 * joint * LANES
+            ux, uy, uz = load(view.axes, a), load(view.axes, a + LANES), load(view.axes, a + 2 * LANES)
+            dx = x - load(view.axes, a + 3 * LANES)
+            dy = y - load(view.axes, a + 4 * LANES)
+            dz = z - load(view.axes, a + 5 * LANES)
+            cx, cy, cz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
+            arm = root(cx * cx + cy * cy + cz * cz) + spread
+            travel = travel + way * (arm + travel)
+        else:
+            travel = travel + way
+        store(view.travel, (link * view.dof + joint) * LANES, travel)
+
+
+@inlined
+def _in_box(view: _View, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes) -> Mask:
+    """The lanes in which a point is within `reach` (m) of the box of a node."""
+    zero = splat(0.0)
+    box = 6 * node
+    dx = larger(magnitude(x - view.boxes[box]) - view.boxes[box + 3], zero)
+    dy = larger(magnitude(y - view.boxes[box + 1]) - view.boxes[box + 4], zero)
+    dz = larger(magnitude(z - view.boxes[box + 2]) - view.boxes[box + 5], zero)
+    return below(dx * dx + dy * dy + dz * dz, reach * reach)
+
+
+@inlined
+def _reach(room: Lanes, travel: Lanes, more: float) -> Lanes:
+    """`room` and `more` (m), or 0 in the lanes that are known to be near: where the room is no more than `travel`."""
+    return where_positive(room - travel, room + more)
+
+
+@inlined
+def _to_world(view: _View, link: int, travel: Lanes, room: Lanes) -> Lanes:
+    """The distance (m) of a link to the world in the middle of each interval, if it is less than `room`.
+
+    Lanes in which it is found to be less than `travel` are not looked at further.
+    """
+    at = 3 * link * LANES
+    x, y, z = load(view.around, at), load(view.around, at + LANES), load(view.around, at + 2 * LANES)
+    for first in range(view.first[link], view.first[link + 1], _BALLS):
+        count = min(view.first[link + 1] - first, _BALLS)
+        view.active[0] = ~np.uint64(0) >> np.uint64(_BALLS - count)
+        view.until[0] = view.nodes
+        level, node = 0, 0
+        while node < view.nodes:
+            while node >= view.until[level]:
+                level -= 1
+            if _in_box(view, node, x, y, z, _reach(room, travel, view.bounds[5 * link + 3])) == 0:
+                node = view.skip[node]
+                continue
+            active, reached = view.active[level], np.uint64(0)
+            while active != 0:
+                ball = first + lowest_bit(active)
+                bit = active & (~active + np.uint64(1))
+                active ^= bit
+                at = 3 * ball * LANES
+                bx, by, bz = load(view.centers, at), load(view.centers, at + LANES), load(view.centers, at + 2 * LANES)
+                if _in_box(view, node, bx, by, bz, _reach(room, travel, view.balls[4 * ball + 3])) != 0:
+                    reached |= bit
+            if reached == 0:
+                node = view.skip[node]
+                continue
+            shape = SHAPE * view.leaf[node]
+            node += 1
+            if shape < 0:
+                level += 1
+                view.active[level], view.until[level] = reached, view.skip[node - 1]
+                continue
+            while reached != 0:
+                ball = first + lowest_bit(reached)
+                reached &= reached - np.uint64(1)
+                at = 3 * ball * LANES
+                bx, by, bz = load(view.centers, at), load(view.centers, at + LANES), load(view.centers, at + 2 * LANES)
+                apart = squared_distance(view.shapes, shape, bx, by, bz)
+                radii = view.balls[4 * ball + 3] + view.shapes[shape + 16]
+                reach = _reach(room, travel, radii)
+                if below(apart, reach * reach) != 0:
+                    room = smaller(room, root(apart) - radii)
+    return room
+
+
+@inlined
+def _to_each_other(view: _View, one: int, other: int, travel: Lanes, room: Lanes) -> Lanes:
+    """The same for two links."""
+    at = 3 * one * LANES
+    ax, ay, az = load(view.around, at), load(view.around, at + LANES), load(view.around, at + 2 * LANES)
+    at = 3 * other * LANES
+    x, y, z = ax - load(view.around, at), ay - load(view.around, at + LANES), az - load(view.around, at + 2 * LANES)
+    beyond = view.bounds[5 * one + 3]
+    reach = room + (beyond + view.bounds[5 * other + 3])
+    if below(x * x + y * y + z * z, reach * reach) == 0:
+        return room
+    for j in range(view.first[other], view.first[other + 1]):
+        at = 3 * j * LANES
+        bx, by, bz = load(view.centers, at), load(view.centers, at + LANES), load(view.centers, at + 2 * LANES)
+        radius = view.balls[4 * j + 3]
+        x, y, z = ax - bx, ay - by, az - bz
+        reach = _reach(room, travel, beyond + radius)
+        if below(x * x + y * y + z * z, reach * reach) == 0:
+            continue
+        for i in range(view.first[one], view.first[one + 1]):
+            at = 3 * i * LANES
+            x, y, z = (
+                load(view.centers, at) - bx,
+                load(view.centers, at + LANES) - by,
+                load(view.centers, at + 2 * LANES) - bz,
+            )
+            apart = x * x + y * y + z * z
+            radii = view.balls[4 * i + 3] + radius
+            reach = _reach(room, travel, radii)
+            if below(apart, reach * reach) != 0:
+                room = smaller(room, root(apart) - radii)
+    return room
+
+
+@inlined
+def push_near(
+    body: RobotParts,
+    cover: Cover,
+    world: Obstacles,
+    shapes: Single,
+    course: Course,
+    asked: NDArray[np.bool_],
+    enough: float,
+) -> None:
+    """Add to the heap of a course the intervals in which a subject that is `asked` may come closer than `enough` (m) to
+    what it is checked against.
+
+    `shapes` (n, 17): the rows of `world` in single precision.
+    """
+    samples, dof = course.q.shape
+    links, balls = cover.around.shape[0], cover.balls.shape[0]
+    angle, way = np.empty(dof * LANES, np.float32), np.empty(dof * LANES, np.float32)
+    axes, centers = np.empty(6 * dof * LANES, np.float32), np.empty(3 * balls * LANES, np.float32)
+    around, travel = np.empty(3 * links * LANES, np.float32), np.empty(links * dof * LANES, np.float32)
+    least = np.empty(LANES, np.float32)
+    view = _View(
+        dof,
+        links,
+        world.boxes.shape[0],
+        pointer(cover.origin),
+        pointer(cover.revolute),
+        pointer(body.link_joint),
+        pointer(cover.first),
+        pointer(cover.balls),
+        pointer(cover.around),
+        pointer(shapes),
+        pointer(world.boxes),
+        pointer(world.skip),
+        pointer(world.leaf),
+        pointer(angle),
+        pointer(way),
+        pointer(axes),
+        pointer(centers),
+        pointer(around),
+        pointer(travel),
+        pointer(course.active),
+        pointer(course.until),
+    )
+    error = ERROR + 10.0 * world.slack
+    wanted = np.float32(enough + error)
+    for batch in range(0, BLOCKS, LANES):
+        for lane in range(LANES):
+            low, high = (batch + lane) * samples // BLOCKS, (batch + lane + 1) * samples // BLOCKS
+            k = (low + high) // 2
+            for joint in range(dof):
+                q = course.q[k, joint]
+                if cover.revolute[joint] != 0:
+                    q -= 2.0 * math.pi * round(q / (2.0 * math.pi))
+                angle[joint * LANES + lane] = q
+                moved = course.moved[k, joint]
+                before, after = moved - course.moved[low, joint], course.moved[high - 1, joint] - moved
+                way[joint * LANES + lane] = max(before, after)
+        _place(view)
+        for link in range(links):
+            _measure_travel(view, link)
+        for subject in range(asked.shape[0]):
+            if not asked[subject]:
+                continue
+            one, beyond = subject, 0
+            if subject >= links:
+                one, beyond = body.pairs[subject - links, 1], view.link_joint[body.pairs[subject - links, 0]] + 1
+            travel = splat(0.0)
+            if view.link_joint[one] >= 0:
+                travel = load(view.travel, (one * dof + beyond) * LANES)
+            room = travel + wanted
+            if subject < links:
+                found = _to_world(view, subject, travel, room)
+            else:
+                found = _to_each_other(view, one, body.pairs[subject - links, 0], travel, room)
+            near = below(found, room)
+            if near == 0:
+                continue
+            store(pointer(least), 0, found - travel)
+            for lane in range(LANES):
+                if (near >> np.uint32(lane)) & np.uint32(1):
+                    low, high = (batch + lane) * samples // BLOCKS, (batch + lane + 1) * samples // BLOCKS
+                    bound = least[lane] - error if least[lane] > 0.0 else -np.inf
+                    push(course, bound, subject, low, high)
