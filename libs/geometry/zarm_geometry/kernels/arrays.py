@@ -66,10 +66,11 @@ class WorldArrays(NamedTuple):
 class Space(NamedTuple):
     """Robot, world and working memory as counts and pointers, for the inner loops.
 
-    Of the edge being checked: `start` and `step` (dof,): its first configuration and the difference to its last;
-    `motion` (dof + 1, balls): in row k, the most (m) that joints k and beyond move each ball along it. `centers`
-    (balls, 48): x, y and z of each ball in 16 lanes. `middle` and `half` (65 * 16,): middle and half length of
-    intervals of the edge; the first 16 are being checked, the rest is a stack of intervals yet to be checked. `active`
+    Of the motion being checked: `step` (dof,): how far each joint moves; `motion` (dof + 1, balls): in row k, the most
+    (m) that joints k and beyond move each ball along it. `joints` (dof, 16): the configurations being checked;
+    `centers` (balls, 48): x, y and z of each ball in them. `middle` and `half` (65 * 16,): middle and half length of
+    intervals of the motion, which goes from 0 to 1; the first 16 are being checked, the rest is a stack of intervals
+    yet to be checked. `active`
     and `until` (DEEPEST,): for the current node of the tree and its ancestors, a bit mask of the up to 64 spheres that
     come near it, and the node that follows its subtree.
     """
@@ -93,9 +94,9 @@ class Space(NamedTuple):
     skip: Pointer
     leaf: Pointer
     margin: np.float32
-    start: Pointer
     step: Pointer
     motion: Pointer
+    joints: Pointer
     centers: Pointer
     middle: Pointer
     half: Pointer
@@ -106,9 +107,9 @@ class Space(NamedTuple):
 class Memory(NamedTuple):
     """Working memory of one kernel call; shapes and meaning as in `Space`."""
 
-    start: Single
     step: Single
     motion: Single
+    joints: Single
     centers: Single
     middle: Single
     half: Single
@@ -119,10 +120,10 @@ class Memory(NamedTuple):
 def memory(robot: RobotArrays) -> Memory:
     """Allocate the working memory of one kernel call for this robot."""
     dof, balls = robot.reach.shape
-    sizes = (dof, dof, (dof + 1) * balls, balls * 3 * LANES, 65 * LANES, 65 * LANES)
-    start, step, motion, centers, middle, half = (np.empty(size, np.float32) for size in sizes)
+    sizes = (dof, (dof + 1) * balls, dof * LANES, balls * 3 * LANES, 65 * LANES, 65 * LANES)
+    step, motion, joints, centers, middle, half = (np.empty(size, np.float32) for size in sizes)
     active, until = np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64)
-    return Memory(start, step, motion, centers, middle, half, active, until)
+    return Memory(step, motion, joints, centers, middle, half, active, until)
 
 
 @inlined
@@ -148,9 +149,9 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(world.skip),
         pointer(world.leaf),
         np.float32(world.margin),
-        pointer(memory.start),
         pointer(memory.step),
         pointer(memory.motion),
+        pointer(memory.joints),
         pointer(memory.centers),
         pointer(memory.middle),
         pointer(memory.half),

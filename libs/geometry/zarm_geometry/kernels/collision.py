@@ -243,8 +243,8 @@ def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
 
 
 @inlined
-def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
-    """Check the edge's configurations at `t` (0..1), each for the interval from `t - half` to `t + half`.
+def check(space: Space) -> tuple[Mask, Mask]:
+    """Check the configurations in `Space.joints`, each for its interval of a motion, with `Space.half` of its length.
 
     Returns two masks: the lanes that collide, and the lanes in which something is so near that the interval is not
     proven free and must be subdivided. The check ends at the first contact found, so only an empty first mask is a
@@ -255,7 +255,7 @@ def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
     yx, yy, yz = zero, one, zero
     zx, zy, zz = zero, zero, one
     px, py, pz = zero, zero, zero
-    near = np.uint32(0)
+    half, near = load(space.half, 0), np.uint32(0)
     link = 0
     for k in range(-1, space.dof):
         if k >= 0:
@@ -277,7 +277,7 @@ def check(space: Space, t: Lanes, half: Lanes) -> tuple[Mask, Mask]:
                 m[f + 2] * xy + m[f + 6] * yy + m[f + 10] * zy,
                 m[f + 2] * xz + m[f + 6] * yz + m[f + 10] * zz,
             )
-            q = space.start[k] + space.step[k] * t
+            q = load(space.joints, LANES * k)
             if space.revolute[k] != 0:
                 s, c = sine_cosine(q)
                 xx, xy, xz = c * ax + s * bx, c * ay + s * by, c * az + s * bz

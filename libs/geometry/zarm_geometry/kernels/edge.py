@@ -1,8 +1,8 @@
-"""Whether a straight edge in joint space is free of collision.
+"""Whether motions are free of collision, and straight edges in joint space in particular.
 
-Edges are checked as in Schwarzer, Saha and Latombe, "Adaptive dynamic collision checking for single and multiple
+They are checked as in Schwarzer, Saha and Latombe, "Adaptive dynamic collision checking for single and multiple
 articulated robots in complex environments", 2005: if the links of a configuration are further away from everything than
-they can move during an interval of the edge, that whole interval is free. Only intervals that are nearer are
+they can move during an interval of the motion, that whole interval is free. Only intervals that are nearer are
 subdivided.
 """
 
@@ -13,15 +13,12 @@ import math
 from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
 from zarm_geometry.kernels.collision import RESOLUTION, check
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.simd import LANES, load, splat, store
+from zarm_geometry.kernels.simd import LANES, Mask, load, splat, store
 
 
 @inlined
-def set_edge(space: Space, start: Single, end: Single) -> float:
-    """Select the edge to check; returns an upper bound (m) on how far any ball moves along it."""
-    for k in range(space.dof):
-        space.start[k] = start[k]
-        space.step[k] = end[k] - start[k]
+def set_motion(space: Space) -> float:
+    """Compute `Space.motion` for joints that move by up to `Space.step`; returns the most (m) that any ball moves."""
     for ball in range(0, space.balls, LANES):
         moved = splat(0.0)
         store(space.motion, space.dof * space.balls + ball, moved)
@@ -34,40 +31,70 @@ def set_edge(space: Space, start: Single, end: Single) -> float:
     return farthest
 
 
+@inlined
+def divide(space: Space) -> int:
+    """Divide the motion into 16 intervals that are to be checked; returns the top of their stack.
+
+    The first 16 of `Space.middle` and `Space.half` are being checked, above them is the stack.
+    """
+    for i in range(LANES):
+        space.middle[LANES + i] = (i + 0.5) / LANES
+        space.half[LANES + i] = 0.5 / LANES
+    return 2 * LANES
+
+
+@inlined
+def take(space: Space, top: int) -> int:
+    """Take up to 16 intervals from the stack, to be checked; returns their number."""
+    taken = min(top - LANES, LANES)
+    for i in range(LANES):  # lanes without an interval of their own repeat the first
+        at = top - 1 - (i if i < taken else 0)
+        space.middle[i], space.half[i] = space.middle[at], space.half[at]
+    return taken
+
+
+@inlined
+def subdivide(space: Space, top: int, taken: int, near: Mask, farthest: float) -> int:
+    """Subdivide those of the `taken` intervals that are `near` something, down to RESOLUTION; returns the stack's new
+    top.
+
+    A subdivision at least halves an interval and a round pushes at most 32, so there is room for motions of any length.
+    """
+    middle, half = space.middle, space.half
+    top -= taken
+    count = 0
+    for i in range(taken):
+        count += (near >> i) & 1
+    for i in range(taken):
+        needed = math.ceil(2.0 * half[i] * farthest / RESOLUTION)
+        if (near >> i) & 1 and needed > 1:
+            parts = min(needed, max(2, LANES // count))
+            part = half[i] / parts
+            for p in range(parts):
+                middle[top] = middle[i] - half[i] + (2 * p + 1) * part
+                half[top] = part
+                top += 1
+    return top
+
+
 @kernel
 def edge_free(space: Space, start: Single, end: Single) -> bool:
     """Whether the edge between two configurations (dof,) is free, to RESOLUTION; if they are equal, whether the
     configuration is.
     """
-    farthest = set_edge(space, start, end)
-    # The first 16 intervals are being checked, above them is a stack of those yet to be checked. A subdivision at least
-    # halves an interval and a round pushes at most 32, so there is room for edges of any length.
-    middle, half = space.middle, space.half
-    top = 2 * LANES
-    for i in range(LANES):
-        middle[LANES + i] = (i + 0.5) / LANES
-        half[LANES + i] = 0.5 / LANES
+    for k in range(space.dof):
+        space.step[k] = end[k] - start[k]
+    farthest = set_motion(space)
+    top = divide(space)
     while top > LANES:
-        taken = min(top - LANES, LANES)
-        for i in range(LANES):  # lanes without an interval of their own repeat the first
-            at = top - 1 - (i if i < taken else 0)
-            middle[i], half[i] = middle[at], half[at]
-        hit, near = check(space, load(middle, 0), load(half, 0))
+        taken = take(space, top)
+        middle = load(space.middle, 0)
+        for k in range(space.dof):
+            store(space.joints, LANES * k, start[k] + space.step[k] * middle)
+        hit, near = check(space)
         if hit != 0:
             return False
-        top -= taken
-        count = 0
-        for i in range(taken):
-            count += (near >> i) & 1
-        for i in range(taken):
-            needed = math.ceil(2.0 * half[i] * farthest / RESOLUTION)
-            if (near >> i) & 1 and needed > 1:
-                parts = min(needed, max(2, LANES // count))
-                part = half[i] / parts
-                for p in range(parts):
-                    middle[top] = middle[i] - half[i] + (2 * p + 1) * part
-                    half[top] = part
-                    top += 1
+        top = subdivide(space, top, taken, near, farthest)
     return True
 
 

@@ -7,24 +7,18 @@ manipulator trajectories using optimal bounded-acceleration shortcuts", 2010.)
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Memory, RobotArrays, Space, WorldArrays, space
+from zarm_geometry.kernels.collision import check
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_geometry.kernels.edge import edge_free
+from zarm_geometry.kernels.edge import divide, set_motion, subdivide, take
+from zarm_geometry.kernels.simd import LANES, Lanes, larger, load, smaller, splat, store
 from zarm_planner.kernels.clock import passed
 from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, least_time, state
 from zarm_planner.kernels.random import uniform
 
-BOW = 0.006
-"""A ramp is checked along straight edges from which no joint deviates by more than this (rad), or, if it is slow, along
-which no joint turns by more than TURN. The deviation is left to exact verification.
-"""
-TURN = 0.02
-"""Rad; see BOW."""
 GAIN = 0.001
 """A shortcut that saves less than this fraction of the piece that it replaces is not checked."""
 BENDS = 3
@@ -59,29 +53,39 @@ STALLED = 0.005
 
 
 @inlined
-def ramp_free(checks: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
-    """Whether ramp `i` stays within the joints' ranges and is free, checked along straight edges, see BOW."""
+def set_joints(space: Space, ramps: Ramps, i: int, j: int, t: Lanes) -> None:
+    """Write the positions of joint `j` at `t` s into ramp `i` to `Space.joints`."""
+    zero = splat(0.0)
+    first, last, a = np.float32(ramps.first[i, j]), np.float32(ramps.last[i, j]), np.float32(ramps.acceleration[i, j])
+    x, v = np.float32(ramps.position[i, j]), np.float32(ramps.velocity[i, j])
+    kept = max(np.float32(ramps.duration[i]) - first - last, np.float32(0.0))
+    up, down = smaller(t, splat(first)), larger(t - (first + kept), zero)
+    rate = v + a * up
+    x_up = x + up * (v + rate) * 0.5
+    store(space.joints, LANES * j, x_up + rate * larger(t - first, zero) - 0.5 * a * down * down)
+
+
+@inlined
+def ramp_free(space: Space, ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
+    """Whether ramp `i` stays within the joints' ranges and is free, to the RESOLUTION of edges."""
     if not in_range(ramps, i, lower, upper):
         return False
-    dof = lower.shape[0]
-    position, velocity = np.empty(dof), np.empty(dof)
-    before, after = np.empty(dof, np.float32), np.empty(dof, np.float32)
-    fastest, strongest = 0.0, 0.0
-    for j in range(dof):
-        strongest = max(strongest, abs(ramps.acceleration[i, j]))
-        peak = ramps.velocity[i, j] + ramps.acceleration[i, j] * ramps.first[i, j]
-        fastest = max(
-            fastest, abs(ramps.velocity[i, j]), abs(peak), abs(peak - ramps.acceleration[i, j] * ramps.last[i, j])
-        )
-    # At acceleration a, an arc of t s deviates from its chord by at most a t^2 / 8.
-    steps = max(2, math.ceil(ramps.duration[i] * min(math.sqrt(strongest / (8.0 * BOW)), fastest / TURN)))
-    for step in range(steps + 1):
-        state(ramps, i, ramps.duration[i] * step / steps, position, velocity)
-        for j in range(dof):
-            before[j] = after[j]
-            after[j] = position[j]
-        if step > 0 and not edge_free(checks, before, after):
+    duration = ramps.duration[i]
+    for j in range(space.dof):
+        v, a = ramps.velocity[i, j], ramps.acceleration[i, j]
+        peak = v + a * ramps.first[i, j]
+        space.step[j] = duration * max(abs(v), abs(peak), abs(peak - a * ramps.last[i, j]))
+    farthest = set_motion(space)
+    top = divide(space)
+    while top > LANES:
+        taken = take(space, top)
+        t = np.float32(duration) * load(space.middle, 0)
+        for j in range(space.dof):
+            set_joints(space, ramps, i, j, t)
+        hit, near = check(space)
+        if hit != 0:
             return False
+        top = subdivide(space, top, taken, near, farthest)
     return True
 
 
