@@ -24,7 +24,8 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.frames import rotation
 from zarm_geometry.kernels.arrays import Single
-from zarm_geometry.kernels.collision import RESOLUTION, sine_cosine
+from zarm_geometry.kernels.collision import RESOLUTION
+from zarm_geometry.kernels.placing import sine_cosine
 from zarm_geometry.kernels.simd import LANES, load, pointer, store
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World

@@ -67,8 +67,9 @@ class Space(NamedTuple):
     """Robot, world and working memory as counts and pointers, for the inner loops.
 
     Of the motion being checked: `step` (dof,): how far each joint moves; `motion` (dof + 1, balls): in row k, the most
-    (m) that joints k and beyond move each ball along it. `joints` (dof, 16): the configurations being checked;
-    `centers` (balls, 48): x, y and z of each ball in them. `middle` and `half` (65 * 16,): middle and half length of
+    (m) that joints k and beyond move each ball along it. `joints` (dof, 16): the configurations being checked; `frames`
+    (dof + 1, 192): as `placing` has them; `centers` (balls, 48): x, y and z of each ball in them, if the spheres of the
+    link are `placed` (links,). `middle` and `half` (65 * 16,): middle and half length of
     intervals of the motion, which goes from 0 to 1; the first 16 are being checked, the rest is a stack of intervals
     yet to be checked. `active`
     and `until` (DEEPEST,): for the current node of the tree and its ancestors, a bit mask of the up to 64 spheres that
@@ -97,6 +98,8 @@ class Space(NamedTuple):
     step: Pointer
     motion: Pointer
     joints: Pointer
+    frames: Pointer
+    placed: Pointer
     centers: Pointer
     middle: Pointer
     half: Pointer
@@ -110,6 +113,8 @@ class Memory(NamedTuple):
     step: Single
     motion: Single
     joints: Single
+    frames: Single
+    placed: NDArray[np.uint8]
     centers: Single
     middle: Single
     half: Single
@@ -120,10 +125,19 @@ class Memory(NamedTuple):
 def memory(robot: RobotArrays) -> Memory:
     """Allocate the working memory of one kernel call for this robot."""
     dof, balls = robot.reach.shape
-    sizes = (dof, (dof + 1) * balls, dof * LANES, balls * 3 * LANES, 65 * LANES, 65 * LANES)
-    step, motion, joints, centers, middle, half = (np.empty(size, np.float32) for size in sizes)
+    sizes = (
+        dof,
+        (dof + 1) * balls,
+        dof * LANES,
+        (dof + 1) * 12 * LANES,
+        balls * 3 * LANES,
+        65 * LANES,
+        65 * LANES,
+    )
+    step, motion, joints, frames, centers, middle, half = (np.empty(size, np.float32) for size in sizes)
     active, until = np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64)
-    return Memory(step, motion, joints, centers, middle, half, active, until)
+    placed = np.empty(len(robot.link_joint), np.uint8)
+    return Memory(step, motion, joints, frames, placed, centers, middle, half, active, until)
 
 
 @inlined
@@ -152,6 +166,8 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(memory.step),
         pointer(memory.motion),
         pointer(memory.joints),
+        pointer(memory.frames),
+        pointer(memory.placed),
         pointer(memory.centers),
         pointer(memory.middle),
         pointer(memory.half),

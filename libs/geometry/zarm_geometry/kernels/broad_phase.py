@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import SHAPE, Pointer, Single
-from zarm_geometry.kernels.collision import sine_cosine, squared_distance
+from zarm_geometry.kernels.collision import squared_distance
 from zarm_geometry.kernels.compiled import inlined
 from zarm_geometry.kernels.course import Course, Obstacles, RobotParts, push
+from zarm_geometry.kernels.placing import sine_cosine
 from zarm_geometry.kernels.simd import (
     LANES,
     Lanes,

@@ -8,6 +8,7 @@ import numpy as np
 
 from zarm_geometry.kernels.arrays import SHAPE, Pointer, Space
 from zarm_geometry.kernels.compiled import inlined
+from zarm_geometry.kernels.placing import place_joints, place_points
 from zarm_geometry.kernels.simd import (
     LANES,
     Lanes,
@@ -17,11 +18,9 @@ from zarm_geometry.kernels.simd import (
     load,
     lowest_bit,
     magnitude,
-    nearest,
     root,
     smaller,
     splat,
-    store,
     where_positive,
     without,
 )
@@ -36,24 +35,6 @@ within the default margin of 0.005 m.
 Bits = Any
 """A bit mask of up to 64 spheres."""
 _SPHERES = 64
-
-
-@inlined
-def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
-    """Sine and cosine, accurate to 1e-6 for |x| < 10: reduces x to +-pi/2 and evaluates minimax polynomials fitted to
-    that interval.
-    """
-    half_turns = nearest(x * 0.31830988618379067)
-    y = x - half_turns * 3.141592653589793
-    sign = 1.0 - 2.0 * magnitude(half_turns - 2.0 * nearest(half_turns * 0.5))
-    z = y * y
-    s = z * 2.6000547e-06 - 1.98066152e-04
-    s = z * s + 8.33301729e-03
-    s = z * s - 1.66666571e-01
-    c = z * 2.31943863e-05 - 1.38559272e-03
-    c = z * c + 4.16639895e-02
-    c = z * c - 4.99999323e-01
-    return sign * (y + y * z * s), sign * (1.0 + z * c)
 
 
 @inlined
@@ -137,6 +118,15 @@ def _reached(space: Space, first: int, active: Bits, node: int, half: Lanes) -> 
 
 
 @inlined
+def _place_balls(space: Space, link: int) -> None:
+    """Place a link's spheres, unless they are."""
+    if space.placed[link] == 0:
+        space.placed[link] = 1
+        first, last = space.link_first[link], space.link_first[link + 1]
+        place_points(space.frames, space.link_joint[link], space.spheres, 4, first, last, space.centers, space.links)
+
+
+@inlined
 def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
     """The lanes in which a link touches an obstacle (only those of the first contact found), and the lanes in which it
     is so near to one that the interval is not proven free.
@@ -161,6 +151,7 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
             if several and _in_box(space, node, x, y, z, _slack(half, space.motion[link]) + around) == 0:
                 node = space.skip[node]
                 continue
+            _place_balls(space, link)
             active = _reached(space, first, active, node, half)
             if active == 0:
                 node = space.skip[node]
@@ -216,6 +207,8 @@ def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
     reach = wide + space.bounds[4 * a + 3]
     if below(x * x + y * y + z * z, reach * reach) == 0:
         return near, near
+    _place_balls(space, a)
+    _place_balls(space, b)
     for first in range(space.link_first[a], space.link_first[a + 1]):
         i = (space.links + first) * 3 * LANES
         ax, ay, az = load(space.centers, i), load(space.centers, i + LANES), load(space.centers, i + 2 * LANES)
@@ -250,62 +243,17 @@ def check(space: Space) -> tuple[Mask, Mask]:
     proven free and must be subdivided. The check ends at the first contact found, so only an empty first mask is a
     statement about all lanes.
     """
-    zero, one = splat(0.0), splat(1.0)
-    xx, xy, xz = one, zero, zero
-    yx, yy, yz = zero, one, zero
-    zx, zy, zz = zero, zero, one
-    px, py, pz = zero, zero, zero
     half, near = load(space.half, 0), np.uint32(0)
-    link = 0
-    for k in range(-1, space.dof):
-        if k >= 0:
-            f = 12 * k
-            m = space.origin
-            px, py, pz = (
-                px + m[f + 3] * xx + m[f + 7] * yx + m[f + 11] * zx,
-                py + m[f + 3] * xy + m[f + 7] * yy + m[f + 11] * zy,
-                pz + m[f + 3] * xz + m[f + 7] * yz + m[f + 11] * zz,
-            )
-            ax = m[f] * xx + m[f + 4] * yx + m[f + 8] * zx
-            ay = m[f] * xy + m[f + 4] * yy + m[f + 8] * zy
-            az = m[f] * xz + m[f + 4] * yz + m[f + 8] * zz
-            bx = m[f + 1] * xx + m[f + 5] * yx + m[f + 9] * zx
-            by = m[f + 1] * xy + m[f + 5] * yy + m[f + 9] * zy
-            bz = m[f + 1] * xz + m[f + 5] * yz + m[f + 9] * zz
-            zx, zy, zz = (
-                m[f + 2] * xx + m[f + 6] * yx + m[f + 10] * zx,
-                m[f + 2] * xy + m[f + 6] * yy + m[f + 10] * zy,
-                m[f + 2] * xz + m[f + 6] * yz + m[f + 10] * zz,
-            )
-            q = load(space.joints, LANES * k)
-            if space.revolute[k] != 0:
-                s, c = sine_cosine(q)
-                xx, xy, xz = c * ax + s * bx, c * ay + s * by, c * az + s * bz
-                yx, yy, yz = c * bx - s * ax, c * by - s * ay, c * bz - s * az
-            else:
-                xx, xy, xz, yx, yy, yz = ax, ay, az, bx, by, bz
-                px, py, pz = px + q * zx, py + q * zy, pz + q * zz
-        while link < space.links and space.link_joint[link] == k:
-            at = link * 3 * LANES
-            b = space.bounds
-            i = 4 * link
-            store(space.centers, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
-            store(space.centers, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
-            store(space.centers, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
-            b = space.spheres
-            for ball in range(space.link_first[link], space.link_first[link + 1]):
-                at = (space.links + ball) * 3 * LANES
-                i = 4 * ball
-                store(space.centers, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
-                store(space.centers, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
-                store(space.centers, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
-            if k >= 0:
-                hit, close = meets_world(space, link, half)
-                near |= close
-                if hit != 0:
-                    return hit, near
-                half = without(near, half)
-            link += 1
+    place_joints(space.dof, space.origin, space.revolute, space.joints, space.frames)
+    for link in range(space.links):
+        space.placed[link] = 0
+        place_points(space.frames, space.link_joint[link], space.bounds, 4, link, link + 1, space.centers, 0)
+        if space.link_joint[link] >= 0:
+            hit, close = meets_world(space, link, half)
+            near |= close
+            if hit != 0:
+                return hit, near
+            half = without(near, half)
     for pair in range(space.pairs):
         hit, close = meet(space, pair, half)
         near |= close
