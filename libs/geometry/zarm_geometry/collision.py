@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.kernels.edge import path_free
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 
 
@@ -17,4 +17,4 @@ def is_free(model: RobotModel, world: World, path: ArrayLike) -> bool:
     In spheres, with the world's margin around them, and to `kernels.collision.RESOLUTION`.
     """
     rows = np.array(path, np.float32, order="C").reshape(-1, model.dof)
-    return path_free(model.arrays, world.arrays, memory(model.arrays), rows)
+    return path_free(model.arrays, world.arrays, working_memory(model.arrays), rows)

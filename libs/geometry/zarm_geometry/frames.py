@@ -51,16 +51,15 @@ def pose_of(matrix: Array) -> Pose:
     The largest of the four components is computed from the diagonal (Shepperd, "Quaternion from rotation matrix",
     1978).
     """
-    r = matrix[:3, :3]
-    diagonal = np.array([r[0, 0], r[1, 1], r[2, 2], float(np.trace(r))])
-    largest = int(np.argmax(diagonal))
-    q = np.empty(4)
-    if largest == 3:
-        q[:] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + diagonal[3]
+    (xx, xy, xz, px), (yx, yy, yz, py), (zx, zy, zz, pz) = matrix[:3].tolist()
+    trace = xx + yy + zz
+    if trace > max(xx, yy, zz):
+        x, y, z, w = zy - yz, xz - zx, yx - xy, 1.0 + trace
+    elif xx >= max(yy, zz):
+        x, y, z, w = 1.0 - trace + 2.0 * xx, yx + xy, zx + xz, zy - yz
+    elif yy >= zz:
+        x, y, z, w = xy + yx, 1.0 - trace + 2.0 * yy, zy + yz, xz - zx
     else:
-        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
-        q[i], q[j], q[k], q[3] = 1 - diagonal[3] + 2 * r[i, i], r[j, i] + r[i, j], r[k, i] + r[i, k], r[k, j] - r[j, k]
-    q *= math.copysign(1.0, q[3]) / np.linalg.norm(q)
-    x, y, z, w = q.tolist()
-    px, py, pz = matrix[:3, 3].tolist()
-    return Pose(position=(px, py, pz), orientation=(x, y, z, w))
+        x, y, z, w = xz + zx, yz + zy, 1.0 - trace + 2.0 * zz, yx - xy
+    scale = math.copysign(1.0, w) / math.sqrt(x * x + y * y + z * z + w * w)
+    return Pose(position=(px, py, pz), orientation=(scale * x, scale * y, scale * z, scale * w))

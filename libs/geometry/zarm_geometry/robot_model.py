@@ -167,7 +167,7 @@ class RobotModel:
 
     def fk_tip(self, q: ArrayLike) -> Array:
         """The pose of `tip_link` (..., 4, 4) for joints (..., dof)."""
-        return self._frames(q, slice(len(self.links), None))[..., 0, :, :]
+        return self._frames(q, *self._tip)[..., 0, :, :]
 
     def tip_jacobian(self, q: ArrayLike) -> Array:
         """The tip Jacobian (6, dof) at `q` (dof,): m/rad and rad/rad (m/m and 0 if prismatic), base frame."""
@@ -188,16 +188,18 @@ class RobotModel:
 
     def link_transforms(self, q: ArrayLike) -> Array:
         """The poses (..., len(links), 4, 4) of `links` for joints (..., dof)."""
-        return self._frames(q, slice(0, len(self.links)))
+        return self._frames(q, self.link_joint, self.offset[:-1])
 
-    def _frames(self, q: ArrayLike, which: slice) -> Array:
+    @cached_property
+    def _tip(self) -> tuple[NDArray[np.int32], Array]:
+        """The frame of the tip, as `kernels.kinematics.frames` takes it."""
+        return np.array([self.dof - 1], np.int32), self.offset[-1:]
+
+    def _frames(self, q: ArrayLike, joint: NDArray[np.int32], offset: Array) -> Array:
         joints = np.array(q, np.float64, order="C")
         if joints.shape[-1:] != (self.dof,):
             raise InvalidRequest(f"a joint vector of {self.robot.descriptor.name} has {self.dof} values")
         flat = joints.reshape(-1, self.dof)
-        tip = np.int32(self.dof - 1)
-        joint = np.append(self.link_joint, tip)[which]
-        offset = self.offset[which]
         out = np.empty((len(flat), len(joint), 4, 4))
         frames(self.origin, self.revolute, joint, offset, flat, out)
         return out.reshape(*joints.shape[:-1], len(joint), 4, 4)

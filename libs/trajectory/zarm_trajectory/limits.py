@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -67,6 +68,11 @@ class Limits:
             np.array(cspace.acceleration) * acceleration_scale,
             np.array(cspace.jerk),
         )
+
+    @cached_property
+    def rates(self) -> Array:
+        """The limits (3, J) of velocity, acceleration and jerk."""
+        return np.stack((self.velocity, self.acceleration, self.jerk))
 
     def check(self, trajectory: TimedTrajectory) -> None:
         """Raises ExecutionRefused (`limit_violated`) that names the joint furthest outside; jerk is not checked."""

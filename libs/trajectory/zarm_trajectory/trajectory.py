@@ -6,7 +6,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -62,16 +62,15 @@ class TimedTrajectory:
         return cls(np.array([0.0, duration]), np.stack((position, position)), *np.zeros((2, 2, len(position))))
 
     def message(self, joints: tuple[str, ...]) -> Trajectory:
-        """The motion as a message, without validation; `joints` names the columns."""
-        position, velocity, acceleration = (
-            tuple(map(tuple, rows.tolist())) for rows in (self.position, self.velocity, self.acceleration)
-        )
+        """The motion as a message to be sent, without validation; `joints` names the columns.
+
+        Its numbers stay in arrays, which `zarm_contract.codec.encode` writes at once.
+        """
+        columns = self.time, self.position, self.velocity, self.acceleration
+        arrays: list[Any] = [np.ascontiguousarray(column) for column in columns]  # orjson writes no others
+        time, position, velocity, acceleration = arrays
         return Trajectory.model_construct(
-            joint_names=joints,
-            time=tuple(self.time.tolist()),
-            position=position,
-            velocity=velocity,
-            acceleration=acceleration,
+            joint_names=joints, time=time, position=position, velocity=velocity, acceleration=acceleration
         )
 
     @property
@@ -97,7 +96,8 @@ class TimedTrajectory:
     @property
     def length(self) -> float:
         """Length of the path in joint space (rad, Euclidean), sample by sample."""
-        return float(np.linalg.norm(np.diff(self.position, axis=0), axis=1).sum())
+        steps = self.position[1:] - self.position[:-1]
+        return float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).sum())
 
     @cached_property
     def steps(self) -> Array:

@@ -53,7 +53,7 @@ class PlanningContext:
 
     def with_seed(self, seed: int) -> PlanningContext:
         """The same context with another seed."""
-        return replace(self, seed=seed)
+        return self if seed == self.seed else replace(self, seed=seed)
 
     def for_optimization(self) -> PlanningContext:
         """The same context for the next `optimize_s`; the stages of what is tried then are not timed individually."""

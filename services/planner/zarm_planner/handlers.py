@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,9 @@ class Handlers:
         self._scheduler = Scheduler(os.cpu_count() or 1, is_there)
         self._lock = threading.Lock()
         self._settings = PlannerSettings()
+        self._limits = lru_cache(maxsize=16)(
+            partial(Limits.of, model.robot)
+        )  # by the scales of velocity and acceleration
         self.moved = MovedObjects(lambda: store.scene)
         # The robot with attached objects and ignored links, cached by both.
         self._carrier: tuple[tuple[tuple[Attached, ...], tuple[str, ...]], RobotModel] = ((), ()), model
@@ -128,8 +132,7 @@ class Handlers:
         planner = self._choose(request)
 
         def work(deadline: Deadline) -> tuple[SceneRevision, Verified, PlanTimings]:
-            limits = Limits.of(
-                model.robot,
+            limits = self._limits(
                 request.velocity_scale or settings.velocity_scale,
                 request.acceleration_scale or settings.acceleration_scale,
             )
@@ -142,7 +145,7 @@ class Handlers:
             given = request.self_margin
             self_margin = model.robot.descriptor.self_margin if given is None else given
             context = PlanningContext(
-                scene=self._look(request.margin).with_self_margin(self_margin),
+                scene=self._look(request.margin, self_margin),
                 limits=limits,
                 deadline=deadline,
                 path_constraint=request.path_constraint,
@@ -317,9 +320,9 @@ class Handlers:
         with suppress(Unavailable):  # a mesh file is missing; every plan will report that
             self._edited = self._made_ready(scene, self.moved.objects_to_be(scene))
 
-    def _look(self, margin: float | None = None) -> PlanningScene:
-        """The present scene with a margin (m, by default that of the settings), prepared once per revision and poses of
-        moving objects.
+    def _look(self, margin: float | None = None, self_margin: float = 0.0) -> PlanningScene:
+        """The present scene with a margin (m, by default that of the settings) and a self margin (m), prepared once per
+        revision and poses of moving objects.
 
         Raises Unavailable while the file of one of its meshes is missing.
         """
@@ -330,13 +333,14 @@ class Handlers:
                 ready for ready in (self._ready, self._edited) if ready is not None and ready.holds(scene, objects)
             )
             ready = self._ready = next(known, None) or self._made_ready(scene, objects)
-        return ready.scene.with_margin(kept)
+        return ready.with_margins(kept, self_margin)
 
     def _made_ready(self, scene: Scene, objects: tuple[SceneObject, ...]) -> _Ready:
         """A scene with its `objects` in place, reusing unchanged parts of the last world. Raises Unavailable."""
         model = self._with(scene)
         world = self._world = World(objects, 0.0, self._store.meshes, self._world)
-        return _Ready(objects, PlanningScene(scene.revision, model, world, ExactScene(model, world)))
+        prepared = PlanningScene(scene.revision, model, world, ExactScene(model, world))
+        return _Ready(objects, prepared, prepared)
 
     def _with(self, scene: Scene) -> RobotModel:
         """The robot with what it carries in a scene, built once per change of that."""
@@ -354,12 +358,20 @@ class Handlers:
             return np.array(self._model.robot.descriptor.home)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Ready:
-    """A scene without margin, with its objects in place."""
+    """A scene without margins, with its objects in place; and the same scene with the margins `used` last."""
 
     objects: tuple[SceneObject, ...]
     scene: PlanningScene
+    used: PlanningScene
+
+    def with_margins(self, margin: float, self_margin: float) -> PlanningScene:
+        """The scene with a margin to objects and one between the robot's links (m)."""
+        used = self.used
+        if used.world.margin != margin or used.self_margin != self_margin:
+            used = self.used = self.scene.with_margin(margin).with_self_margin(self_margin)
+        return used
 
     def holds(self, scene: Scene, objects: tuple[SceneObject, ...]) -> bool:
         """Whether it belongs to this scene with exactly these objects."""

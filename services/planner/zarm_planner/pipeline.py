@@ -108,9 +108,9 @@ def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProble
 
 def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: TimedTrajectory) -> Verified:
     """The trajectory with its clearance. Raises VerificationFailed and the deadline's error."""
-    goals, limits, check = problem.goals, context.limits, context.deadline.check
+    limits, check, ends = context.limits, context.deadline.check, problem.targets[-1]
     trajectory = rounded(trajectory, limits)
-    end = problem.targets[-1][np.argmin(np.abs(goals - trajectory.position[-1]).max(axis=1))]
+    end = ends[np.abs(problem.goals - trajectory.position[-1]).max(axis=1).argmin()] if len(ends) > 1 else ends[0]
     start, motion = (problem.start.asked, None) if (led := problem.lead_in) is None else (led.state[0], led.state[1:])
     clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
     times: tuple[float, ...] = ()

@@ -35,7 +35,11 @@ class _Job:
     deadline: Deadline
     since: float = field(default_factory=time.monotonic)
     began: float | None = None
-    turn: threading.Event = field(default_factory=threading.Event)
+    turn: threading.Lock = field(default_factory=threading.Lock)
+    """Held until its turn has come."""
+
+    def __post_init__(self) -> None:
+        self.turn.acquire()
 
 
 class Scheduler:
@@ -77,7 +81,7 @@ class Scheduler:
                 self._left.pop(job.client, None)
             elif has_left:  # the notice that the client left arrived before its last requests
                 job.deadline.cancel()
-            while not job.turn.wait(_POLL):
+            while not job.turn.acquire(timeout=_POLL):
                 job.deadline.check()
                 self._press(job)
             job.deadline.check()
@@ -133,17 +137,17 @@ class Scheduler:
     def _start_next(self) -> None:
         """Give a turn to all work that may have one now."""
         now = time.monotonic()
-        while True:
+        while waiting := [job for job in self._jobs if job.began is None]:
             running = [job.began for job in self._jobs if job.began is not None]
             if sum(began > now - LONG for began in running) >= self._slots:
                 return
             running_of = self._running_by_client()
-            waiting = [job for job in self._jobs if job.began is None and running_of[job.client] < self._slots]
+            waiting = [job for job in waiting if running_of[job.client] < self._slots]
             if not waiting:
                 return
             chosen = min(waiting, key=lambda job: (running_of[job.client], job.since))
             chosen.began = now
-            chosen.turn.set()
+            chosen.turn.release()
             for job in waiting:
                 if job.client == chosen.client:
                     job.since = now

@@ -24,11 +24,13 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.goals.contact import clear_pose, way_out
+from zarm_planner.kernels.leg_times import path_time, straight_times
 from zarm_planner.kinematics.ik import solve_ik
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
+from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
@@ -56,12 +58,14 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     solve_ik(model, pose, home, world=world, max_solutions=1, seed=0, deadline=deadline)
     begin("the search")
     search(model, world, home, home, seed=0, deadline=deadline)
+    limits = Limits.of(model.robot)
+    straight_times(home[None], home[None], limits.velocity, limits.acceleration, 2)
+    path_time(home[None], limits.velocity, limits.acceleration, 2)
     begin("the shortcuts of paths")
     shortcut(model, world, np.array((home, home)), seed=0, deadline=deadline)
     quickest_of(model, world, home, home, seeds=(0,), deadline=deadline, most=1)
     begin("the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
-    limits = Limits.of(model.robot)
     trajectory = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, deadline=deadline)
     state = np.stack((home, 0.1 * limits.velocity, np.zeros(model.dof)))
     for lead_in in ways_to_rest(model, world, state, limits, 0.01, vias=False, seed=0):
@@ -69,6 +73,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
         break
     begin("the verification of motions")
     exact = ExactScene(model, world)
+    trajectory = rounded(trajectory, limits)
     with suppress(VerificationFailed):  # the robot may collide with itself near its home
         verify(trajectory, home, away, limits, exact, lambda: None)
     begin("ways out of tight places")

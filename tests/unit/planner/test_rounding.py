@@ -12,6 +12,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
+from zarm_planner.kernels.rounding import round_samples
 from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
@@ -47,3 +48,16 @@ def test_every_plan_is_rounded() -> None:
     goal = JointGoal(kind="joints", position=tuple(moved(0.5).tolist()))
     found = plan(FreePlanner(), PlanningContext(scene, LIMITS, Deadline(5.0), seed=0), HOME, goal).trajectory
     np.testing.assert_array_equal(found.states, rounded(found, LIMITS).states)
+
+
+def test_a_sample_is_the_nearest_multiple_of_its_decimal_unit() -> None:
+    rng = np.random.default_rng(0)
+    time = np.cumsum(10.0 ** rng.uniform(-4, -1, 60))
+    states, units = rng.normal(size=(3, 60, 2)), 10.0 ** rng.uniform(-9, -1, (3, 2))
+    found = np.stack(round_samples(time, *states, units, np.array((1e9, 1e7, 1e5))))
+    assert np.array_equal(found[:, [0, -1]], states[:, [0, -1]])
+    gap = np.minimum(np.diff(time)[:-1], np.diff(time)[1:])
+    for row, (least, power) in enumerate(((9, 3), (7, 2), (5, 1))):
+        for i, j in np.ndindex(58, 2):
+            decimals = int(np.clip(np.ceil(-np.log10(units[row, j] * gap[i] ** power)), least, 15))
+            assert found[row, i + 1, j] == round(states[row, i + 1, j], decimals)

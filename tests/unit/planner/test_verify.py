@@ -17,6 +17,7 @@ from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.kernels.quintic import followed
+from zarm_planner.kernels.verification import furthest_outside
 from zarm_planner.timing.time_parameterization import time_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
@@ -118,3 +119,16 @@ def test_a_joint_out_of_its_range_is_refused(model: RobotModel) -> None:
     scene = ExactScene(model, World([], 0.0))
     with pytest.raises(VerificationFailed, match=r"takes bend 0\.3000 rad out of its range"):
         verify(motion, START, beyond, Limits.of(model.robot), scene, lambda: None)
+
+
+def test_the_furthest_joint_outside_its_range_is_the_one_named() -> None:
+    rng = np.random.default_rng(0)
+    lower, upper = np.array((-1.0, -2.0, 0.0)), np.array((1.0, 0.5, 3.0))
+    for _ in range(50):
+        position = rng.uniform(-2.5, 3.5, (9, 3))
+        outside = np.maximum(lower - position, position - upper)
+        assert furthest_outside(position, lower, upper) == (outside.max(), *np.unravel_index(outside.argmax(), (9, 3)))
+    position[4, 1] = np.nan
+    amount, *where = furthest_outside(position, lower, upper)
+    assert np.isnan(amount)
+    assert where == [4, 1]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.collision import is_free
-from zarm_geometry.kernels.arrays import memory
+from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.deadline import Deadline
@@ -46,7 +46,7 @@ def search_constrained(
     found = kernel.connect_constrained(
         model.arrays,
         world.arrays,
-        memory(model.arrays),
+        working_memory(model.arrays),
         make_trees(model.dof),
         _inside(constraint, np.vstack((start, goals))),
         sampling_range(model, np.vstack((start, goals))),
@@ -79,7 +79,7 @@ def shortcut_constrained(
     count = kernel.shortcut_constrained(
         model.arrays,
         world.arrays,
-        memory(model.arrays),
+        working_memory(model.arrays),
         _inside(constraint, path),
         room,
         len(inner),

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.exact import RESOLUTION, ExactScene
-from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.kernels.motion import Movers, motion, solids
 from zarm_geometry.kernels.nearby import GRADIENT
 from zarm_geometry.rows import WIDTH
+from zarm_geometry.working_memory import working_memory
 from zarm_planner.context import PlanningContext
 from zarm_planner.kernels import contact
 from zarm_planner.kinematics.ik import chain_of
@@ -44,7 +44,7 @@ def way_out(context: PlanningContext, q: Array, direction: Array) -> Array | Non
     count = contact.retreat(
         model.arrays,
         context.world.arrays,
-        memory(model.arrays),
+        working_memory(model.arrays),
         chain_of(model),
         _surroundings(context.exact),
         direction,

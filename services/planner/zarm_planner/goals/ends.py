@@ -7,8 +7,8 @@ seems to touch it; from there it first moves a little away, on a path that is fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, Self
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +47,7 @@ leaves the hand of a Panda 1 mm on all sides, `max_attempts` of 100 fail for one
 """
 
 
-@dataclass(frozen=True)
-class End:
+class End(NamedTuple):
     """A requested configuration, and the one for the search, which is free in spheres: the same where possible; (dof,)
     each.
 
@@ -119,13 +118,14 @@ def goal_ends(
         return (end,)
     ends: list[End] = []
     faults: list[_Fault] = []
-    most = min(_GOALS, _SET_GOALS // len(goal.poses))
-    for number, pose in enumerate(goal.poses):
+    poses = goal.poses
+    most = min(_GOALS, _SET_GOALS // len(poses))
+    for number, pose in enumerate(poses):
         found = _pose_ends(context, start, pose, most, constraint)
         if isinstance(found, _Fault):
             faults.append(found)
         else:
-            ends += (replace(end, pose=number) for end in found)
+            ends += (end._replace(pose=number) for end in found)
     if not ends:
         raise faults[0].of_goal(field) if len(faults) == 1 else _of_all(faults, field)
     if goal.alternatives:

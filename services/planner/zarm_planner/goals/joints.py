@@ -60,13 +60,13 @@ def checked(model: RobotModel, q: Sequence[float] | Array, field: str) -> Array:
 def within_range(model: RobotModel, q: Sequence[float] | Array, field: str) -> Array:
     """A joint vector (dof,) inside all joint ranges, at most RANGE_SLACK from `q`. Raises InvalidRequest."""
     values = checked(model, q, field)
-    inside: Array = np.clip(values, model.lower, model.upper)
-    for i, joint in enumerate(model.robot.descriptor.joints):
-        if abs(values[i] - inside[i]) > RANGE_SLACK:
-            raise InvalidRequest(
-                f"{joint} at {values[i]:.4f} is outside its range, {model.lower[i]:.4f} to {model.upper[i]:.4f}; bring it "
-                "back inside",
-                field=f"{field}.{i}",
-                joint=joint,
-            )
+    inside: Array = np.minimum(np.maximum(values, model.lower), model.upper)
+    for i in np.flatnonzero(np.abs(values - inside) > RANGE_SLACK).tolist():
+        joint = model.robot.descriptor.joints[i]
+        raise InvalidRequest(
+            f"{joint} at {values[i]:.4f} is outside its range, {model.lower[i]:.4f} to {model.upper[i]:.4f}; bring it "
+            "back inside",
+            field=f"{field}.{i}",
+            joint=joint,
+        )
     return inside

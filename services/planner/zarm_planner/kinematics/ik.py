@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.inverse import TURN, Chain, solve
@@ -55,7 +55,7 @@ def solve_ik(
         chain_of(model),
         model.arrays,
         (world or _NOTHING).arrays,
-        memory(model.arrays),
+        working_memory(model.arrays),
         world is not None,
         np.array(pose, np.float64, order="C"),
         np.array(near, np.float64, order="C"),
@@ -98,4 +98,4 @@ def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> A
 
 
 def _nearest_first(rows: Array, near: Array) -> Array:
-    return rows[np.argsort(((rows - near) ** 2).sum(axis=1), kind="stable")]
+    return rows if len(rows) < 2 else rows[((rows - near) ** 2).sum(axis=1).argsort(kind="stable")]

@@ -9,6 +9,7 @@ edge selectors", 2016).
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -20,6 +21,7 @@ from zarm_contract.errors import PlanningFailed
 from zarm_planner.context import PlanningContext
 from zarm_planner.goals.ends import End
 from zarm_planner.goals.problem import PlanningProblem
+from zarm_planner.kernels.leg_times import path_time, straight_times
 from zarm_planner.search.disconnection import find_disconnection
 from zarm_trajectory.limits import Limits
 
@@ -97,7 +99,7 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limit
     last = len(free) - 2
     rests = [(leg == 0) + (leg == last) for leg in range(last + 1)]
     costs = [
-        _seconds((b[None] - a[:, None])[None], limits, ends)
+        straight_times(a, b, limits.velocity, limits.acceleration, ends)
         for (a, b), ends in zip(itertools.pairwise(free), rests, strict=True)
     ]
     known: list[dict[tuple[int, int], Array | None]] = [{} for _ in costs]
@@ -116,26 +118,26 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limit
         tries -= 1
         at, to = pairs[step]
         leg = known[step][at, to] = paths.between(layers[step][at].free, layers[step + 1][to].free)
-        costs[step][at, to] = np.inf if leg is None else float(_seconds(np.diff(leg, axis=0), limits, rests[step]))
+        time = math.inf if leg is None else path_time(leg, limits.velocity, limits.acceleration, rests[step])
+        costs[step][at, to] = time
     return None
 
 
 def _cheapest(costs: Sequence[Array]) -> list[tuple[int, int]] | None:
     """The ends of consecutive layers that the cheapest chain joins, step by step; None if every chain is blocked."""
-    total = np.zeros(1)
-    previous = []
-    for cost in costs:
+    total, previous = costs[0][0], []  # the first layer is the start alone
+    for cost in costs[1:]:
         sums = total[:, None] + cost
-        previous.append(np.argmin(sums, axis=0))
-        total = np.min(sums, axis=0)
-    if not np.isfinite(total.min()):
+        previous.append(sums.argmin(axis=0))
+        total = sums.min(axis=0)
+    to, pairs = int(total.argmin()), []
+    if not math.isfinite(total[to]):
         return None
-    to, pairs = int(np.argmin(total)), []
     for best in reversed(previous):
         at = int(best[to])
         pairs.append((at, to))
         to = at
-    return pairs[::-1]
+    return [(0, to), *pairs[::-1]]
 
 
 def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningContext) -> Chain | None:
@@ -170,22 +172,3 @@ def _check_connected(context: PlanningContext, starts: Array, goals: Array, call
             "move what is in the way, or choose another goal",
             code="no_path",
         )
-
-
-def _seconds(edges: Array, limits: Limits, rests: int) -> Array:
-    """Lower bound (...,) on the time of a path of `edges` (n, ..., dof), with `rests` of its two ends at rest.
-
-    Each edge takes at least its slowest joint at full speed; and all edges together take at least each joint's time
-    including acceleration and braking.
-    """
-    way = np.abs(edges)
-    edge_by_edge = np.max(way / limits.velocity, axis=-1).sum(axis=0)
-    way = way.sum(axis=0)
-    ramp = 0.5 * rests * limits.velocity / limits.acceleration
-    joints = np.where(
-        way < ramp * limits.velocity,
-        np.sqrt(2 * rests * way / limits.acceleration),
-        way / limits.velocity + ramp,
-    )
-    time: Array = np.maximum(edge_by_edge, joints.max(axis=-1))
-    return time

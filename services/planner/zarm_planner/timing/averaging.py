@@ -17,7 +17,7 @@ _SHORTEST = 0.1
 
 def averaging_window(strongest: Array, limits: Limits, dt: float) -> float:
     """The averaging time (s): from full acceleration to the opposite within the jerk limits, and never instantaneous."""
-    return max(_SHORTEST * dt, float(np.max(2 * strongest / limits.jerk)))
+    return max(_SHORTEST * dt, 2 * float((strongest / limits.jerk).max()))
 
 
 def gentle_acceleration(limits: Limits, dt: float, deviation: float = DEVIATION) -> Array:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.kernels.lead_in import brake
 from zarm_planner.kernels.ramps import Ramps, make_ramps
@@ -80,7 +80,9 @@ def ways_to_rest(
     random = np.array([seed], np.uint64)
 
     def way(first: int, most: int, checked: bool) -> int:
-        return brake(model.arrays, world.arrays, memory(model.arrays), ramps, 1, bounds, first, most, checked, random)
+        return brake(
+            model.arrays, world.arrays, working_memory(model.arrays), ramps, 1, bounds, first, most, checked, random
+        )
 
     def lead_in() -> LeadIn:
         kept = deepcopy(ramps)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
-
 from zarm_contract.errors import InvalidRequest
 from zarm_planner.kernels.quintic import peaks
 from zarm_planner.kernels.sampling import subdivided
@@ -43,9 +41,8 @@ def load(trajectory: TimedTrajectory, limits: Limits) -> float:
 
     Slowed down by this factor, the trajectory just meets all of them. NaN if it contains NaN.
     """
-    most = np.stack((limits.velocity, limits.acceleration, limits.jerk))
     velocity, acceleration, jerk = peaks(
-        trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, most
+        trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, limits.rates
     )
     return max(velocity, math.sqrt(acceleration), math.cbrt(jerk))
 

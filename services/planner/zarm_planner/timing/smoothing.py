@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.ramps import along, make_ramps, ramps_from
@@ -62,7 +62,8 @@ class Smoothing:
         self._model, self._world, self._limits, self._dt, self._path = model, world, limits, dt, path
         self._lead_in = lead_in
         passed = np.zeros(len(path), np.bool_)
-        passed[list(vias)] = True
+        if vias:
+            passed[list(vias)] = True
         self._ramps = make_ramps(len(path) + _ROOM, model.dof)
         if lead_in is None:
             strongest = gentle_acceleration(limits, dt, deviation) if len(vias) else limits.acceleration
@@ -72,8 +73,9 @@ class Smoothing:
             self._window = self._begin = lead_in.window
             for column, given in zip(self._ramps, lead_in.ramps, strict=True):
                 column[:led] = given
-        self._bounds = np.stack((model.lower, model.upper, fastest, strongest))
-        self._count = led + along(path, passed, limits.velocity, strongest, ramps_from(self._ramps, led))
+        self._bounds = np.array((model.lower, model.upper, fastest, strongest))
+        free = ramps_from(self._ramps, led) if led else self._ramps
+        self._count = led + along(path, passed, limits.velocity, strongest, free)
         self._stretches = 1 + len(vias)
 
     @property
@@ -88,7 +90,7 @@ class Smoothing:
         self._count = smooth(
             self._model.arrays,
             self._world.arrays,
-            memory(self._model.arrays),
+            working_memory(self._model.arrays),
             self._ramps,
             self._count,
             self._bounds,
@@ -124,7 +126,8 @@ class Smoothing:
         else:
             out[:, 0] = self._lead_in.state
         position, velocity, acceleration = out
-        return TimedTrajectory(t * factor, position, velocity / factor, acceleration / factor**2)
+        trajectory = TimedTrajectory(t, position, velocity, acceleration)
+        return trajectory if factor == 1.0 else trajectory.slower(factor)
 
 
 def smooth_path(

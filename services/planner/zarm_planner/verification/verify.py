@@ -9,6 +9,7 @@ import numpy as np
 from zarm_geometry.exact import RESOLUTION, ExactScene
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.kernels.quintic import followed
+from zarm_planner.kernels.verification import first_missed, furthest_outside
 from zarm_planner.timing.sampling import TOLERANCE, load
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -18,6 +19,14 @@ _POSITION = 1e-6
 """Rad by which a motion may miss its start and its goal."""
 LOAD = 1 + 1.5 * TOLERANCE
 """Largest permitted `sampling.load`: that of the timing, and some rounding."""
+_MISSED = (
+    "starts away from the start",
+    "ends away from the goal",
+    "does not start at the velocity of the start",
+    "does not start at the acceleration of the start",
+    "does not end at rest",
+)
+"""What a trajectory does that misses a condition of `first_missed`."""
 RANGE = 1e-4
 """Rad by which a joint may be outside its range: rounding, and interpolation between samples."""
 
@@ -44,28 +53,19 @@ def verify(
     same ones. `check` is called now and then and may raise.
     """
     model, joints = scene.model, scene.model.robot.descriptor.joints
-    velocity, acceleration = np.zeros((2, model.dof)) if motion is None else motion
-    for values, wanted, what in (
-        (trajectory.position[0], start, "starts away from the start"),
-        (trajectory.position[-1], goal, "ends away from the goal"),
-        (trajectory.velocity[0], velocity, "does not start at the velocity of the start"),
-        (trajectory.acceleration[0], acceleration, "does not start at the acceleration of the start"),
-        (trajectory.velocity[-1], 0.0, "does not end at rest"),
-    ):
-        if not np.all(np.abs(values - wanted) <= _POSITION):
-            raise VerificationFailed(f"the trajectory {what}")
+    position, velocity, acceleration = trajectory.position, trajectory.velocity, trajectory.acceleration
+    begun = np.zeros((2, model.dof)) if motion is None else motion
+    missed = first_missed(position, velocity, acceleration, start, goal, begun, _POSITION)
+    if missed >= 0:
+        raise VerificationFailed(f"the trajectory {_MISSED[missed]}")
     if not (used := load(trajectory, limits)) <= LOAD:
         raise VerificationFailed(f"the trajectory needs {used:.2f} times the allowed speed")
 
-    times, position = followed(
-        trajectory.time, trajectory.position, trajectory.velocity, trajectory.acceleration, scene.reach, RESOLUTION
-    )
-    outside = np.maximum(model.lower - position, position - model.upper)
-    if not np.all(outside <= RANGE):
-        sample, joint = np.unravel_index(int(np.argmax(outside)), outside.shape)
+    times, position = followed(trajectory.time, position, velocity, acceleration, scene.reach, RESOLUTION)
+    outside, sample, joint = furthest_outside(position, model.lower, model.upper)
+    if not outside <= RANGE:
         raise VerificationFailed(
-            f"the trajectory takes {joints[joint]} {outside[sample, joint]:.4f} rad out of its range at "
-            f"{times[sample]:.2f} s"
+            f"the trajectory takes {joints[joint]} {outside:.4f} rad out of its range at {times[sample]:.2f} s"
         )
     if constraint is not None and (lost := constraint.violation(position)):
         raise VerificationFailed(f"{lost[1]} at {times[lost[0]]:.2f} s of the trajectory")

@@ -1,0 +1,25 @@
+"""The working memory of kernels: each thread has its own, which all its calls use in turn."""
+
+from __future__ import annotations
+
+import threading
+
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, memory
+
+
+class _Kept(threading.local):
+    """What this thread used last, and the shape of `RobotArrays.reach` that it is for."""
+
+    shape: tuple[int, ...] = ()
+    memory: Memory
+
+
+_kept = _Kept()
+
+
+def working_memory(robot: RobotArrays) -> Memory:
+    """This thread's working memory for one kernel call for this robot; the next call overwrites it."""
+    if _kept.shape != robot.reach.shape:
+        _kept.memory = memory(robot)
+        _kept.shape = robot.reach.shape
+    return _kept.memory
