@@ -23,7 +23,7 @@ from zarm_geometry.collision import is_free
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
-from zarm_planner.kernels.ramps import Ramps, connect_states, in_range, make_ramps, state
+from zarm_planner.kernels.ramps import Ramps, connect_states, in_range, make_ramps, state, time_between
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import shortcut
 from zarm_planner.timing.sampling import load
@@ -249,7 +249,9 @@ def test_a_ramp_joins_two_states_inside_the_limits(joints: list[tuple[float, flo
     start, start_velocity, end, end_velocity = np.array(joints).T.copy()
     fastest, strongest = np.full(len(joints), 1.0), np.full(len(joints), 3.0)
     ramps = make_ramps(1, len(joints))
-    if not connect_states(ramps, 0, start, start_velocity, end, end_velocity, fastest, strongest, np.inf):
+    between = start, start_velocity, end, end_velocity, fastest, strongest
+    time = time_between(*between, np.inf, np.zeros(1, np.int64))
+    if not connect_states(ramps, 0, *between, time):
         return
     position, velocity = np.empty_like(start), np.empty_like(start)
     state(ramps, 0, ramps.duration[0], position, velocity)

@@ -152,17 +152,18 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
                 node = space.skip[node]
                 continue
             _place_balls(space, link)
-            active = _reached(space, first, active, node, half)
-            if active == 0:
-                node = space.skip[node]
-                continue
             shape = SHAPE * space.leaf[node]
-            node += 1
             if shape < 0:
+                active = _reached(space, first, active, node, half)
+                if active == 0:
+                    node = space.skip[node]
+                    continue
+                node += 1
                 level += 1
                 space.active[level] = active
                 space.until[level] = space.skip[node - 1]
                 continue
+            node += 1
             rounding = space.shapes[shape + 16] + space.margin
             found = near
             while active != 0:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range
+from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, time_between
 from zarm_planner.kernels.random import uniform
 from zarm_planner.kernels.smoothing import ramp_free
 
@@ -69,7 +69,8 @@ def aside(
         end[j] = start[j] + 0.5 * velocity[j] * (alone + uniform(random) * (together - alone))
         end[j] += (2.0 * uniform(random) - 1.0) * size * ASIDE * fastest[j]
         rest[j] = 0.0
-    return connect_states(ramps, i, start, velocity, end, rest, fastest, strongest, np.inf)
+    time = time_between(start, velocity, end, rest, fastest, strongest, np.inf, np.zeros(1, np.int64))
+    return connect_states(ramps, i, start, velocity, end, rest, fastest, strongest, time)
 
 
 @kernel

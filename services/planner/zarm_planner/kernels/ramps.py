@@ -164,6 +164,32 @@ def in_range(ramps: Ramps, i: int, lower: Array, upper: Array) -> bool:
 
 
 @inlined
+def time_between(
+    start: Array,
+    start_velocity: Array,
+    end: Array,
+    end_velocity: Array,
+    fastest: Array,
+    strongest: Array,
+    most: float,
+    slow: NDArray[np.int64],
+) -> float:
+    """Least time (s) between two states for the joint that takes longest, or more than `most` s if it takes longer.
+
+    `slow` (1,) is the joint that is tried first; it becomes one that took too long.
+    """
+    dof, first = start.shape[0], slow[0]
+    time = 0.0
+    for k in range(dof):
+        j = first + k if first + k < dof else first + k - dof
+        time = max(time, least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j]))
+        if time > most:
+            slow[0] = j
+            break
+    return time
+
+
+@inlined
 def connect_states(
     ramps: Ramps,
     i: int,
@@ -173,17 +199,14 @@ def connect_states(
     end_velocity: Array,
     fastest: Array,
     strongest: Array,
-    most: float,
+    time: float,
 ) -> bool:
-    """Make ramp `i` the fastest between two states in which all joints arrive together.
+    """Make ramp `i` lead from one state to another in `time` s, in which all joints arrive together.
 
-    Returns whether there is one that takes at most `most` s.
+    Returns whether there is one; none is shorter than _SLACK.
     """
-    time = 0.0
-    for j in range(start.shape[0]):
-        time = max(time, least_time(end[j] - start[j], start_velocity[j], end_velocity[j], fastest[j], strongest[j]))
     ramps.duration[i] = time
-    if not _SLACK < time <= most:
+    if not time > _SLACK:
         return False
     ramps.via[i] = False
     for j in range(start.shape[0]):

@@ -16,7 +16,7 @@ from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import divide, set_motion, subdivide, take
 from zarm_geometry.kernels.simd import LANES, Lanes, larger, load, smaller, splat, store
 from zarm_planner.kernels.clock import passed
-from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, least_time, state
+from zarm_planner.kernels.ramps import Array, Ramps, connect_states, in_range, least_time, state, time_between
 from zarm_planner.kernels.random import uniform
 
 GAIN = 0.001
@@ -255,6 +255,7 @@ def smooth(
     middle, middle_velocity = np.empty(dof), np.empty(dof)
     end, end_velocity = np.empty(dof), np.empty(dof)
     first, second = capacity - 2, capacity - 1  # the candidate ramps
+    slow, slow_after = np.zeros(1, np.int64), np.zeros(1, np.int64)
     i, early = find(ramps, count, begin)
     state(ramps, i, early, start, start_velocity)
     state(ramps, count - 1, ramps.duration[count - 1], end, end_velocity)
@@ -302,19 +303,30 @@ def smooth(
                 at -= uniform(random) * piece
             if bend(ramps, count, via, at, piece, fastest, random, start, end, middle, middle_velocity) and via >= 0:
                 most = (1.0 + EQUAL) * piece
-            if not connect_states(
-                ramps, first, start, start_velocity, middle, middle_velocity, fastest, strongest, most
-            ):
+            time = time_between(start, start_velocity, middle, middle_velocity, fastest, strongest, most, slow)
+            if time > most:
                 continue
-            most -= ramps.duration[first]
-            if not connect_states(ramps, second, middle, middle_velocity, end, end_velocity, fastest, strongest, most):
+            rest = time_between(middle, middle_velocity, end, end_velocity, fastest, strongest, most - time, slow_after)
+            if (
+                time + rest > most
+                or not connect_states(
+                    ramps, first, start, start_velocity, middle, middle_velocity, fastest, strongest, time
+                )
+                or not connect_states(
+                    ramps, second, middle, middle_velocity, end, end_velocity, fastest, strongest, rest
+                )
+            ):
                 continue
             ramps.via[second] = via >= 0
             if not ramp_free(checks, ramps, first, lower, upper) or not ramp_free(checks, ramps, second, lower, upper):
                 continue
             count = put(ramps, count, i, early, k, late, 2, end, end_velocity)
-        elif connect_states(
-            ramps, second, start, start_velocity, end, end_velocity, fastest, strongest, most
-        ) and ramp_free(checks, ramps, second, lower, upper):
+            continue
+        time = time_between(start, start_velocity, end, end_velocity, fastest, strongest, most, slow)
+        if (
+            time <= most
+            and connect_states(ramps, second, start, start_velocity, end, end_velocity, fastest, strongest, time)
+            and ramp_free(checks, ramps, second, lower, upper)
+        ):
             count = put(ramps, count, i, early, k, late, 1, end, end_velocity)
     return count
