@@ -8,9 +8,9 @@ from zarm_geometry.kernels.arrays import Memory, RobotArrays, memory
 
 
 class _Kept(threading.local):
-    """What this thread used last, and the shape of `RobotArrays.reach` that it is for."""
+    """What this thread used last, and the numbers of joints, balls, links and pairs that it is for."""
 
-    shape: tuple[int, ...] = ()
+    sizes: tuple[int, ...] = ()
     memory: Memory
 
 
@@ -19,7 +19,8 @@ _kept = _Kept()
 
 def working_memory(robot: RobotArrays) -> Memory:
     """This thread's working memory for one kernel call for this robot; the next call overwrites it."""
-    if _kept.shape != robot.reach.shape:
+    sizes = *robot.reach.shape, len(robot.link_joint), len(robot.pairs)
+    if _kept.sizes != sizes:
         _kept.memory = memory(robot)
-        _kept.shape = robot.reach.shape
+        _kept.sizes = sizes
     return _kept.memory

@@ -30,3 +30,9 @@ def test_a_robot_with_more_spheres_gets_larger_memory() -> None:
     assert working_memory(carrying.arrays).motion.shape == ((dof + 1) * balls,)
     dof, balls = MODEL.arrays.reach.shape
     assert working_memory(MODEL.arrays).motion.shape == ((dof + 1) * balls,)
+
+
+def test_a_robot_with_more_pairs_gets_larger_memory() -> None:
+    ignoring = MODEL.with_attached([], [MODEL.links[0]])
+    for model in (ignoring, MODEL):
+        assert len(working_memory(model.arrays).watched) == len(model.links) + len(model.arrays.pairs)

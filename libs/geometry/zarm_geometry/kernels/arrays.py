@@ -69,7 +69,8 @@ class Space(NamedTuple):
     Of the motion being checked: `step` (dof,): how far each joint moves; `motion` (dof + 1, balls): in row k, the most
     (m) that joints k and beyond move each ball along it. `joints` (dof, 16): the configurations being checked; `frames`
     (dof + 1, 192): as `placing` has them; `centers` (balls, 48): x, y and z of each ball in them, if the spheres of the
-    link are `placed` (links,). `middle` and `half` (65 * 16,): middle and half length of
+    link are `placed` (links,). `watched` (links + pairs,): which links are near an obstacle somewhere along the motion,
+    and which pairs near each other. `middle` and `half` (65 * 16,): middle and half length of
     intervals of the motion, which goes from 0 to 1; the first 16 are being checked, the rest is a stack of intervals
     yet to be checked. `active`
     and `until` (DEEPEST,): for the current node of the tree and its ancestors, a bit mask of the up to 64 spheres that
@@ -100,6 +101,7 @@ class Space(NamedTuple):
     joints: Pointer
     frames: Pointer
     placed: Pointer
+    watched: Pointer
     centers: Pointer
     middle: Pointer
     half: Pointer
@@ -115,6 +117,7 @@ class Memory(NamedTuple):
     joints: Single
     frames: Single
     placed: NDArray[np.uint8]
+    watched: NDArray[np.uint8]
     centers: Single
     middle: Single
     half: Single
@@ -136,8 +139,9 @@ def memory(robot: RobotArrays) -> Memory:
     )
     step, motion, joints, frames, centers, middle, half = (np.empty(size, np.float32) for size in sizes)
     active, until = np.empty(DEEPEST, np.uint64), np.empty(DEEPEST, np.int64)
-    placed = np.empty(len(robot.link_joint), np.uint8)
-    return Memory(step, motion, joints, frames, placed, centers, middle, half, active, until)
+    links = len(robot.link_joint)
+    placed, watched = np.empty(links, np.uint8), np.empty(links + len(robot.pairs), np.uint8)
+    return Memory(step, motion, joints, frames, placed, watched, centers, middle, half, active, until)
 
 
 @inlined
@@ -168,6 +172,7 @@ def space(robot: RobotArrays, world: WorldArrays, memory: Memory) -> Space:
         pointer(memory.joints),
         pointer(memory.frames),
         pointer(memory.placed),
+        pointer(memory.watched),
         pointer(memory.centers),
         pointer(memory.middle),
         pointer(memory.half),

@@ -237,28 +237,36 @@ def meet(space: Space, pair: int, half: Lanes) -> tuple[Mask, Mask]:
 
 
 @inlined
-def check(space: Space) -> tuple[Mask, Mask]:
+def check(space: Space, whole: bool) -> tuple[Mask, Mask]:
     """Check the configurations in `Space.joints`, each for its interval of a motion, with `Space.half` of its length.
 
     Returns two masks: the lanes that collide, and the lanes in which something is so near that the interval is not
     proven free and must be subdivided. The check ends at the first contact found, so only an empty first mask is a
-    statement about all lanes.
+    statement about all lanes. If the intervals are the `whole` motion, what is near in none of them is not looked at
+    again: only what is `watched`.
     """
     half, near = load(space.half, 0), np.uint32(0)
     place_joints(space.dof, space.origin, space.revolute, space.joints, space.frames)
-    for link in range(space.links):
+    for link in range(space.links - 1, -1, -1):  # outer links hit obstacles more often
         space.placed[link] = 0
         place_points(space.frames, space.link_joint[link], space.bounds, 4, link, link + 1, space.centers, 0)
-        if space.link_joint[link] >= 0:
+        if space.link_joint[link] >= 0 and (whole or space.watched[link] != 0):
             hit, close = meets_world(space, link, half)
-            near |= close
             if hit != 0:
                 return hit, near
-            half = without(near, half)
+            near |= close
+            if whole:
+                space.watched[link] = close != 0
+            else:
+                half = without(near, half)
     for pair in range(space.pairs):
-        hit, close = meet(space, pair, half)
-        near |= close
-        if hit != 0:
-            return hit, near
-        half = without(near, half)
+        if whole or space.watched[space.links + pair] != 0:
+            hit, close = meet(space, pair, half)
+            if hit != 0:
+                return hit, near
+            near |= close
+            if whole:
+                space.watched[space.links + pair] = close != 0
+            else:
+                half = without(near, half)
     return np.uint32(0), near

@@ -85,15 +85,16 @@ def edge_free(space: Space, start: Single, end: Single) -> bool:
     for k in range(space.dof):
         space.step[k] = end[k] - start[k]
     farthest = set_motion(space)
-    top = divide(space)
+    top, whole = divide(space), True
     while top > LANES:
         taken = take(space, top)
         middle = load(space.middle, 0)
         for k in range(space.dof):
             store(space.joints, LANES * k, start[k] + space.step[k] * middle)
-        hit, near = check(space)
+        hit, near = check(space, whole)
         if hit != 0:
             return False
+        whole = False
         top = subdivide(space, top, taken, near, farthest)
     return True
 

@@ -76,15 +76,16 @@ def ramp_free(space: Space, ramps: Ramps, i: int, lower: Array, upper: Array) ->
         peak = v + a * ramps.first[i, j]
         space.step[j] = duration * max(abs(v), abs(peak), abs(peak - a * ramps.last[i, j]))
     farthest = set_motion(space)
-    top = divide(space)
+    top, whole = divide(space), True
     while top > LANES:
         taken = take(space, top)
         t = np.float32(duration) * load(space.middle, 0)
         for j in range(space.dof):
             set_joints(space, ramps, i, j, t)
-        hit, near = check(space)
+        hit, near = check(space, whole)
         if hit != 0:
             return False
+        whole = False
         top = subdivide(space, top, taken, near, farthest)
     return True
 
