@@ -90,8 +90,9 @@ def link_shape(link: str, primitive: CollisionPrimitive) -> Shape:
 def obstacle_shape(name: str, row: Array) -> Shape:
     """One row (17,) of `World.rows`, made from a primitive of one of these kinds, in the base frame."""
     turn = row[:12].reshape(3, 4)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn[:, :3].T, -turn[:, :3].T @ turn[:, 3]
+    back = turn[:, :3].T
+    pose = np.zeros((4, 4))
+    pose[:3, :3], pose[:3, 3], pose[3, 3] = back, -(back @ turn[:, 3]), 1.0
     x, y, z, disc, rounding = row[12:].tolist()
     if disc < 0.0:
         return _triangle(name, pose, (x, y, z))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from zarm_contract.messages import PathConstraint
@@ -20,6 +21,9 @@ class PlanningContext:
 
     A search gives up after `max_attempts`, each with the next `seed`, or at the `deadline`. For `optimize_s` (s) after
     the first trajectory, it looks for faster ones. `timer` records the time of each stage.
+
+    `assumptions` are checks in exact geometry, in the order of the request, of ends that are free in spheres. A
+    verified trajectory proves them; without one, `check_assumptions` tells what is wrong with an end.
     """
 
     scene: PlanningScene
@@ -30,6 +34,7 @@ class PlanningContext:
     optimize_s: float = 0.0
     seed: int = 0
     timer: StageTimer = field(default_factory=StageTimer)
+    assumptions: list[Callable[[], None]] = field(default_factory=list)
 
     @property
     def model(self) -> RobotModel:
@@ -50,6 +55,13 @@ class PlanningContext:
     def dt(self) -> float:
         """The sample period (s) of trajectories."""
         return self.model.robot.descriptor.interpolation_dt
+
+    def check_assumptions(self) -> None:
+        """Raises the error of the first end that is in collision although its spheres are free; later calls do nothing."""
+        assumptions = self.assumptions.copy()
+        self.assumptions.clear()
+        for check in assumptions:
+            check()
 
     def with_seed(self, seed: int) -> PlanningContext:
         """The same context with another seed."""

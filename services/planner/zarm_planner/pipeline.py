@@ -52,9 +52,13 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, m
     Raises PlanningFailed (`start_in_collision`, `goal_in_collision`, `unreachable`, `no_path`), InvalidRequest for a
     goal that breaks the path constraint, and the deadline's error.
     """
-    with context.timer.stage("ik"):
-        problem = PlanningProblem.of(context, start, goal, motion)
-    verified, seed = _first(planner, context, problem)
+    try:
+        with context.timer.stage("ik"):
+            problem = PlanningProblem.of(context, start, goal, motion)
+        verified, seed = _first(planner, context, problem)
+    except (PlanningFailed, InvalidRequest, DeadlineExceeded):
+        context.check_assumptions()
+        raise
     if context.optimize_s > 0.0:
         with context.timer.stage("optimize"):
             verified = _fastest(planner, context.with_seed(seed).for_optimization(), problem, verified)
@@ -76,6 +80,7 @@ def _first(planner: Planner, context: PlanningContext, problem: PlanningProblem)
                         return _verified(context, problem, trajectory), seeded.seed
                 except VerificationFailed as error:
                     failure = error
+                    context.check_assumptions()
     except DeadlineExceeded as late:
         if failure is None:
             raise

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from support.planner.small_arm import DESCRIPTOR, URDF
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Cuboid, Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
@@ -75,6 +78,34 @@ def test_a_goal_inside_an_object_is_refused_at_once(model: RobotModel) -> None:
         to_pose(model, SWUNG, lump)
     assert refused.value.code == "goal_in_collision"
     assert "lump" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "expected"),
+    [
+        ("in it", "beside it", "start_in_collision"),
+        ("beside it", "in it", "goal_in_collision"),
+        ("in it", "in it", "start_in_collision"),
+        ("in it", "nowhere", "start_in_collision"),
+    ],
+)
+def test_an_end_in_collision_is_named_even_where_spheres_do_not_cover_the_robot(
+    tmp_path: Path, start: str, goal: str, expected: str
+) -> None:
+    thin = DESCRIPTOR.replace("rod: [{center: [0, 0, 0], radius: 0.03}]", "rod: [{center: [0, 0, 0], radius: 0.001}]")
+    (tmp_path / "small_arm.urdf").write_text(URDF)
+    (tmp_path / "small_arm.yaml").write_text(thin)
+    model = RobotModel.of(load_robot(str(tmp_path / "small_arm.yaml")))
+    q = {"in it": np.array((0.0, 0.5, 1.0, 0.1)), "beside it": np.array((0.5, 0.5, 1.0, 0.1))}
+    x, y, z = model.fk_tip(q["in it"])[:3, 3].tolist()
+    bead = Sphere(kind="sphere", name="bead", position=(x, y, z + 0.02), radius=0.005)
+    asked: JointGoal | PoseGoal = PoseGoal(kind="pose", position=(9.0, 0.0, 0.0))
+    if goal in q:
+        asked = JointGoal(kind="joints", position=tuple(q[goal].tolist()))
+    with pytest.raises(PlanningFailed, match=r"collision: rod is 1\d\.\d mm inside bead") as refused:
+        plan(FreePlanner(), context(model, bead), q[start], asked)
+    assert refused.value.code == expected
+    assert refused.value.problem.field == ("goal" if expected == "goal_in_collision" else "start")
 
 
 def test_no_budget_is_spent_on_a_motion_that_cannot_be_faster(model: RobotModel) -> None:

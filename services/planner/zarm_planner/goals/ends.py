@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, NamedTuple, Self
 
 import numpy as np
@@ -68,8 +69,8 @@ class End(NamedTuple):
 
 def check_start(context: PlanningContext, q: Array, field: str = "start") -> None:
     """Raises PlanningFailed (`start_in_collision`) if the start of a path, the request's `field`, is in collision."""
-    if not context.exact.is_free(q, context.deadline.check):
-        overlap = _overlap(context.exact.nearest(q, context.deadline.check))
+    if not context.exact.is_free(q):
+        overlap = _overlap(context.exact.nearest(q))
         raise PlanningFailed(
             f"the start is in collision: {overlap}; move the robot away by hand, or correct the scene",
             code="start_in_collision",
@@ -79,6 +80,9 @@ def check_start(context: PlanningContext, q: Array, field: str = "start") -> Non
 
 def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold | None) -> End:
     """The start of a path. Raises PlanningFailed (`start_in_collision`)."""
+    if is_free(context.model, context.world, q):
+        context.assumptions.append(partial(check_start, context, q))
+        return End.at(q)
     check_start(context, q)
     if (end := _end(context, q, constraint, _ALONE)) is None:
         gap = _gap(context.exact.nearest(q, context.deadline.check))
@@ -109,10 +113,14 @@ def goal_ends(
     """
     if isinstance(goal, JointGoal):
         q = within_range(context.model, goal.position, f"{field}.position")
-        check = context.deadline.check
-        end = _end(context, q, constraint, _ALONE) if context.exact.is_free(q, check) else None
+        if is_free(context.model, context.world, q):
+            end: End | None = End.at(q)
+            context.assumptions.append(partial(_check_goal, context, q, field))
+        else:
+            _check_goal(context, q, field)
+            end = _end(context, q, constraint, _ALONE)
         if end is None:
-            raise _blocked([context.exact.nearest(q, check)]).of_goal(field)
+            raise _blocked([context.exact.nearest(q)]).of_goal(field)
         if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
             raise fault.of_goal(field)
         return (end,)
@@ -131,6 +139,12 @@ def goal_ends(
     if goal.alternatives:
         ends.sort(key=lambda end: float(np.sum((end.asked - start) ** 2)))
     return tuple(ends)
+
+
+def _check_goal(context: PlanningContext, q: Array, field: str) -> None:
+    """Raises PlanningFailed (`goal_in_collision`) if the goal's joints, the request's `field`, are in collision."""
+    if not context.exact.is_free(q):
+        raise _blocked([context.exact.nearest(q)]).of_goal(field)
 
 
 @dataclass(frozen=True)

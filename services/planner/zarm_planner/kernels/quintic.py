@@ -48,8 +48,9 @@ def peaks(
     """The peak velocity, acceleration and jerk, as fractions of `limits` (3, dof), of the quintics through samples at
     `time` (n,), each (n, dof).
 
-    The peaks are exact: each derivative has its extrema at the ends and at the roots of the next derivative. NaN if any
-    sample is not finite.
+    The peaks are exact: each derivative has its extrema at the ends and at the roots of the next derivative. These are
+    computed only where the control points of a derivative, between which it lies (Farouki and Rajan 1987), may exceed
+    the peak so far. NaN if any sample is not finite.
     """
     fastest, strongest, sharpest = 0.0, 0.0, 0.0
     turns = np.empty(4)
@@ -61,6 +62,16 @@ def peaks(
             c3, c4, c5 = _highest(position[i + 1, j] - position[i, j], v0, a0, v1, a1)
             # Jerk is 6 c3 + 24 c4 u + 60 c5 u^2 and has one extremum.
             jerk = max(abs(6.0 * c3), abs(6.0 * c3 + 24.0 * c4 + 60.0 * c5))
+            between = abs(6.0 * c3 + 12.0 * c4)
+            if not jerk + between < np.inf:  # jerk depends on all six numbers
+                return np.nan, np.nan, np.nan
+            bend, speed = max(abs(a0), abs(a1)), max(abs(v0), abs(v1))
+            bend_bound = max(bend, abs(a0 + 2.0 * c3), abs(a0 + 4.0 * (c3 + c4)))
+            bound = max(speed, abs(v0 + 0.25 * a0), abs(v0 + 0.5 * a0 + 0.5 * c3), abs(v1 - 0.25 * a1))
+            may_be_fastest = bound > fastest * h * limits[0, j]
+            may_be_sharpest = max(jerk, between) > sharpest * h * h * h * limits[2, j]
+            if not (may_be_fastest or may_be_sharpest or bend_bound > strongest * h * h * limits[1, j]):
+                continue
             turn = -c4 / (5.0 * c5) if c5 != 0.0 else -1.0
             if 0.0 < turn < 1.0:
                 jerk = max(jerk, abs(6.0 * c3 + 12.0 * c4 * turn))
@@ -79,10 +90,6 @@ def peaks(
                     turns[count] = other
                     count += 1
             turns[count] = 1.0
-            bend, speed = abs(a0), max(abs(v0), abs(v1))
-            # A velocity lies within its control points (Farouki and Rajan 1987), which rules out most as the peak.
-            bound = max(speed, abs(v0 + 0.25 * a0), abs(v0 + 0.5 * a0 + 0.5 * c3), abs(v1 - 0.25 * a1))
-            may_be_fastest = bound > fastest * h * limits[0, j]
             before = a0
             for k in range(1, count + 1):
                 after = _bend(a0, c3, c4, c5, turns[k])
@@ -97,8 +104,6 @@ def peaks(
                             high = middle
                     speed = max(speed, abs(_slope(v0, a0, c3, c4, c5, low)))
                 before = after
-            if not jerk < np.inf:  # jerk depends on all six numbers
-                return np.nan, np.nan, np.nan
             fastest = max(speed / (h * limits[0, j]), fastest)
             strongest = max(bend / (h * h * limits[1, j]), strongest)
             sharpest = max(jerk / (h * h * h * limits[2, j]), sharpest)
