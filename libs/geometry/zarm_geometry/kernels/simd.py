@@ -73,6 +73,7 @@ def _binary(function: Callable[..., Any], instruction: str) -> None:
 _binary(operator.add, "fadd")
 _binary(operator.sub, "fsub")
 _binary(operator.mul, "fmul")
+_binary(operator.truediv, "fdiv")
 
 
 def _llvm(name: str, arity: int) -> Any:

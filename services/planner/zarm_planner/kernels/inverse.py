@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import Memory, RobotArrays, WorldArrays, space
+from zarm_geometry.kernels.arrays import Memory, RobotArrays, Single, Space, WorldArrays, space
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.edge import edge_free
 from zarm_geometry.kernels.kinematics import Array, joint_frames
+from zarm_geometry.kernels.simd import LANES
 from zarm_geometry.kernels.vectors import copy
 from zarm_planner.kernels.clock import passed
+from zarm_planner.kernels.descents import descend_once, make_descents
 from zarm_planner.kernels.random import uniform
 
 TURN = 2.0 * math.pi
@@ -31,6 +33,8 @@ ITERATIONS = 50
 """Maximum number of steps of a descent; most end after 9."""
 DAMPING = 0.05
 """Damping per squared error. From 0.005 to 0.15 the number of descents is the same."""
+CLOSE = 1e-3
+"""Remaining error, in m and rad together, below which a descent is finished in double precision."""
 STALL = 0.7
 """A descent ends if more than this fraction of its error is left after 3 steps, since another seed then gets there
 sooner.
@@ -213,6 +217,82 @@ def known(solutions: Array, count: int, q: Array) -> bool:
     return False
 
 
+class Search(NamedTuple):
+    """The solutions found so far: rows of `free` and of `colliding` (n, dof).
+
+    `counts` (3,): how many there are of each, and how many descents in a row led to none that is new and free.
+    `missed` (2,): the smallest error reached, in m and in rad.
+    """
+
+    free: Array
+    colliding: Array
+    counts: NDArray[np.int64]
+    missed: Array
+
+
+@inlined
+def over(search: Search) -> bool:
+    """Whether there is no room for more solutions, or no hope."""
+    good, bad, again = search.counts
+    return good == search.free.shape[0] or bad == search.colliding.shape[0] or again >= PATIENCE
+
+
+@inlined
+def note_error(search: Search, distance: float, angle: float) -> None:
+    """Remember how close (m, rad) a descent came."""
+    if distance + angle < search.missed[0] + search.missed[1]:
+        search.missed[0], search.missed[1] = distance, angle
+
+
+@inlined
+def draw(chain: Chain, search: Search, random: NDArray[np.uint64], number: int, q: Array) -> None:
+    """Write the `number`-th seed of a descent to `q` (dof,)."""
+    dof, good = q.shape[0], search.counts[0]
+    for k in range(dof):
+        q[k] = chain.lower[k] + (chain.upper[k] - chain.lower[k]) * uniform(random)
+    if dof > 6 and good > 0 and number % 2 == 0:
+        # The solutions of a redundant arm form curves, and a known one with half of its joints changed is a good seed
+        # for the next. Without redundancy it would lead back to the known solutions.
+        one = math.floor(good * uniform(random))
+        for k in range(dof):
+            if uniform(random) < 0.5:
+                q[k] = search.free[one, k]
+
+
+@inlined
+def finish(
+    chain: Chain,
+    checks: Space,
+    checked: bool,
+    target: Array,
+    near: Array,
+    search: Search,
+    q: Array,
+    single: Single,
+    work: Work,
+) -> None:
+    """Descend from `q` (dof,) and add the solution, if there is one and it is new. `single` (dof,) is working memory."""
+    distance, angle = descend(chain, target, q, work)
+    note_error(search, distance, angle)
+    if distance > TOLERANCE or angle > TOLERANCE:
+        return
+    bring_near(chain, near, q)
+    search.counts[2] += 1
+    good, bad, _ = search.counts
+    if known(search.free, good, q) or known(search.colliding, bad, q):
+        return
+    copy(q, single)
+    if checked and not edge_free(checks, single, single):
+        copy(q, search.colliding[bad])
+        search.counts[1] += 1
+        if good > 0:  # a redundant arm has any number of colliding ones
+            return
+    else:
+        copy(q, search.free[good])
+        search.counts[0] += 1
+    search.counts[2] = 0
+
+
 @kernel
 def solve(
     chain: Chain,
@@ -233,44 +313,49 @@ def solve(
     Fills the rows of `free` and, if `checked`, of `colliding`; ends when either is full.
     """
     dof = near.shape[0]
-    checks = space(robot, world, memory)
-    work = make_work(dof)
+    checks, work = space(robot, world, memory), make_work(dof)
+    search = Search(free, colliding, np.zeros(3, np.int64), np.full(2, 1e9))
     now = np.empty(2, np.int64)
     q, single = np.empty(dof), np.empty(dof, np.float32)
     for k in range(dof):
         q[k] = min(max(near[k], chain.lower[k]), chain.upper[k])
-    good = bad = again = 0
-    best_distance = best_angle = 1e9
-    for seed in range(SEEDS):
-        if good == free.shape[0] or bad == colliding.shape[0] or again == PATIENCE or passed(deadline, now):
-            break
-        if seed > 0:
-            for k in range(dof):
-                q[k] = chain.lower[k] + (chain.upper[k] - chain.lower[k]) * uniform(random)
-            if dof > 6 and good > 0 and seed % 2 == 0:
-                # The solutions of a redundant arm form curves, and a known one with half of its joints changed is a good
-                # seed for the next. Without redundancy it would lead back to the known solutions.
-                one = math.floor(good * uniform(random))
+    finish(chain, checks, checked, target, near, search, q, single, work)
+    if over(search):
+        return Found(search.counts[0], search.counts[1], search.missed[0], search.missed[1])
+    # 16 descents run side by side; where one ends, the next seed takes its place.
+    descents = make_descents(dof)
+    tip, aim = chain.tip[:3].astype(np.float32), target[:3].astype(np.float32)
+    lower, upper = chain.lower.astype(np.float32), chain.upper.astype(np.float32)
+    steps, before = np.empty(LANES, np.int64), np.empty(LANES)
+    seed = 0
+    for lane in range(LANES):
+        seed += 1
+        draw(chain, search, random, seed, q)
+        steps[lane], before[lane] = 0, 1e9
+        for k in range(dof):
+            descents.joints[k, lane] = q[k]
+    while seed < SEEDS and not over(search) and not passed(deadline, now):
+        descend_once(robot, tip, aim, lower, upper, DAMPING, descents)
+        for lane in range(LANES):
+            distance, angle = math.sqrt(descents.left[0, lane]), math.sqrt(descents.left[1, lane])
+            steps[lane] += 1
+            near_by = distance + angle < CLOSE
+            if not near_by:
+                if steps[lane] % 3 != 0:
+                    continue
+                if distance + angle <= STALL * before[lane] and steps[lane] < ITERATIONS:
+                    before[lane] = distance + angle
+                    continue
+                note_error(search, distance, angle)
+            else:
                 for k in range(dof):
-                    if uniform(random) < 0.5:
-                        q[k] = free[one, k]
-        distance, angle = descend(chain, target, q, work)
-        if distance + angle < best_distance + best_angle:
-            best_distance, best_angle = distance, angle
-        if distance > TOLERANCE or angle > TOLERANCE:
-            continue
-        bring_near(chain, near, q)
-        again += 1
-        if known(free, good, q) or known(colliding, bad, q):
-            continue
-        copy(q, single)
-        if checked and not edge_free(checks, single, single):
-            copy(q, colliding[bad])
-            bad += 1
-            if good > 0:  # a redundant arm has any number of colliding ones
-                continue
-        else:
-            copy(q, free[good])
-            good += 1
-        again = 0
-    return Found(good, bad, best_distance, best_angle)
+                    q[k] = descents.joints[k, lane]
+                finish(chain, checks, checked, target, near, search, q, single, work)
+                if over(search):
+                    break
+            seed += 1
+            draw(chain, search, random, seed, q)
+            steps[lane], before[lane] = 0, 1e9
+            for k in range(dof):
+                descents.joints[k, lane] = q[k]
+    return Found(search.counts[0], search.counts[1], search.missed[0], search.missed[1])
