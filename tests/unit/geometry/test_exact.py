@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -212,6 +213,22 @@ def test_a_motion_has_the_clearance_of_its_nearest_configuration(model: RobotMod
         assert singly[found.sample] <= 0.0
     else:
         assert found.distance == pytest.approx(min(singly), abs=2e-5)
+
+
+def test_exact_geometry_counts_where_the_spheres_of_a_descriptor_leave_it_out(tmp_path: Path) -> None:
+    robot = small_arm(tmp_path)
+    dots = {
+        link: tuple(ball.model_copy(update={"radius": 1e-3}) for ball in balls)
+        for link, balls in robot.descriptor.spheres.items()
+    }
+    bare = RobotModel.of(replace(robot, descriptor=robot.descriptor.model_copy(update={"spheres": dots})))
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        scene = scene_of(bare, [scene_object(rng, i) for i in range(10)])
+        start = configuration(bare, rng)
+        motion = dense(start, start + rng.uniform(-0.4, 0.4, bare.dof) * (1, 1, 1, 0.2), scene)
+        smallest = min(scene.nearest(q).distance for q in motion)
+        assert max(scene.nearest(motion).distance, 0.0) == pytest.approx(max(smallest, 0.0), abs=2e-5)
 
 
 @pytest.fixture(scope="module")
