@@ -39,7 +39,7 @@ Index = NDArray[np.int32]
 FEW = 32
 """Motions of fewer samples are not worth a broad phase."""
 BLOCKS = 256
-"""Intervals that a longer motion is divided into, a multiple of 16."""
+"""Intervals that a longer motion is divided into, a multiple of 16; fewer if it has fewer samples."""
 ERROR = 1e-4
 """What the balls are larger than they need to be (m), far more than single precision gets wrong within 10 m; further
 away it is more, see `Obstacles.slack`.
@@ -327,9 +327,10 @@ def push_near(
     )
     error = ERROR + 10.0 * world.slack
     wanted = np.float32(enough + error)
-    for batch in range(0, BLOCKS, LANES):
+    blocks = min(BLOCKS, samples - samples % LANES)
+    for batch in range(0, blocks, LANES):
         for lane in range(LANES):
-            low, high = (batch + lane) * samples // BLOCKS, (batch + lane + 1) * samples // BLOCKS
+            low, high = (batch + lane) * samples // blocks, (batch + lane + 1) * samples // blocks
             k = (low + high) // 2
             for joint in range(dof):
                 q = course.q[k, joint]
@@ -362,6 +363,6 @@ def push_near(
             store(pointer(least), 0, found - travel)
             for lane in range(LANES):
                 if (near >> np.uint32(lane)) & np.uint32(1):
-                    low, high = (batch + lane) * samples // BLOCKS, (batch + lane + 1) * samples // BLOCKS
+                    low, high = (batch + lane) * samples // blocks, (batch + lane + 1) * samples // blocks
                     bound = least[lane] - error if least[lane] > 0.0 else -np.inf
                     push(course, bound, subject, low, high)
