@@ -319,7 +319,8 @@ def solve(
     q, single = np.empty(dof), np.empty(dof, np.float32)
     for k in range(dof):
         q[k] = min(max(near[k], chain.lower[k]), chain.upper[k])
-    finish(chain, checks, checked, target, near, search, q, single, work)
+    if not passed(deadline, now):
+        finish(chain, checks, checked, target, near, search, q, single, work)
     if over(search):
         return Found(search.counts[0], search.counts[1], search.missed[0], search.missed[1])
     # 16 descents run side by side; where one ends, the next seed takes its place.
