@@ -157,7 +157,7 @@ def place(body: RobotParts, course: Course, k: int) -> int:
     at = int(course.slot[k])
     if at >= 0:
         return at
-    at = course.size[1]
+    at = int(course.size[1])
     course.size[1] = at + 1
     course.slot[k] = at
     joint_frames(body.origin, body.revolute, course.q[k], course.joints)

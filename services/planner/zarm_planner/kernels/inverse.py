@@ -234,7 +234,7 @@ class Search(NamedTuple):
 def over(search: Search) -> bool:
     """Whether there is no room for more solutions, or no hope."""
     good, bad, again = search.counts
-    return good == search.free.shape[0] or bad == search.colliding.shape[0] or again >= PATIENCE
+    return bool(good == search.free.shape[0] or bad == search.colliding.shape[0] or again >= PATIENCE)
 
 
 @inlined
