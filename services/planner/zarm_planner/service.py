@@ -35,7 +35,6 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_planner.goals.joints import MeasuredJoints
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
-from zarm_planner.writing import written
 from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.publications import Encoded
@@ -94,7 +93,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             _count(service.metrics, kind, error.code)
             log.info("no plan request=%s code=%s reason=%s", request.request_id or "-", error.code, error)
             raise
-        encoded = plans.set(written(answer)) if request.publish else Encoded.of(written(answer))
+        encoded = plans.set(answer) if request.publish else Encoded.of(answer)
         _count(service.metrics, kind, "ok")
         service.metrics.time(
             "zarm_planning_seconds",

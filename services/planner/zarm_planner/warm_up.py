@@ -24,14 +24,13 @@ from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.goals.contact import clear_pose, way_out
-from zarm_planner.kernels.decimals import write_inner_rows
 from zarm_planner.kernels.leg_times import path_time, straight_times
 from zarm_planner.kinematics.ik import solve_ik
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
-from zarm_planner.timing.rounding import DECIMALS, rounded
+from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
@@ -77,7 +76,6 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     trajectory = rounded(trajectory, limits)
     with suppress(VerificationFailed):  # the robot may collide with itself near its home
         verify(trajectory, home, away, limits, exact, lambda: None)
-    write_inner_rows(trajectory.position, trajectory.velocity, trajectory.acceleration, DECIMALS)
     begin("ways out of tight places")
     context = PlanningContext(PlanningScene("0-000000000000", model, world, exact), limits, deadline)
     clear_pose(context, pose, home)

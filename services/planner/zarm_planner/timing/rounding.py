@@ -10,9 +10,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _SHARE = 2e-5
 """Share of the jerk limit by which each rounded quantity may change the jerk; less than verification tolerates."""
-DECIMALS = (9, 7, 5)
-"""Least decimals of positions, velocities and accelerations."""
-_LEAST = np.array([10.0**decimals for decimals in DECIMALS])
+_LEAST = np.array((1e9, 1e7, 1e5))
+"""Least decimals of positions, velocities and accelerations, as powers of ten."""
 _JERK = np.array((120.0, 48.0, 18.0))
 """Jerk of a quintic over 1 s whose position, velocity or acceleration changes by 1 at both ends, in opposite directions: twice the
 coefficients 60, 24 and 9 in its third derivative at an end.
