@@ -13,19 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import SHAPE, Pointer, Single
-from zarm_geometry.kernels.collision import squared_distance
+from zarm_geometry.kernels.collision import in_box, squared_distance
 from zarm_geometry.kernels.compiled import inlined
 from zarm_geometry.kernels.course import Course, Obstacles, RobotParts, push
-from zarm_geometry.kernels.placing import sine_cosine
+from zarm_geometry.kernels.placing import FRAME, place_joints, place_points
 from zarm_geometry.kernels.simd import (
     LANES,
     Lanes,
-    Mask,
     below,
-    larger,
     load,
     lowest_bit,
-    magnitude,
     pointer,
     root,
     smaller,
@@ -41,8 +38,8 @@ FEW = 32
 BLOCKS = 256
 """Intervals that a longer motion is divided into, a multiple of 16; fewer if it has fewer samples."""
 ERROR = 1e-4
-"""What the balls are larger than they need to be (m), far more than single precision gets wrong within 10 m; further
-away it is more, see `Obstacles.slack`.
+"""Added to the distance asked for (m), because single precision is not exact: its errors are far smaller within 10 m,
+and `Obstacles.slack` grows with larger distances.
 """
 _BALLS = 64
 """Balls of a link that descend the tree together."""
@@ -66,9 +63,10 @@ class Cover(NamedTuple):
 class _View(NamedTuple):
     """Robot, world and working memory as counts and pointers.
 
-    `way` (dof, 16): the most that each joint moves from the middle of an interval to one of its ends; `axes` (dof, 6,
-    16): as in `Course`; `centers` (balls, 3, 16), `around` (links, 3, 16): centres of the balls, and of those that
-    enclose a link's; `travel` (links, dof, 16): how far a link moves by this joint and those beyond it.
+    `angle` (dof, 16): the joints in the middle of each interval; `way` (dof, 16): the most that each joint moves from
+    there to one of its ends; `frames` (dof + 1, 192): as in `placing`; `centers` (balls, 3, 16), `around` (links, 3,
+    16): centres of the balls, and of those that enclose a link's; `travel` (links, dof, 16): how far a link moves by
+    this joint and those beyond it.
     """
 
     dof: int
@@ -86,7 +84,7 @@ class _View(NamedTuple):
     leaf: Pointer
     angle: Pointer
     way: Pointer
-    axes: Pointer
+    frames: Pointer
     centers: Pointer
     around: Pointer
     travel: Pointer
@@ -96,61 +94,12 @@ class _View(NamedTuple):
 
 @inlined
 def _place(view: _View) -> None:
-    """Place the axes, the balls and the balls around links for the joints in `angle`."""
-    zero, one = splat(0.0), splat(1.0)
-    xx, xy, xz = one, zero, zero
-    yx, yy, yz = zero, one, zero
-    zx, zy, zz = zero, zero, one
-    px, py, pz = zero, zero, zero
-    link = 0
-    for k in range(-1, view.dof):
-        if k >= 0:
-            f = 12 * k
-            m = view.origin
-            px, py, pz = (
-                px + m[f + 3] * xx + m[f + 7] * yx + m[f + 11] * zx,
-                py + m[f + 3] * xy + m[f + 7] * yy + m[f + 11] * zy,
-                pz + m[f + 3] * xz + m[f + 7] * yz + m[f + 11] * zz,
-            )
-            ax = m[f] * xx + m[f + 4] * yx + m[f + 8] * zx
-            ay = m[f] * xy + m[f + 4] * yy + m[f + 8] * zy
-            az = m[f] * xz + m[f + 4] * yz + m[f + 8] * zz
-            bx = m[f + 1] * xx + m[f + 5] * yx + m[f + 9] * zx
-            by = m[f + 1] * xy + m[f + 5] * yy + m[f + 9] * zy
-            bz = m[f + 1] * xz + m[f + 5] * yz + m[f + 9] * zz
-            zx, zy, zz = (
-                m[f + 2] * xx + m[f + 6] * yx + m[f + 10] * zx,
-                m[f + 2] * xy + m[f + 6] * yy + m[f + 10] * zy,
-                m[f + 2] * xz + m[f + 6] * yz + m[f + 10] * zz,
-            )
-            q = load(view.angle, k * LANES)
-            if view.revolute[k] != 0:
-                s, c = sine_cosine(q)
-                xx, xy, xz = c * ax + s * bx, c * ay + s * by, c * az + s * bz
-                yx, yy, yz = c * bx - s * ax, c * by - s * ay, c * bz - s * az
-            else:
-                xx, xy, xz, yx, yy, yz = ax, ay, az, bx, by, bz
-                px, py, pz = px + q * zx, py + q * zy, pz + q * zz
-            at = 6 * k * LANES
-            store(view.axes, at, zx)
-            store(view.axes, at + LANES, zy)
-            store(view.axes, at + 2 * LANES, zz)
-            store(view.axes, at + 3 * LANES, px)
-            store(view.axes, at + 4 * LANES, py)
-            store(view.axes, at + 5 * LANES, pz)
-        while link < view.links and view.link_joint[link] == k:
-            b = view.bounds
-            i, at = 5 * link, 3 * link * LANES
-            store(view.around, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
-            store(view.around, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
-            store(view.around, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
-            b = view.balls
-            for ball in range(view.first[link], view.first[link + 1]):
-                i, at = 4 * ball, 3 * ball * LANES
-                store(view.centers, at, px + b[i] * xx + b[i + 1] * yx + b[i + 2] * zx)
-                store(view.centers, at + LANES, py + b[i] * xy + b[i + 1] * yy + b[i + 2] * zy)
-                store(view.centers, at + 2 * LANES, pz + b[i] * xz + b[i + 1] * yz + b[i + 2] * zz)
-            link += 1
+    """Place the joints, the balls and the balls around links for the joints in `angle`."""
+    place_joints(view.dof, view.origin, view.revolute, view.angle, view.frames)
+    for link in range(view.links):
+        joint = view.link_joint[link]
+        place_points(view.frames, joint, view.bounds, 5, link, link + 1, view.around, 0)
+        place_points(view.frames, joint, view.balls, 4, view.first[link], view.first[link + 1], view.centers, 0)
 
 
 @inlined
@@ -167,28 +116,17 @@ def _measure_travel(view: _View, link: int) -> None:
     for joint in range(view.link_joint[link], -1, -1):
         way = load(view.way, joint * LANES)
         if view.revolute[joint] != 0:
-            a = 6 * joint * LANES
-            ux, uy, uz = load(view.axes, a), load(view.axes, a + LANES), load(view.axes, a + 2 * LANES)
-            dx = x - load(view.axes, a + 3 * LANES)
-            dy = y - load(view.axes, a + 4 * LANES)
-            dz = z - load(view.axes, a + 5 * LANES)
+            a = FRAME * (joint + 1) + 6 * LANES  # the joint's axis, and behind it a point on it
+            ux, uy, uz = load(view.frames, a), load(view.frames, a + LANES), load(view.frames, a + 2 * LANES)
+            dx = x - load(view.frames, a + 3 * LANES)
+            dy = y - load(view.frames, a + 4 * LANES)
+            dz = z - load(view.frames, a + 5 * LANES)
             cx, cy, cz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
             arm = root(cx * cx + cy * cy + cz * cz) + spread
             travel = travel + way * (arm + travel)
         else:
             travel = travel + way
         store(view.travel, (link * view.dof + joint) * LANES, travel)
-
-
-@inlined
-def _in_box(view: _View, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes) -> Mask:
-    """The lanes in which a point is within `reach` (m) of the box of a node."""
-    zero = splat(0.0)
-    box = 6 * node
-    dx = larger(magnitude(x - view.boxes[box]) - view.boxes[box + 3], zero)
-    dy = larger(magnitude(y - view.boxes[box + 1]) - view.boxes[box + 4], zero)
-    dz = larger(magnitude(z - view.boxes[box + 2]) - view.boxes[box + 5], zero)
-    return below(dx * dx + dy * dy + dz * dz, reach * reach)
 
 
 @inlined
@@ -213,7 +151,7 @@ def _to_world(view: _View, link: int, travel: Lanes, room: Lanes) -> Lanes:
         while node < view.nodes:
             while node >= view.until[level]:
                 level -= 1
-            if _in_box(view, node, x, y, z, _reach(room, travel, view.bounds[5 * link + 3])) == 0:
+            if in_box(view.boxes, node, x, y, z, _reach(room, travel, view.bounds[5 * link + 3])) == 0:
                 node = view.skip[node]
                 continue
             active, reached = view.active[level], np.uint64(0)
@@ -223,7 +161,7 @@ def _to_world(view: _View, link: int, travel: Lanes, room: Lanes) -> Lanes:
                 active ^= bit
                 at = 3 * ball * LANES
                 bx, by, bz = load(view.centers, at), load(view.centers, at + LANES), load(view.centers, at + 2 * LANES)
-                if _in_box(view, node, bx, by, bz, _reach(room, travel, view.balls[4 * ball + 3])) != 0:
+                if in_box(view.boxes, node, bx, by, bz, _reach(room, travel, view.balls[4 * ball + 3])) != 0:
                     reached |= bit
             if reached == 0:
                 node = view.skip[node]
@@ -299,7 +237,7 @@ def push_near(
     samples, dof = course.q.shape
     links, balls = cover.around.shape[0], cover.balls.shape[0]
     angle, way = np.empty(dof * LANES, np.float32), np.empty(dof * LANES, np.float32)
-    axes, centers = np.empty(6 * dof * LANES, np.float32), np.empty(3 * balls * LANES, np.float32)
+    frames, centers = np.empty((dof + 1) * FRAME, np.float32), np.empty(3 * balls * LANES, np.float32)
     around, travel = np.empty(3 * links * LANES, np.float32), np.empty(links * dof * LANES, np.float32)
     least = np.empty(LANES, np.float32)
     view = _View(
@@ -318,7 +256,7 @@ def push_near(
         pointer(world.leaf),
         pointer(angle),
         pointer(way),
-        pointer(axes),
+        pointer(frames),
         pointer(centers),
         pointer(around),
         pointer(travel),

@@ -90,13 +90,13 @@ def _slack(half: Lanes, motion: float) -> Lanes:
 
 
 @inlined
-def _in_box(space: Space, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes) -> Mask:
+def in_box(boxes: Pointer, node: int, x: Lanes, y: Lanes, z: Lanes, reach: Lanes) -> Mask:
     """The lanes in which a point is within `reach` (m) of the box of a node."""
     zero = splat(0.0)
     box = 6 * node
-    dx = larger(magnitude(x - space.boxes[box]) - space.boxes[box + 3], zero)
-    dy = larger(magnitude(y - space.boxes[box + 1]) - space.boxes[box + 4], zero)
-    dz = larger(magnitude(z - space.boxes[box + 2]) - space.boxes[box + 5], zero)
+    dx = larger(magnitude(x - boxes[box]) - boxes[box + 3], zero)
+    dy = larger(magnitude(y - boxes[box + 1]) - boxes[box + 4], zero)
+    dz = larger(magnitude(z - boxes[box + 2]) - boxes[box + 5], zero)
     return below(dx * dx + dy * dy + dz * dz, reach * reach)
 
 
@@ -112,7 +112,7 @@ def _reached(space: Space, first: int, active: Bits, node: int, half: Lanes) -> 
         at = ball * 3 * LANES
         x, y, z = load(space.centers, at), load(space.centers, at + LANES), load(space.centers, at + 2 * LANES)
         reach = _slack(half, space.motion[ball]) + (space.spheres[4 * sphere + 3] + space.margin)
-        if _in_box(space, node, x, y, z, reach) != 0:
+        if in_box(space.boxes, node, x, y, z, reach) != 0:
             reached |= bit
     return reached
 
@@ -148,7 +148,7 @@ def meets_world(space: Space, link: int, half: Lanes) -> tuple[Mask, Mask]:
                 level -= 1
             active = space.active[level]
             several = active & (active - np.uint64(1)) != 0
-            if several and _in_box(space, node, x, y, z, _slack(half, space.motion[link]) + around) == 0:
+            if several and in_box(space.boxes, node, x, y, z, _slack(half, space.motion[link]) + around) == 0:
                 node = space.skip[node]
                 continue
             _place_balls(space, link)

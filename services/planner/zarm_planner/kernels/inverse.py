@@ -217,7 +217,7 @@ def known(solutions: Array, count: int, q: Array) -> bool:
     return False
 
 
-class Search(NamedTuple):
+class Solutions(NamedTuple):
     """The solutions found so far: rows of `free` and of `colliding` (n, dof).
 
     `counts` (3,): how many there are of each, and how many descents in a row led to none that is new and free.
@@ -231,23 +231,23 @@ class Search(NamedTuple):
 
 
 @inlined
-def over(search: Search) -> bool:
-    """Whether there is no room for more solutions, or no hope."""
-    good, bad, again = search.counts
-    return bool(good == search.free.shape[0] or bad == search.colliding.shape[0] or again >= PATIENCE)
+def complete(solutions: Solutions) -> bool:
+    """Whether there is no room for more solutions, or none has been new and free for long, see PATIENCE."""
+    good, bad, again = solutions.counts
+    return bool(good == solutions.free.shape[0] or bad == solutions.colliding.shape[0] or again >= PATIENCE)
 
 
 @inlined
-def note_error(search: Search, distance: float, angle: float) -> None:
+def note_error(solutions: Solutions, distance: float, angle: float) -> None:
     """Remember how close (m, rad) a descent came."""
-    if distance + angle < search.missed[0] + search.missed[1]:
-        search.missed[0], search.missed[1] = distance, angle
+    if distance + angle < solutions.missed[0] + solutions.missed[1]:
+        solutions.missed[0], solutions.missed[1] = distance, angle
 
 
 @inlined
-def draw(chain: Chain, search: Search, random: NDArray[np.uint64], number: int, q: Array) -> None:
+def draw(chain: Chain, solutions: Solutions, random: NDArray[np.uint64], number: int, q: Array) -> None:
     """Write the `number`-th seed of a descent to `q` (dof,)."""
-    dof, good = q.shape[0], search.counts[0]
+    dof, good = q.shape[0], solutions.counts[0]
     for k in range(dof):
         q[k] = chain.lower[k] + (chain.upper[k] - chain.lower[k]) * uniform(random)
     if dof > 6 and good > 0 and number % 2 == 0:
@@ -256,7 +256,7 @@ def draw(chain: Chain, search: Search, random: NDArray[np.uint64], number: int, 
         one = math.floor(good * uniform(random))
         for k in range(dof):
             if uniform(random) < 0.5:
-                q[k] = search.free[one, k]
+                q[k] = solutions.free[one, k]
 
 
 @inlined
@@ -266,31 +266,31 @@ def finish(
     checked: bool,
     target: Array,
     near: Array,
-    search: Search,
+    solutions: Solutions,
     q: Array,
     single: Single,
     work: Work,
 ) -> None:
     """Descend from `q` (dof,) and add the solution, if there is one and it is new. `single` (dof,) is working memory."""
     distance, angle = descend(chain, target, q, work)
-    note_error(search, distance, angle)
+    note_error(solutions, distance, angle)
     if distance > TOLERANCE or angle > TOLERANCE:
         return
     bring_near(chain, near, q)
-    search.counts[2] += 1
-    good, bad, _ = search.counts
-    if known(search.free, good, q) or known(search.colliding, bad, q):
+    solutions.counts[2] += 1
+    good, bad, _ = solutions.counts
+    if known(solutions.free, good, q) or known(solutions.colliding, bad, q):
         return
     copy(q, single)
     if checked and not edge_free(checks, single, single):
-        copy(q, search.colliding[bad])
-        search.counts[1] += 1
+        copy(q, solutions.colliding[bad])
+        solutions.counts[1] += 1
         if good > 0:  # a redundant arm has any number of colliding ones
             return
     else:
-        copy(q, search.free[good])
-        search.counts[0] += 1
-    search.counts[2] = 0
+        copy(q, solutions.free[good])
+        solutions.counts[0] += 1
+    solutions.counts[2] = 0
 
 
 @kernel
@@ -314,15 +314,15 @@ def solve(
     """
     dof = near.shape[0]
     checks, work = space(robot, world, memory), make_work(dof)
-    search = Search(free, colliding, np.zeros(3, np.int64), np.full(2, 1e9))
+    solutions = Solutions(free, colliding, np.zeros(3, np.int64), np.full(2, 1e9))
     now = np.empty(2, np.int64)
     q, single = np.empty(dof), np.empty(dof, np.float32)
     for k in range(dof):
         q[k] = min(max(near[k], chain.lower[k]), chain.upper[k])
     if not passed(deadline, now):
-        finish(chain, checks, checked, target, near, search, q, single, work)
-    if over(search):
-        return Found(search.counts[0], search.counts[1], search.missed[0], search.missed[1])
+        finish(chain, checks, checked, target, near, solutions, q, single, work)
+    if complete(solutions):
+        return Found(solutions.counts[0], solutions.counts[1], solutions.missed[0], solutions.missed[1])
     # 16 descents run side by side; where one ends, the next seed takes its place.
     descents = make_descents(dof)
     tip, aim = chain.tip[:3].astype(np.float32), target[:3].astype(np.float32)
@@ -331,11 +331,11 @@ def solve(
     seed = 0
     for lane in range(LANES):
         seed += 1
-        draw(chain, search, random, seed, q)
+        draw(chain, solutions, random, seed, q)
         steps[lane], before[lane] = 0, 1e9
         for k in range(dof):
             descents.joints[k, lane] = q[k]
-    while seed < SEEDS and not over(search) and not passed(deadline, now):
+    while seed < SEEDS and not complete(solutions) and not passed(deadline, now):
         descend_once(robot, tip, aim, lower, upper, DAMPING, descents)
         for lane in range(LANES):
             distance, angle = math.sqrt(descents.left[0, lane]), math.sqrt(descents.left[1, lane])
@@ -347,16 +347,16 @@ def solve(
                 if distance + angle <= STALL * before[lane] and steps[lane] < ITERATIONS:
                     before[lane] = distance + angle
                     continue
-                note_error(search, distance, angle)
+                note_error(solutions, distance, angle)
             else:
                 for k in range(dof):
                     q[k] = descents.joints[k, lane]
-                finish(chain, checks, checked, target, near, search, q, single, work)
-                if over(search):
+                finish(chain, checks, checked, target, near, solutions, q, single, work)
+                if complete(solutions):
                     break
             seed += 1
-            draw(chain, search, random, seed, q)
+            draw(chain, solutions, random, seed, q)
             steps[lane], before[lane] = 0, 1e9
             for k in range(dof):
                 descents.joints[k, lane] = q[k]
-    return Found(search.counts[0], search.counts[1], search.missed[0], search.missed[1])
+    return Found(solutions.counts[0], solutions.counts[1], solutions.missed[0], solutions.missed[1])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.rrt_connect import connect
@@ -31,7 +31,7 @@ def search(
     found = connect(
         model.arrays,
         world.arrays,
-        memory(model.arrays),
+        working_memory(model.arrays),
         make_trees(model.dof),
         sampling_range(model, np.vstack((start, goals))),
         model.weight,

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry.kernels.arrays import memory
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
 from zarm_planner.kernels import leg
@@ -31,7 +31,7 @@ def shortcut(model: RobotModel, world: World, path: Array, *, seed: int, deadlin
     rows = kernel.shortcut(
         model.arrays,
         world.arrays,
-        memory(model.arrays),
+        working_memory(model.arrays),
         room,
         len(path),
         np.array([seed], np.uint64),
@@ -59,7 +59,7 @@ def quickest_of(
     rows = leg.quickest_of(
         model.arrays,
         world.arrays,
-        memory(model.arrays),
+        working_memory(model.arrays),
         make_trees(model.dof),
         sampling_range(model, np.stack((start, goal))),
         model.weight,

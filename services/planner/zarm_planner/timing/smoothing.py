@@ -62,8 +62,7 @@ class Smoothing:
         self._model, self._world, self._limits, self._dt, self._path = model, world, limits, dt, path
         self._lead_in = lead_in
         passed = np.zeros(len(path), np.bool_)
-        if vias:
-            passed[list(vias)] = True
+        passed[list(vias)] = True
         self._ramps = make_ramps(len(path) + _ROOM, model.dof)
         if lead_in is None:
             strongest = gentle_acceleration(limits, dt, deviation) if len(vias) else limits.acceleration
@@ -74,8 +73,7 @@ class Smoothing:
             for column, given in zip(self._ramps, lead_in.ramps, strict=True):
                 column[:led] = given
         self._bounds = np.array((model.lower, model.upper, fastest, strongest))
-        free = ramps_from(self._ramps, led) if led else self._ramps
-        self._count = led + along(path, passed, limits.velocity, strongest, free)
+        self._count = led + along(path, passed, limits.velocity, strongest, ramps_from(self._ramps, led))
         self._stretches = 1 + len(vias)
 
     @property
