@@ -60,14 +60,41 @@ class Cover(NamedTuple):
     around: Single
 
 
-class _View(NamedTuple):
-    """Robot, world and working memory as counts and pointers.
+class Batch(NamedTuple):
+    """Working memory for 16 intervals.
 
     `angle` (dof, 16): the joints in the middle of each interval; `way` (dof, 16): the most that each joint moves from
     there to one of its ends; `frames` (dof + 1, 192): as in `placing`; `centers` (balls, 3, 16), `around` (links, 3,
     16): centres of the balls, and of those that enclose a link's; `travel` (links, dof, 16): how far a link moves by
-    this joint and those beyond it.
+    this joint and those beyond it; `least` (16,): the distances found.
     """
+
+    angle: Single
+    way: Single
+    frames: Single
+    centers: Single
+    around: Single
+    travel: Single
+    least: Single
+
+
+@inlined
+def make_batch(cover: Cover) -> Batch:
+    """Allocate the working memory."""
+    dof, links, balls = cover.origin.shape[0], cover.around.shape[0], cover.balls.shape[0]
+    return Batch(
+        np.empty(dof * LANES, np.float32),
+        np.empty(dof * LANES, np.float32),
+        np.empty((dof + 1) * FRAME, np.float32),
+        np.empty(3 * balls * LANES, np.float32),
+        np.empty(3 * links * LANES, np.float32),
+        np.empty(links * dof * LANES, np.float32),
+        np.empty(LANES, np.float32),
+    )
+
+
+class _View(NamedTuple):
+    """Robot, world and a `Batch` as counts and pointers, which must not outlive them."""
 
     dof: int
     links: int
@@ -228,18 +255,16 @@ def push_near(
     course: Course,
     asked: NDArray[np.bool_],
     enough: float,
+    batch: Batch,
 ) -> None:
     """Add to the heap of a course the intervals in which a subject that is `asked` may come closer than `enough` (m) to
     what it is checked against.
 
-    `shapes` (n, 17): the rows of `world` in single precision.
+    `shapes` (n, 17): the rows of `world` in single precision. The caller allocates the `batch`: an array of which only
+    a pointer is used is freed at once.
     """
     samples, dof = course.q.shape
-    links, balls = cover.around.shape[0], cover.balls.shape[0]
-    angle, way = np.empty(dof * LANES, np.float32), np.empty(dof * LANES, np.float32)
-    frames, centers = np.empty((dof + 1) * FRAME, np.float32), np.empty(3 * balls * LANES, np.float32)
-    around, travel = np.empty(3 * links * LANES, np.float32), np.empty(links * dof * LANES, np.float32)
-    least = np.empty(LANES, np.float32)
+    links, angle, way, least = cover.around.shape[0], batch.angle, batch.way, batch.least
     view = _View(
         dof,
         links,
@@ -254,21 +279,21 @@ def push_near(
         pointer(world.boxes),
         pointer(world.skip),
         pointer(world.leaf),
-        pointer(angle),
-        pointer(way),
-        pointer(frames),
-        pointer(centers),
-        pointer(around),
-        pointer(travel),
+        pointer(batch.angle),
+        pointer(batch.way),
+        pointer(batch.frames),
+        pointer(batch.centers),
+        pointer(batch.around),
+        pointer(batch.travel),
         pointer(course.active),
         pointer(course.until),
     )
     error = ERROR + 10.0 * world.slack
     wanted = np.float32(enough + error)
     blocks = min(BLOCKS, samples - samples % LANES)
-    for batch in range(0, blocks, LANES):
+    for first in range(0, blocks, LANES):
         for lane in range(LANES):
-            low, high = (batch + lane) * samples // blocks, (batch + lane + 1) * samples // blocks
+            low, high = (first + lane) * samples // blocks, (first + lane + 1) * samples // blocks
             k = (low + high) // 2
             for joint in range(dof):
                 q = course.q[k, joint]
@@ -301,6 +326,6 @@ def push_near(
             store(pointer(least), 0, found - travel)
             for lane in range(LANES):
                 if (near >> np.uint32(lane)) & np.uint32(1):
-                    low, high = (batch + lane) * samples // blocks, (batch + lane + 1) * samples // blocks
+                    low, high = (first + lane) * samples // blocks, (first + lane + 1) * samples // blocks
                     bound = least[lane] - error if least[lane] > 0.0 else -np.inf
                     push(course, bound, subject, low, high)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Single
-from zarm_geometry.kernels.broad_phase import FEW, Cover, push_near
+from zarm_geometry.kernels.broad_phase import FEW, Cover, make_batch, push_near
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.convex import PRECISION, Extents, Turn, Vector, core_distance, core_gap, turned, turned_back
 from zarm_geometry.kernels.course import Course, Obstacles, RobotParts, drop_top, place, push
@@ -442,7 +442,7 @@ def begin(
             if asked[subject]:
                 _, _, found, best = _look_at(body, world, course, found, subject, end, end + 1, best)
     if best > 0.0:
-        push_near(body, cover, world, shapes, course, asked, best)
+        push_near(body, cover, world, shapes, course, asked, best, make_batch(cover))
     return found[1 : int(found[0, 0]) + 1], best
 
 

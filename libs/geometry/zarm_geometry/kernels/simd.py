@@ -184,7 +184,8 @@ def store(typing: Any, memory: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def pointer(typing: Any, array: Any) -> Any:
-    """A pointer to the first element of an array. Whoever uses it must keep the array alive.
+    """A pointer to the first element of an array. Whoever uses it must keep the array alive: numba frees an array after its last
+    use by name, so only arrays that a function was given may be pointed to.
 
     Numba updates an array's reference count whenever it is passed on or taken out of a tuple, which costs more than the
     arithmetic in inner loops; a pointer costs nothing.
