@@ -17,7 +17,7 @@ from zarm_planner.kernels.trees import Trees
 # easy half needs fewer than four paths; a cage, where the first paths may be twice as long as the best, up to all of them.
 NEAR = 0.1
 """A path that takes at most this fraction longer than the straight line is good enough."""
-ALIKE = 0.1
+ALIKE = 0.15
 """Paths that take at most this fraction longer than the fastest count as equally fast."""
 AGREED = 3
 """The search ends once this many paths, including the fastest itself, are equally fast: a faster one is then unlikely.
@@ -26,6 +26,8 @@ FAILURES = 4
 """The search ends after this many failed attempts without any path. The time of an attempt has a long tail, so the next
 one is likely to be short.
 """
+FEWEST = 20
+"""Samples that any attempt may take."""
 
 
 @inlined
@@ -57,6 +59,9 @@ def quickest_of(
     each search ends after `most` samples. The path has no rows if FAILURES searches failed, or the deadline passed,
     before one was found.
 
+    Once there is a path, samples are drawn only where a faster one can pass, within a box that contains the informed set
+    (Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014), and no more than for the first one.
+
     Adds the seconds spent on searching and on shortcuts to `spent` (2,). `limits` and `weight` as in `connect`.
     """
     dof = ends.shape[1]
@@ -65,12 +70,13 @@ def quickest_of(
     best = np.empty((0, dof), np.float32)
     times, found = np.empty(seeds.shape[0]), 0
     straight, least = seconds_between(ends[0], ends[1], fastest), np.inf
+    informed = limits.copy()
     for tried in range(seeds.shape[0]):
         began = seconds(now)
         if began > deadline[0] or (found == 0 and tried == FAILURES):
             break
         random[0] = seeds[tried]
-        path = connect(robot, world, memory, trees, limits, weight, ends[0], goals, random, most, deadline)
+        path, samples = connect(robot, world, memory, trees, informed, weight, ends[0], goals, random, most, deadline)
         searched = seconds(now)
         spent[0] += searched - began
         rows = path.shape[0]
@@ -86,9 +92,15 @@ def quickest_of(
         for i in range(rows - 1):
             time += seconds_between(room[i], room[i + 1], fastest)
         times[found] = time
+        if found == 0:
+            most = min(most, max(samples, FEWEST))
         found += 1
         if time < least:
             best, least = room[:rows], time
+            for k in range(dof):
+                middle, half = 0.5 * (ends[0, k] + ends[1, k]), 0.5 * least * fastest[k]
+                informed[0, k] = max(limits[0, k], middle - half)
+                informed[1, k] = min(limits[1, k], middle + half)
         alike = 0
         for i in range(found):
             if times[i] <= (1.0 + ALIKE) * least:

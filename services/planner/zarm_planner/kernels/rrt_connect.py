@@ -43,8 +43,8 @@ def connect(
     random: NDArray[np.uint64],
     most: int,
     deadline: NDArray[np.float64],
-) -> Single:
-    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof).
+) -> tuple[Single, int]:
+    """A free path (n, dof) from `start` (dof,) to one of `goals` (m, dof), and how many samples were drawn.
 
     It has no rows if none was found after `most` samples or before the deadline. Samples are drawn within `limits` (2,
     dof); `weight` (dof,) scales the joints in distances.
@@ -57,7 +57,7 @@ def connect(
             path = np.empty((2, dof), np.float32)
             copy(start, path[0])
             copy(goals[goal], path[1])
-            return path
+            return path, 0
     target, here, there = np.empty(dof, np.float32), np.empty(dof, np.float32), np.empty(dof, np.float32)
     grown = 0
     trees.size[0] = CAPACITY
@@ -95,7 +95,9 @@ def connect(
                 near = add(trees, other, there, near)
                 copy(there, here)
         if steps == 0:
-            return path_through(trees, dof, new, near) if grown == 0 else path_through(trees, dof, near, new)
+            if grown == 0:
+                return path_through(trees, dof, new, near), samples
+            return path_through(trees, dof, near, new), samples
         if trees.size[other] < trees.size[grown]:
             grown = other
-    return np.empty((0, dof), np.float32)
+    return np.empty((0, dof), np.float32), samples

@@ -28,7 +28,7 @@ def search(
     `kernels.collision.RESOLUTION`.
     """
     goals = goals.reshape(-1, model.dof)
-    found = connect(
+    found, _ = connect(
         model.arrays,
         world.arrays,
         working_memory(model.arrays),
