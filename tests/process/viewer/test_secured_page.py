@@ -78,11 +78,11 @@ def test_pages_from_elsewhere_cannot_speak_to_it(address: str, tls: ssl.SSLConte
     assert status(address, tls, Origin="https://elsewhere.example") == 403
     socket, own = address.replace("https", "wss"), f"https://{urlsplit(address).netloc}"
     protocol = [Subprotocol(f"viser-v{viser.__version__}")]
-    with connect(socket, ssl=tls, origin=Origin(own), subprotocols=protocol) as page:
+    with connect(socket, ssl=tls, origin=Origin(own), subprotocols=protocol, open_timeout=PATIENCE) as page:
         assert page.recv()
     for place, origin, code in ((socket, "https://elsewhere.example", 403), (socket.replace(TOKEN, "x"), own, 401)):
         with pytest.raises(InvalidStatus) as refused:
-            connect(place, ssl=tls, origin=Origin(origin), subprotocols=protocol)
+            connect(place, ssl=tls, origin=Origin(origin), subprotocols=protocol, open_timeout=PATIENCE)
         assert refused.value.response.status_code == code
 
 
