@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -30,9 +31,11 @@ class Body:
     (Halton points, since those of a grid lie in planes).
 
     For these, `distance` (m,) to the surface, and whether they are `out` (m,) of it; each represents a volume of `cell`
-    (m^3). `surface` holds points on the surface; the link's true one may be `off` (m) from it.
+    (m^3). `surface` holds points on the surface; the link's true one may be `off` (m) from it. `shells` decide what is
+    inside: few triangles (j, 3, 3) close to those of each kind of geometry.
     """
 
+    shells: list[Array]
     triangles: Array
     corners: Array
     points: Array
@@ -43,15 +46,25 @@ class Body:
     off: float
 
     @classmethod
-    def of(cls, triangles: Array, off: float = 0.0) -> Self:
-        """If the surface is open, what it mostly winds around counts as inside."""
+    def of(cls, *shells: Array, off: float = 0.0) -> Self:
+        """From the triangles (n, 3, 3) of each kind of geometry."""
+        triangles = np.concatenate(shells)
+        coarse = [thinned(shell) for shell in shells]
         surface = cKDTree(points_on(triangles, 20_000)[0])
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
         points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
         cell = float((upper - lower).prod() / len(points))
-        out = np.abs(winding(points, thinned(triangles))) < 0.5
         corners = np.unique(triangles.reshape(-1, 3), axis=0)
-        return cls(triangles, corners, points, surface.query(points)[0], out, cell, surface, off)
+        distance = surface.query(points)[0]
+        return cls(coarse, triangles, corners, points, distance, ~_inside(points, coarse), cell, surface, off)
+
+    def inside(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) are inside: those around which one kind of geometry winds, or all together.
+
+        If the surface is open, what it mostly winds around counts as inside. One kind is enough because collision and
+        visual meshes may be wound in opposite directions; all together, because one may close the other.
+        """
+        return _inside(points, self.shells)
 
     def around(self, points: Array) -> tuple[Array, Array]:
         """Points (n, 3) outside the body in the box around `points` (k, 3), slightly enlarged, and the cost of each:
@@ -66,3 +79,9 @@ class Body:
         some = some[np.argsort(-self.distance[some])]
         cost = self.distance[some] ** 2 * (1 + (self.distance[some] / FAR) ** 2)
         return self.points[some], cost * (self.cell * len(near) / max(len(some), 1))
+
+
+def _inside(points: Array, shells: Sequence[Array]) -> NDArray[np.bool_]:
+    each = np.array([winding(points, shell) for shell in shells])
+    found: NDArray[np.bool_] = np.abs([*each, each.sum(axis=0)]).max(axis=0) > 0.5
+    return found

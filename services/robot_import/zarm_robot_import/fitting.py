@@ -39,7 +39,7 @@ def fit(
     """Fit all links, with at most `budget` balls in all covers, more of them where more joints carry a link, as
     `carried` says; `done` is called with each link whose exact geometry is ready.
     """
-    bodies = {surface.link: Body.of(surface.triangles, surface.off) for surface in surfaces}
+    bodies = {surface.link: Body.of(*surface.shells.values(), off=surface.off) for surface in surfaces}
     primitives: dict[str, list[CollisionPrimitive]] = {}
     for link, body in bodies.items():
         primitives[link] = fit_primitives(body)

@@ -38,35 +38,40 @@ SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
 @dataclass
 class Surface:
-    """The triangles (n, 3, 3) of a link in its own frame, in m; their origin and the reason for it; and remarks.
-
-    If they are of both kinds, `collision` holds those of the collision geometry alone.
+    """The shells of a link: the triangles (n, 3, 3) of each kind of its geometry that is taken, in its own frame, in m; the
+    reason for this choice; and remarks.
     """
 
     link: str
-    triangles: Array
-    kind: str
+    shells: dict[str, Array]
     reason: str
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     off: float = 0.0
     """How far (m) the link's true surface may be from these triangles, if it had too many to compute with."""
-    collision: Array | None = None
+
+    @property
+    def triangles(self) -> Array:
+        """Those (n, 3, 3) of all shells."""
+        return np.concatenate(list(self.shells.values()))
+
+    @property
+    def kind(self) -> str:
+        """The kind of geometry that is taken, or `both`."""
+        return "both" if len(self.shells) > 1 else next(iter(self.shells))
 
     def without_visual(self, why: str) -> Surface:
         """The same with the collision geometry alone; `why` completes "the visual mesh is left out, because"."""
-        if self.collision is None:
+        if self.kind != "both":
             return self
         warning = (
             f"the visual mesh is left out, because {why}; obstacles may touch what sticks out of the collision geometry"
         )
         return replace(
             self,
-            triangles=self.collision,
-            kind="collision",
+            shells={"collision": self.shells["collision"]},
             reason=why,
             warnings=[*self.warnings, warning],
-            collision=None,
         )
 
 
@@ -123,9 +128,9 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
     surface = _chosen(link, found, prefer)
     surface.warnings[:0], surface.files[:0] = warnings, files
     count = len(surface.triangles)
-    surface.triangles, surface.off = gathered(surface.triangles, MOST_KEPT)
-    if surface.collision is not None:
-        surface.collision, _ = gathered(surface.collision, MOST_KEPT)
+    for kind, triangles in surface.shells.items():
+        surface.shells[kind], off = gathered(triangles, MOST_KEPT // len(surface.shells))
+        surface.off = max(surface.off, off)
     if surface.off:
         surface.warnings.append(
             f"its {count} triangles are taken as {len(surface.triangles)}, which makes its geometry up to {1e3 * surface.off:.1f} mm "
@@ -137,16 +142,14 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
 def _chosen(link: Link, found: dict[str, Array], prefer: str) -> Surface:
     """Which of the kinds of geometry found is used, and why."""
     if len(found) == 1:
-        ((kind, triangles),) = found.items()
+        (kind,) = found
         other = "visual" if kind == "collision" else "collision"
         asked = prefer == kind and getattr(link, other)
-        return Surface(link.name, triangles, kind, "as asked" if asked else f"no {other} geometry")
+        return Surface(link.name, found, "as asked" if asked else f"no {other} geometry")
     out = sticks_out(found["visual"], found["collision"])
     if out <= CONTAINED:
-        return Surface(link.name, found["collision"], "collision", "contains the visual mesh")
-    both = np.concatenate([found["collision"], found["visual"]])
-    reason = f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry"
-    return Surface(link.name, both, "both", reason, collision=found["collision"])
+        return Surface(link.name, {"collision": found["collision"]}, "contains the visual mesh")
+    return Surface(link.name, found, f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry")
 
 
 def gathered(triangles: Array, most: int) -> tuple[Array, float]:

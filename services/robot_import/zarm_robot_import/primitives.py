@@ -34,8 +34,7 @@ from zarm_robot_import.body import FAR, Body
 from zarm_robot_import.kernels.enclosing import around, oriented
 from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.kernels.outside import least_outside, within
-from zarm_robot_import.kernels.winding import winding
-from zarm_robot_import.meshes import areas, points_on, thinned
+from zarm_robot_import.meshes import areas, points_on
 
 Array = NDArray[np.float64]
 
@@ -254,7 +253,7 @@ class Measure:
 
     def __init__(self, body: Body) -> None:
         self._cloud = cKDTree(np.concatenate([points_on(body.triangles, 20_000)[0], body.corners]))
-        self._coarse = thinned(body.triangles)
+        self._body = body
         self._known: dict[bytes, _Skin] = {}
 
     def all(self, rows: Sequence[Array]) -> list[Out]:
@@ -282,12 +281,12 @@ class Measure:
         points = points[~within(points, others, 1e-5)]
         out = self._cloud.query(points)[0]
         unsure = out > MEAN
-        return float(out[unsure][np.abs(winding(points[unsure], self._coarse)) <= 0.5].max(initial=0.0))
+        return float(out[unsure][~self._body.inside(points[unsure])].max(initial=0.0))
 
     def _tell(self, skin: _Skin, some: NDArray[np.intp]) -> None:
         """Decide which of these points are within the body."""
         unsure = some[skin.unsure[some]]
-        skin.out[unsure[np.abs(winding(skin.points[unsure], self._coarse)) > 0.5]] = 0.0
+        skin.out[unsure[self._body.inside(skin.points[unsure])]] = 0.0
         skin.unsure[unsure] = False
 
     def outside(self, row: Array) -> tuple[Array, Array]:

@@ -60,7 +60,7 @@ def open_and_torn() -> trimesh.Trimesh:
 @pytest.mark.parametrize("mesh", [inside_out(), open_and_torn()], ids=["inside-out", "open, non-manifold"])
 def test_a_broken_surface_is_contained_as_tightly_as_a_sound_one(tmp_path: Path, mesh: trimesh.Trimesh) -> None:
     found = surface(tmp_path, mesh)
-    (box,) = fit_primitives(Body.of(found.triangles, found.off))
+    (box,) = fit_primitives(Body.of(found.triangles, off=found.off))
     assert box.kind == "cuboid"
     assert sorted(box.size) == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
 
@@ -74,7 +74,7 @@ def test_a_mesh_with_too_many_triangles_is_contained_by_what_is_made_of_fewer(tm
     found = surface(tmp_path, ball)
     assert len(found.triangles) <= MOST_KEPT
     assert f"its {len(given)} triangles are taken as" in found.warnings[0]
-    rows = rows_of(fit_primitives(Body.of(found.triangles, found.off)))
+    rows = rows_of(fit_primitives(Body.of(found.triangles, off=found.off)))
     assert distances(given.reshape(-1, 3)[::7], rows).min(axis=1).max() <= 0.0
 
 
