@@ -8,11 +8,11 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from zarm_robot_import.kernels.winding import winding
-from zarm_robot_import.meshes import points_on, thinned
+from zarm_robot_import.surface_distance import SurfaceDistance
+from zarm_robot_import.triangles import thinned
 
 Array = NDArray[np.float64]
 
@@ -27,22 +27,21 @@ _AROUND = 1000
 
 @dataclass(frozen=True)
 class Body:
-    """The triangles (n, 3, 3) of a link, their distinct corners (k, 3), and points (m, 3) spread over the box around them
+    """The triangles (n, 3, 3) of a link, and points (m, 3) spread over the box around them
     (Halton points, since those of a grid lie in planes).
 
     For these, `distance` (m,) to the surface, and whether they are `out` (m,) of it; each represents a volume of `cell`
-    (m^3). `surface` holds points on the surface; the link's true one may be `off` (m) from it. `shells` decide what is
+    (m^3). `surface` gives distances to the surface; the link's true one may be `off` (m) from it. `shells` decide what is
     inside: few triangles (j, 3, 3) close to those of each kind of geometry.
     """
 
     shells: list[Array]
     triangles: Array
-    corners: Array
     points: Array
     distance: Array
     out: NDArray[np.bool_]
     cell: float
-    surface: cKDTree
+    surface: SurfaceDistance
     off: float
 
     @classmethod
@@ -50,13 +49,11 @@ class Body:
         """From the triangles (n, 3, 3) of each kind of geometry."""
         triangles = np.concatenate(shells)
         coarse = [thinned(shell) for shell in shells]
-        surface = cKDTree(points_on(triangles, 20_000)[0])
+        surface = SurfaceDistance(triangles)
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
         points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
         cell = float((upper - lower).prod() / len(points))
-        corners = np.unique(triangles.reshape(-1, 3), axis=0)
-        distance = surface.query(points)[0]
-        return cls(coarse, triangles, corners, points, distance, ~_inside(points, coarse), cell, surface, off)
+        return cls(coarse, triangles, points, surface.of(points), ~_inside(points, coarse), cell, surface, off)
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
         """Which points (n, 3) are inside: those around which one kind of geometry winds, or all together.

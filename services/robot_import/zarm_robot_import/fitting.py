@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from zarm_contract.robot import CollisionPrimitive
 from zarm_robot_import.body import Body
+from zarm_robot_import.decomposition import fit_primitives
 from zarm_robot_import.meshes import Surface
-from zarm_robot_import.primitives import Measure, Out, fit_primitives, rows_of
+from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.protrusion import Measure, Out
 from zarm_robot_import.spheres import ball_rows, fit_covers
 
 Array = NDArray[np.float64]

@@ -23,8 +23,8 @@ from zarm_geometry.rows import distances
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.kernels.middles import middles
 from zarm_robot_import.kernels.outside import within
-from zarm_robot_import.meshes import areas, points_on
 from zarm_robot_import.primitives import grown, triangles_of
+from zarm_robot_import.triangles import areas, points_on
 
 Array = NDArray[np.float64]
 

@@ -17,12 +17,15 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.rows import distances
 from zarm_robot_import.body import Body
 from zarm_robot_import.chain import choose_chain
+from zarm_robot_import.decomposition import fit_primitives
 from zarm_robot_import.description import describe
 from zarm_robot_import.importing import Options, import_robot
 from zarm_robot_import.inertia import unphysical
-from zarm_robot_import.meshes import MOST_KEPT, Surface, gathered, link_surface, sticks_out
-from zarm_robot_import.primitives import fit_primitives, rows_of
+from zarm_robot_import.meshes import MOST_KEPT, Surface, link_surface
+from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.source import read_source
+from zarm_robot_import.surface_distance import sticks_out
+from zarm_robot_import.triangles import gathered
 
 BOX = trimesh.creation.box((0.1, 0.2, 0.3)).subdivide().subdivide()
 
@@ -91,8 +94,8 @@ def test_what_sticks_out_is_found_beside_what_lies_deep_inside() -> None:
     knob = trimesh.creation.box((0.01, 0.01, 0.02))
     knob.apply_translation((0.0, 0.0, 0.06))
     inner = np.concatenate([np.asarray(mesh.triangles) for mesh in [motor] * 5 + [knob]])
-    assert sticks_out(inner, outer) == pytest.approx(0.02, abs=0.002)
-    assert sticks_out(np.asarray(motor.triangles), outer) == 0.0
+    assert sticks_out(inner, outer, 0.001) == pytest.approx(0.02, abs=0.002)
+    assert sticks_out(np.asarray(motor.triangles), outer, 0.001) == 0.0
 
 
 @pytest.mark.parametrize(

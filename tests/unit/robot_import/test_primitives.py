@@ -8,7 +8,10 @@ import trimesh
 
 from zarm_geometry.rows import distances
 from zarm_robot_import.body import Body
-from zarm_robot_import.primitives import MEAN, MOST, Measure, Out, cut, fit_primitives, rows_of, triangles_of
+from zarm_robot_import.cutting import cut
+from zarm_robot_import.decomposition import fit_primitives
+from zarm_robot_import.primitives import rows_of, triangles_of
+from zarm_robot_import.protrusion import MEAN, MOST, Measure, Out
 
 Array = np.ndarray
 
