@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from zarm_geometry.rows import bounds
 from zarm_robot_import.body import Body
 from zarm_robot_import.directions import axes_of
 from zarm_robot_import.kernels.enclosing import around, oriented
@@ -22,6 +23,8 @@ from zarm_robot_import.primitives import grown, volumes
 from zarm_robot_import.triangles import points_on
 
 Array = NDArray[np.float64]
+Box = tuple[list[float], list[float]]
+"""The lower and upper corner (3,) of a box, in m."""
 
 _POINTS = 250
 """Points that represent the surface in the search for planes."""
@@ -49,9 +52,15 @@ class Cell:
     final: bool = False
 
     @cached_property
-    def box(self) -> tuple[list[float], list[float]]:
-        """The lower and upper corner (3,) of the box around it."""
+    def box(self) -> Box:
+        """The box around its triangles."""
         return self.corners.min(axis=0).tolist(), self.corners.max(axis=0).tolist()
+
+    @cached_property
+    def extent(self) -> Box:
+        """The box around its primitive."""
+        lower, upper = bounds(self.row[None])
+        return lower[0].tolist(), upper[0].tolist()
 
 
 def piece(triangles: Array, vertices: Array, axes: Array, body: Body) -> Cell:
@@ -75,9 +84,9 @@ def union(a: Cell, b: Cell, axes: Array, body: Body) -> Cell:
     )
 
 
-def adjoin(a: Cell, b: Cell) -> bool:
-    """Whether the boxes around two cells touch."""
-    (low, high), (other_low, other_high) = a.box, b.box
+def touch(a: Box, b: Box) -> bool:
+    """Whether two boxes touch."""
+    (low, high), (other_low, other_high) = a, b
     return all(low[i] <= other_high[i] + _TOUCHING and other_low[i] <= high[i] + _TOUCHING for i in range(3))
 
 

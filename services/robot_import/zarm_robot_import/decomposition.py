@@ -7,6 +7,8 @@ one that protrudes most is cut next, where that leaves the least volume.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,37 +17,45 @@ from zarm_robot_import.body import Body
 from zarm_robot_import.cells import piece
 from zarm_robot_import.cutting import halves
 from zarm_robot_import.directions import axes_of
-from zarm_robot_import.merging import merge
+from zarm_robot_import.merging import merged
 from zarm_robot_import.partition import Partition
 from zarm_robot_import.primitives import written
-from zarm_robot_import.protrusion import MEAN, MOST, Measure
+from zarm_robot_import.protrusion import MOST, Measure
 
 Array = NDArray[np.float64]
 
 COUNT = 130
 """A link with this many primitives is not cut further."""
 _ROUNDS = 3
-"""A link with so many is cut further once those that can be are merged, at most so many times."""
+"""A link with so many is cut further once those that can be are merged, at most so many times in all."""
 
 
 def fit_primitives(body: Body) -> list[CollisionPrimitive]:
     """Primitives that contain all triangles of a link's surface."""
     axes = axes_of(body.surface.spread, body.triangles, np.empty((0, 3, 3)))
-    partition = Partition([piece(body.triangles, body.surface.corners, axes, body)], Measure(body))
+    whole = Partition([piece(body.triangles, body.surface.corners, axes, body)], Measure(body))
+    best = min(_refined(whole, axes, body), key=lambda partition: partition.out().excess)
+    return [written(cell.row) for cell in best.cells]
+
+
+def _refined(partition: Partition, axes: Array, body: Body) -> Iterator[Partition]:
+    """The cells after each round of cutting and merging; there is another one while cells were too many for the goal, and
+    merging left room for more.
+    """
     for _ in range(_ROUNDS):
-        _cut(partition, axes, body)
+        partition = _cut(partition, axes, body)
         full = len(partition.cells) >= COUNT
-        merge(partition, axes, body)
+        partition = merged(partition, axes, body)
+        yield partition
         if not full or len(partition.cells) >= COUNT:
             break
-    return [written(cell.row) for cell in partition.cells]
 
 
-def _cut(partition: Partition, axes: Array, body: Body) -> None:
-    """Cut cells until they protrude no more than wanted or are `COUNT`."""
+def _cut(partition: Partition, axes: Array, body: Body) -> Partition:
+    """The cells are cut until they protrude no more than wanted or are `COUNT`."""
     while len(partition.cells) < COUNT:
         out = partition.out()
-        if out.most <= MOST and out.mean <= MEAN:
+        if out.excess <= 1.0:
             break
         left = [cell for cell in partition.cells if not cell.final]
         if not left:
@@ -54,6 +64,7 @@ def _cut(partition: Partition, axes: Array, body: Body) -> None:
         worst = max(left, key=lambda cell: outs[cell].most if out.most > MOST else outs[cell].total)
         parts = halves(worst, axes, body, partition.measure.outside(worst.row))
         if parts:
-            partition.replace((worst,), parts)
+            partition = partition.replaced((worst,), parts)
         else:
             worst.final = True
+    return partition

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_robot_import.body import Body
-from zarm_robot_import.cells import Cell, adjoin, union
+from zarm_robot_import.cells import Cell, touch, union
 from zarm_robot_import.kernels.outside import within
 from zarm_robot_import.partition import Partition
 from zarm_robot_import.protrusion import MEAN, MOST
@@ -18,10 +18,9 @@ from zarm_robot_import.protrusion import MEAN, MOST
 Array = NDArray[np.float64]
 
 
-def merge(partition: Partition, axes: Array, body: Body) -> None:
-    """Merge neighbours where the result protrudes no more than wanted, or than both do.
-
-    The pair whose union adds the least volume outside the body is tried first.
+def merged(partition: Partition, axes: Array, body: Body) -> Partition:
+    """Neighbours are merged where nothing then protrudes further than wanted, or than it did; the pair whose union adds
+    the least volume outside the body is tried first.
     """
     far = body.points[body.out & (body.distance > MOST)]
     far = far[~within(far, partition.rows(), 0.0)]  # and it stays outside
@@ -30,7 +29,7 @@ def merge(partition: Partition, axes: Array, body: Body) -> None:
 
     def consider(some: Iterable[tuple[Cell, Cell]]) -> None:
         for a, b in some:
-            if adjoin(a, b):
+            if touch(a.box, b.box):
                 both = union(a, b, axes, body)
                 if not within(far, both.row[None], 0.0).any():
                     heappush(pairs, (both.out - a.out - b.out, next(number), a, b, both))
@@ -42,9 +41,15 @@ def merge(partition: Partition, axes: Array, body: Body) -> None:
         if a not in outs or b not in outs:
             continue  # merged with another one
         now = partition.out()
-        spare = max(MEAN * now.area, now.total) - now.total
+        total = max(MEAN * now.area, now.total)
         most = max(MOST, outs[a].most, outs[b].most)
         out = partition.measure.one(both.row, partition.rows(a, b), most)
-        if out.most <= most and out.total <= spare + outs[a].total + outs[b].total:
-            partition.replace((a, b), (both,))
-            consider((cell, both) for cell in partition.others(both))
+        if out.most > most or out.total > total - now.total + outs[a].total + outs[b].total:
+            continue
+        found = partition.replaced((a, b), (both,))  # in which others may lack the cover of a or b
+        if found.out().total <= total and all(
+            found.outs[cell].most <= max(MOST, outs[cell].most) for cell in found.cells if cell is not both
+        ):
+            partition = found
+            consider((cell, both) for cell in partition.cells if cell is not both)
+    return partition

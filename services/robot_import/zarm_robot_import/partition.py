@@ -2,49 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_robot_import.cells import Cell, adjoin
+from zarm_robot_import.cells import Cell, touch
 from zarm_robot_import.protrusion import Measure, Out
 
 Array = NDArray[np.float64]
 
 
 class Partition:
-    """Cells, and for each the part `outs` of its primitive that is neither inside the body nor inside another one.
+    """Cells, and for each the part `outs` of its primitive that is neither inside the body nor inside another one."""
 
-    After a replacement only those nearby are measured again.
-    """
-
-    def __init__(self, cells: Sequence[Cell], measure: Measure) -> None:
-        self.outs: dict[Cell, Out] = {}
+    def __init__(self, cells: Sequence[Cell], measure: Measure, known: Mapping[Cell, Out] | None = None) -> None:
+        self.cells = list(cells)
         self.measure = measure
-        self.cells: list[Cell] = []
-        self.replace((), cells)
-
-    def replace(self, old: Sequence[Cell], new: Sequence[Cell]) -> None:
-        """Put some cells in the place of others."""
-        self.cells = [*self.others(*old), *new]
-        near = (*old, *new)
-        kept = {
-            cell: out
-            for cell, out in self.outs.items()
-            if cell not in old and not any(adjoin(cell, one) for one in near)
-        }
+        known = known or {}
         self.outs = {
-            cell: kept[cell] if cell in kept else self.measure.one(cell.row, self.rows(cell)) for cell in self.cells
+            cell: known[cell] if cell in known else measure.one(cell.row, self.rows(cell)) for cell in self.cells
         }
 
-    def others(self, *cells: Cell) -> list[Cell]:
-        """All cells but some."""
-        return [cell for cell in self.cells if cell not in cells]
+    def replaced(self, old: Sequence[Cell], new: Sequence[Cell]) -> Partition:
+        """Some cells replaced by others; only those whose primitives are near are measured again."""
+        near = [cell.extent for cell in (*old, *new)]
+        known = {cell: out for cell, out in self.outs.items() if not any(touch(cell.extent, one) for one in near)}
+        return Partition([*(cell for cell in self.cells if cell not in old), *new], self.measure, known)
 
     def rows(self, *but: Cell) -> Array:
         """The primitives (n, 17) of all cells but some."""
-        return np.array([cell.row for cell in self.others(*but)]).reshape(-1, 17)
+        return np.array([cell.row for cell in self.cells if cell not in but]).reshape(-1, 17)
 
     def out(self) -> Out:
         """How far all of them protrude."""

@@ -37,6 +37,11 @@ class Out:
         """The mean distance (m)."""
         return self.total / self.area if self.area else 0.0
 
+    @property
+    def excess(self) -> float:
+        """How many times as far as wanted: at most 1 if the goals `MEAN` and `MOST` are met."""
+        return max(self.mean / MEAN, self.most / MOST)
+
     @classmethod
     def together(cls, outs: Sequence[Self]) -> Self:
         """Several primitives combined."""
