@@ -27,15 +27,16 @@ _AROUND = 1000
 
 @dataclass(frozen=True)
 class Body:
-    """The triangles (n, 3, 3) of a link, and points (m, 3) spread over the box around them
-    (Halton points, since those of a grid lie in planes).
+    """A link's `shells`, the triangles (k, 3, 3) of each kind of its geometry, together `triangles` (n, 3, 3); and points
+    (m, 3) spread over the box around them (Halton points, since those of a grid lie in planes).
 
     For these, `distance` (m,) to the surface, and whether they are `out` (m,) of it; each represents a volume of `cell`
-    (m^3). `surface` gives distances to the surface; the link's true one may be `off` (m) from it. `shells` decide what is
-    inside: few triangles (j, 3, 3) close to those of each kind of geometry.
+    (m^3). `surface` gives distances to the surface; the link's true one may be `off` (m) from it. Few triangles (j, 3, 3)
+    close to those of each shell, `coarse`, decide what is inside.
     """
 
-    shells: list[Array]
+    shells: tuple[Array, ...]
+    coarse: list[Array]
     triangles: Array
     points: Array
     distance: Array
@@ -53,7 +54,7 @@ class Body:
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
         points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
         cell = float((upper - lower).prod() / len(points))
-        return cls(coarse, triangles, points, surface.of(points), ~_inside(points, coarse), cell, surface, off)
+        return cls(shells, coarse, triangles, points, surface.of(points), ~_inside(points, coarse), cell, surface, off)
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
         """Which points (n, 3) are inside: those around which one kind of geometry winds, or all together.
@@ -61,7 +62,7 @@ class Body:
         If the surface is open, what it mostly winds around counts as inside. One kind is enough because collision and
         visual meshes may be wound in opposite directions; all together, because one may close the other.
         """
-        return _inside(points, self.shells)
+        return _inside(points, self.coarse)
 
     def around(self, points: Array) -> tuple[Array, Array]:
         """Points (n, 3) outside the body in the box around `points` (k, 3), slightly enlarged, and the cost of each:

@@ -7,7 +7,7 @@ one that protrudes most is cut next, where that leaves the least volume.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +19,50 @@ from zarm_robot_import.cutting import halves
 from zarm_robot_import.directions import axes_of
 from zarm_robot_import.merging import merged
 from zarm_robot_import.partition import Partition
-from zarm_robot_import.primitives import written
+from zarm_robot_import.primitives import below, written
 from zarm_robot_import.protrusion import MOST, Measure
 
 Array = NDArray[np.float64]
 
 COUNT = 130
-"""A link with this many primitives is not cut further."""
+"""Triangles in this many primitives are not cut further."""
 _ROUNDS = 3
 """A link with so many is cut further once those that can be are merged, at most so many times in all."""
 
+_ENOUGH = 1.25
+"""A link whose primitives protrude by no more times as far as wanted is not tried in another way."""
+
 
 def fit_primitives(body: Body) -> list[CollisionPrimitive]:
-    """Primitives that contain all triangles of a link's surface."""
+    """Primitives that contain all triangles of a link's surface.
+
+    Collision and visual geometry are contained at once, or, where that protrudes too far and this less, first one and then
+    what is left of the other.
+    """
+    measure = Measure(body)
+    rows = _contained([body.triangles], body, measure)
+    if len(body.shells) > 1 and measure.all(rows).excess > _ENOUGH:
+        in_turn = _contained(body.shells, body, measure)
+        rows = min(rows, in_turn, key=lambda rows: measure.all(rows).excess)
+    return [written(row) for row in rows]
+
+
+def _contained(shells: Sequence[Array], body: Body, measure: Measure) -> Array:
+    """Primitives (n, 17) that contain triangles (k, 3, 3), one shell after the other: those that are in a primitive
+    already are left out.
+    """
     axes = axes_of(body.surface.spread, body.triangles, np.empty((0, 3, 3)))
-    whole = Partition([piece(body.triangles, body.surface.corners, axes, body)], Measure(body))
-    best = min(_refined(whole, axes, body), key=lambda partition: partition.out().excess)
-    return [written(cell.row) for cell in best.cells]
+    rows = np.empty((0, 17))
+    for shell in shells:
+        held = np.zeros(len(shell), bool)
+        for row in rows:
+            held |= below(shell.reshape(-1, 3), row[None]).reshape(-1, 3).all(axis=1)
+        if not held.all():
+            left = shell[~held]
+            whole = piece(left, np.unique(left.reshape(-1, 3), axis=0), axes, body)
+            tried = _refined(Partition([whole], measure, rows), axes, body)
+            rows = min(tried, key=lambda partition: partition.out().excess).rows()
+    return rows
 
 
 def _refined(partition: Partition, axes: Array, body: Body) -> Iterator[Partition]:

@@ -51,6 +51,6 @@ def fit(
     found = []
     for link, body in bodies.items():
         measure = Measure(body)
-        outs = (Out.together(measure.all(list(table))) for table in (rows[link], ball_rows(covers[link])))
+        outs = (measure.all(table) for table in (rows[link], ball_rows(covers[link])))
         found.append(Fitted(link, primitives[link], rows[link], covers[link], *outs))
     return found

@@ -19,6 +19,7 @@ from zarm_contract.robot import (
     CollisionSphere,
 )
 from zarm_geometry.shapes import link_shape
+from zarm_robot_import.kernels.outside import within
 
 Array = NDArray[np.float64]
 
@@ -96,6 +97,11 @@ def grown(row: Array, by: float) -> Array:
     else:
         row[12:15] += by
     return row
+
+
+def below(points: Array, rows: Array) -> NDArray[np.bool_]:
+    """Which points (n, 3) are more than 1 um below the surface of one of the shapes (m, 17)."""
+    return within(points, np.array([grown(row, -1e-6) for row in rows]).reshape(-1, 17), 0.0)
 
 
 def volumes(rows: Array) -> Array:

@@ -55,9 +55,9 @@ class Measure:
         self._body = body
         self._known: dict[bytes, _Skin] = {}
 
-    def all(self, rows: Sequence[Array]) -> list[Out]:
-        """For each primitive (17,), without the parts inside the body or another one."""
-        return [self.one(row, np.array([*rows[:i], *rows[i + 1 :]]).reshape(-1, 17)) for i, row in enumerate(rows)]
+    def all(self, rows: Array) -> Out:
+        """For all primitives (n, 17) of the body."""
+        return Out.together([self.one(row, np.delete(rows, i, axis=0)) for i, row in enumerate(rows)])
 
     def one(self, row: Array, others: Array, most: float = np.inf) -> Out:
         """For one primitive (17,), without the parts inside the body or one of `others` (n, 17); sampled, so an upper

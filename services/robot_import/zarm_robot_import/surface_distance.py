@@ -24,13 +24,13 @@ class SurfaceDistance:
     """Distances to triangles (m, 3, 3): to those of the few nearest of many points on them, which is exact but for where
     the nearest triangle has none of these; there it is an upper bound.
 
-    Of these points, `spread` (j, 3) are spread evenly, and `corners` (k, 3) are the triangles' own.
+    These points are the triangles' corners, and `spread` (j, 3), which are spread evenly.
     """
 
     def __init__(self, triangles: Array) -> None:
         spread, which = points_on(triangles, _POINTS)
         corners, first = np.unique(triangles.reshape(-1, 3), axis=0, return_index=True)
-        self.spread, self.corners = spread, corners
+        self.spread = spread
         self._triangles = triangles
         self._tree = cKDTree(np.concatenate([spread, corners]))
         self._triangle = np.concatenate([which, first // 3])

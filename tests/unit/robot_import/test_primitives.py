@@ -11,7 +11,7 @@ from zarm_robot_import.body import Body
 from zarm_robot_import.cutting import cut
 from zarm_robot_import.decomposition import fit_primitives
 from zarm_robot_import.primitives import rows_of, triangles_of
-from zarm_robot_import.protrusion import MEAN, MOST, Measure, Out
+from zarm_robot_import.protrusion import MEAN, MOST, Measure
 
 Array = np.ndarray
 
@@ -45,7 +45,7 @@ def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(na
     rng = np.random.default_rng(1)
     inner = np.einsum("kn,nki->ni", rng.dirichlet((1, 1, 1), len(triangles)).T, triangles)
     assert distances(np.concatenate([corners, inner]), rows).min(axis=1).max() <= 0.0
-    out = Out.together(Measure(body).all(list(rows)))
+    out = Measure(body).all(rows)
     assert out.most < MOST + 0.001
     assert out.mean < MEAN
 
