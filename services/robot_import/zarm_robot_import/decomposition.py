@@ -20,7 +20,7 @@ from zarm_robot_import.directions import axes_of
 from zarm_robot_import.merging import merged
 from zarm_robot_import.partition import Partition
 from zarm_robot_import.primitives import below, written
-from zarm_robot_import.protrusion import MOST, Measure
+from zarm_robot_import.protrusion import Measure
 
 Array = NDArray[np.float64]
 
@@ -41,9 +41,9 @@ def fit_primitives(body: Body) -> list[CollisionPrimitive]:
     """
     measure = Measure(body)
     rows = _contained([body.triangles], body, measure)
-    if len(body.shells) > 1 and measure.all(rows).excess > _ENOUGH:
+    if len(body.shells) > 1 and measure.goal.excess(measure.all(rows)) > _ENOUGH:
         in_turn = _contained(body.shells, body, measure)
-        rows = min(rows, in_turn, key=lambda rows: measure.all(rows).excess)
+        rows = min(rows, in_turn, key=lambda rows: measure.goal.excess(measure.all(rows)))
     return [written(row) for row in rows]
 
 
@@ -61,7 +61,7 @@ def _contained(shells: Sequence[Array], body: Body, measure: Measure) -> Array:
             left = shell[~held]
             whole = piece(left, np.unique(left.reshape(-1, 3), axis=0), axes, body)
             tried = _refined(Partition([whole], measure, rows), axes, body)
-            rows = min(tried, key=lambda partition: partition.out().excess).rows()
+            rows = min(tried, key=Partition.excess).rows()
     return rows
 
 
@@ -81,14 +81,14 @@ def _refined(partition: Partition, axes: Array, body: Body) -> Iterator[Partitio
 def _cut(partition: Partition, axes: Array, body: Body) -> Partition:
     """The cells are cut until they protrude no more than wanted or are `COUNT`."""
     while len(partition.cells) < COUNT:
-        out = partition.out()
-        if out.excess <= 1.0:
+        if partition.excess() <= 1.0:
             break
         left = [cell for cell in partition.cells if not cell.final]
         if not left:
             break
         outs = partition.outs
-        worst = max(left, key=lambda cell: outs[cell].most if out.most > MOST else outs[cell].total)
+        far = partition.out().most > partition.measure.goal.most
+        worst = max(left, key=lambda cell: outs[cell].most if far else outs[cell].total)
         parts = halves(worst, axes, body, partition.measure.outside(worst.row))
         if parts:
             partition = partition.replaced((worst,), parts)

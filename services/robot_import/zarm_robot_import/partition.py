@@ -43,3 +43,7 @@ class Partition:
     def out(self) -> Out:
         """How far all cells protrude."""
         return Out.together(list(self.outs.values()))
+
+    def excess(self) -> float:
+        """How many times as far as wanted they protrude."""
+        return self.measure.goal.excess(self.out())

@@ -17,7 +17,9 @@ from zarm_robot_import.triangles import areas, points_on
 Array = NDArray[np.float64]
 
 MEAN, MOST = 0.004, 0.012
-"""How far (m) the primitives of a link may protrude on average, and at most: tighter ones are not looked for."""
+"""How far (m) the primitives of a link may protrude on average, and at most: tighter ones are not looked for, ..."""
+_LARGE = 0.15
+"""... unless the link is smaller than this (m): then they may by as much less, since fingers reach into narrow places."""
 _SAMPLES = 400
 """Points on each primitive at which it is measured."""
 _EVERY = 10
@@ -37,15 +39,28 @@ class Out:
         """The mean distance (m)."""
         return self.total / self.area if self.area else 0.0
 
-    @property
-    def excess(self) -> float:
-        """How many times as far as wanted: at most 1 if the goals `MEAN` and `MOST` are met."""
-        return max(self.mean / MEAN, self.most / MOST)
-
     @classmethod
     def together(cls, outs: Sequence[Self]) -> Self:
         """Several primitives combined."""
         return cls(max(out.most for out in outs), sum(out.total for out in outs), sum(out.area for out in outs))
+
+
+@dataclass(frozen=True)
+class Goal:
+    """How far (m) the primitives of a link may protrude, on average and at most."""
+
+    mean: float
+    most: float
+
+    @classmethod
+    def of(cls, body: Body) -> Self:
+        """The goal for a link, by its size."""
+        share = min(float(np.ptp(body.triangles, axis=(0, 1)).max()) / _LARGE, 1.0)
+        return cls(share * MEAN, share * MOST)
+
+    def excess(self, out: Out) -> float:
+        """How many times as far something protrudes; at most 1 if the goal is met."""
+        return max(out.mean / self.mean, out.most / self.most)
 
 
 class Measure:
@@ -53,6 +68,7 @@ class Measure:
 
     def __init__(self, body: Body) -> None:
         self._body = body
+        self.goal = Goal.of(body)
         self._known: dict[bytes, _Skin] = {}
 
     def all(self, rows: Array) -> Out:
@@ -79,7 +95,7 @@ class Measure:
         points = points_on(triangles_of(row), _SAMPLES)[0][::_EVERY]
         points = points[~within(points, others, 1e-5)]
         out = self._body.surface.of(points)
-        unsure = out > MEAN
+        unsure = out > self.goal.mean
         return float(out[unsure][~self._body.inside(points[unsure])].max(initial=0.0))
 
     def _tell(self, skin: _Skin, some: NDArray[np.intp]) -> None:
@@ -103,7 +119,7 @@ class Measure:
             triangles = triangles_of(row)
             points = points_on(triangles, _SAMPLES)[0]
             out = self._body.surface.of(points)
-            self._known[key] = _Skin(points, out, out > MEAN, float(areas(triangles).sum()) / len(points))
+            self._known[key] = _Skin(points, out, out > self.goal.mean, float(areas(triangles).sum()) / len(points))
         return self._known[key]
 
 

@@ -51,6 +51,15 @@ def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(na
 
 
 @pytest.mark.lengthy
+def test_a_link_as_small_as_a_finger_is_contained_more_tightly() -> None:
+    size = 0.06
+    body = Body.of(ELBOW * size / np.ptp(ELBOW, axis=(0, 1)).max())
+    out = Measure(body).all(rows_of(fit_primitives(body)))
+    assert out.most < MOST / 2
+    assert out.mean < MEAN / 2
+
+
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("name", "kind"), [("box", "cuboid"), ("tube", "cylinder"), ("ball", "sphere"), ("capsule", "capsule")]
 )
