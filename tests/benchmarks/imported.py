@@ -40,9 +40,10 @@ from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.warm_up import warm_up
 from zarm_robot_import.importing import Options, import_robot
 from zarm_robot_import.kernels.winding import winding
-from zarm_robot_import.meshes import Surface, points_on, thinned
+from zarm_robot_import.meshes import Surface
 from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.spheres import ball_rows
+from zarm_robot_import.triangles import points_on, thinned
 from zarm_trajectory.limits import Limits
 
 Array = NDArray[np.float64]

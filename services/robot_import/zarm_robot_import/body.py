@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from zarm_robot_import.kernels.winding import winding
-from zarm_robot_import.meshes import points_on, thinned
+from zarm_robot_import.surface_distance import SurfaceDistance
+from zarm_robot_import.triangles import thinned
 
 Array = NDArray[np.float64]
 
@@ -26,32 +27,42 @@ _AROUND = 1000
 
 @dataclass(frozen=True)
 class Body:
-    """The triangles (n, 3, 3) of a link, their distinct corners (k, 3), and points (m, 3) spread over the box around them
-    (Halton points, since those of a grid lie in planes).
+    """A link's `shells`, the triangles (k, 3, 3) of each kind of its geometry, together `triangles` (n, 3, 3); and points
+    (m, 3) spread over the box around them (Halton points, since those of a grid lie in planes).
 
     For these, `distance` (m,) to the surface, and whether they are `out` (m,) of it; each represents a volume of `cell`
-    (m^3). `surface` holds points on the surface; the link's true one may be `off` (m) from it.
+    (m^3). `surface` gives distances to the surface; the link's true one may be `off` (m) from it. Few triangles (j, 3, 3)
+    close to those of each shell, `coarse`, decide what is inside.
     """
 
+    shells: tuple[Array, ...]
+    coarse: list[Array]
     triangles: Array
-    corners: Array
     points: Array
     distance: Array
     out: NDArray[np.bool_]
     cell: float
-    surface: cKDTree
+    surface: SurfaceDistance
     off: float
 
     @classmethod
-    def of(cls, triangles: Array, off: float = 0.0) -> Self:
-        """If the surface is open, what it mostly winds around counts as inside."""
-        surface = cKDTree(points_on(triangles, 20_000)[0])
+    def of(cls, *shells: Array, off: float = 0.0) -> Self:
+        """From the triangles (n, 3, 3) of each kind of geometry."""
+        triangles = np.concatenate(shells)
+        coarse = [thinned(shell) for shell in shells]
+        surface = SurfaceDistance(triangles)
         lower, upper = triangles.min(axis=(0, 1)) - _BESIDE, triangles.max(axis=(0, 1)) + _BESIDE
         points = qmc.scale(qmc.Halton(3, scramble=False).random(_POINTS), lower, upper)
         cell = float((upper - lower).prod() / len(points))
-        out = np.abs(winding(points, thinned(triangles))) < 0.5
-        corners = np.unique(triangles.reshape(-1, 3), axis=0)
-        return cls(triangles, corners, points, surface.query(points)[0], out, cell, surface, off)
+        return cls(shells, coarse, triangles, points, surface.of(points), ~_inside(points, coarse), cell, surface, off)
+
+    def inside(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) are inside: those around which one kind of geometry winds, or all together.
+
+        If the surface is open, what it mostly winds around counts as inside. One kind is enough because collision and
+        visual meshes may be wound in opposite directions; all together, because one may close the other.
+        """
+        return _inside(points, self.coarse)
 
     def around(self, points: Array) -> tuple[Array, Array]:
         """Points (n, 3) outside the body in the box around `points` (k, 3), slightly enlarged, and the cost of each:
@@ -66,3 +77,9 @@ class Body:
         some = some[np.argsort(-self.distance[some])]
         cost = self.distance[some] ** 2 * (1 + (self.distance[some] / FAR) ** 2)
         return self.points[some], cost * (self.cell * len(near) / max(len(some), 1))
+
+
+def _inside(points: Array, shells: Sequence[Array]) -> NDArray[np.bool_]:
+    each = np.array([winding(points, shell) for shell in shells])
+    found: NDArray[np.bool_] = np.abs([*each, each.sum(axis=0)]).max(axis=0) > 0.5
+    return found

@@ -30,7 +30,7 @@ class Contacts:
         self.body = {mounted.link: mounted.body for mounted in chain.mounted}
         self._whole = {surface.link: _object(surface.triangles) for surface in surfaces}
         self._collision = {
-            surface.link: _object(surface.collision) for surface in surfaces if surface.collision is not None
+            surface.link: _object(surface.shells["collision"]) for surface in surfaces if surface.kind == "both"
         }
 
     def drop_visual(self, link: str) -> None:

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from zarm_contract.robot import CollisionPrimitive
 from zarm_robot_import.body import Body
+from zarm_robot_import.decomposition import fit_primitives
 from zarm_robot_import.meshes import Surface
-from zarm_robot_import.primitives import Measure, Out, fit_primitives, rows_of
+from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.protrusion import Measure, Out
 from zarm_robot_import.spheres import ball_rows, fit_covers
 
 Array = NDArray[np.float64]
@@ -39,7 +41,7 @@ def fit(
     """Fit all links, with at most `budget` balls in all covers, more of them where more joints carry a link, as
     `carried` says; `done` is called with each link whose exact geometry is ready.
     """
-    bodies = {surface.link: Body.of(surface.triangles, surface.off) for surface in surfaces}
+    bodies = {surface.link: Body.of(*surface.shells.values(), off=surface.off) for surface in surfaces}
     primitives: dict[str, list[CollisionPrimitive]] = {}
     for link, body in bodies.items():
         primitives[link] = fit_primitives(body)
@@ -49,6 +51,6 @@ def fit(
     found = []
     for link, body in bodies.items():
         measure = Measure(body)
-        outs = (Out.together(measure.all(list(table))) for table in (rows[link], ball_rows(covers[link])))
+        outs = (measure.all(table) for table in (rows[link], ball_rows(covers[link])))
         found.append(Fitted(link, primitives[link], rows[link], covers[link], *outs))
     return found

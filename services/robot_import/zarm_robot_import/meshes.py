@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_robot_import.chain import LARGEST
 from zarm_robot_import.description import Geometry, Link
-from zarm_robot_import.kernels.winding import winding
 from zarm_robot_import.source import Source
+from zarm_robot_import.surface_distance import sticks_out
+from zarm_robot_import.triangles import gathered
 
 Array = NDArray[np.float64]
 
@@ -30,43 +30,46 @@ _FLATTEST = 1e-9
 """A smaller scale collapses a mesh."""
 CONTAINED = 0.001
 """Collision geometry counts as containing the visual one if that protrudes by at most this (m)."""
-_THINNED = 2000
-"""Number of triangles that is enough to decide what is inside."""
 _POINTER = b"version https://git-lfs"
 SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 
 
 @dataclass
 class Surface:
-    """The triangles (n, 3, 3) of a link in its own frame, in m; their origin and the reason for it; and remarks.
-
-    If they are of both kinds, `collision` holds those of the collision geometry alone.
+    """The shells of a link: the triangles (n, 3, 3) of each kind of its geometry that is taken, in its own frame, in m; the
+    reason for this choice; and remarks.
     """
 
     link: str
-    triangles: Array
-    kind: str
+    shells: dict[str, Array]
     reason: str
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     off: float = 0.0
     """How far (m) the link's true surface may be from these triangles, if it had too many to compute with."""
-    collision: Array | None = None
+
+    @property
+    def triangles(self) -> Array:
+        """Those (n, 3, 3) of all shells."""
+        return np.concatenate(list(self.shells.values()))
+
+    @property
+    def kind(self) -> str:
+        """The kind of geometry that is taken, or `both`."""
+        return "both" if len(self.shells) > 1 else next(iter(self.shells))
 
     def without_visual(self, why: str) -> Surface:
         """The same with the collision geometry alone; `why` completes "the visual mesh is left out, because"."""
-        if self.collision is None:
+        if self.kind != "both":
             return self
         warning = (
             f"the visual mesh is left out, because {why}; obstacles may touch what sticks out of the collision geometry"
         )
         return replace(
             self,
-            triangles=self.collision,
-            kind="collision",
+            shells={"collision": self.shells["collision"]},
             reason=why,
             warnings=[*self.warnings, warning],
-            collision=None,
         )
 
 
@@ -123,9 +126,9 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
     surface = _chosen(link, found, prefer)
     surface.warnings[:0], surface.files[:0] = warnings, files
     count = len(surface.triangles)
-    surface.triangles, surface.off = gathered(surface.triangles, MOST_KEPT)
-    if surface.collision is not None:
-        surface.collision, _ = gathered(surface.collision, MOST_KEPT)
+    for kind, triangles in surface.shells.items():
+        surface.shells[kind], off = gathered(triangles, MOST_KEPT // len(surface.shells))
+        surface.off = max(surface.off, off)
     if surface.off:
         surface.warnings.append(
             f"its {count} triangles are taken as {len(surface.triangles)}, which makes its geometry up to {1e3 * surface.off:.1f} mm "
@@ -137,77 +140,14 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
 def _chosen(link: Link, found: dict[str, Array], prefer: str) -> Surface:
     """Which of the kinds of geometry found is used, and why."""
     if len(found) == 1:
-        ((kind, triangles),) = found.items()
+        (kind,) = found
         other = "visual" if kind == "collision" else "collision"
         asked = prefer == kind and getattr(link, other)
-        return Surface(link.name, triangles, kind, "as asked" if asked else f"no {other} geometry")
-    out = sticks_out(found["visual"], found["collision"])
-    if out <= CONTAINED:
-        return Surface(link.name, found["collision"], "collision", "contains the visual mesh")
-    both = np.concatenate([found["collision"], found["visual"]])
-    reason = f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry"
-    return Surface(link.name, both, "both", reason, collision=found["collision"])
-
-
-def gathered(triangles: Array, most: int) -> tuple[Array, float]:
-    """At most `most` triangles instead of these (n, 3, 3), with vertices on a grid, and the greatest distance (m) to
-    the original.
-    """
-    size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 400, 1e-5)
-    given, off = triangles, 0.0
-    while len(triangles) > most:
-        cells = np.unique(np.round(given / size).astype(np.int32).reshape(-1, 9), axis=0)
-        triangles = np.asarray(cells.reshape(-1, 3, 3) * size, np.float64)
-        off = size * math.sqrt(3) / 2
-        size *= 1.4
-    return triangles, off
-
-
-def thinned(triangles: Array) -> Array:
-    """At most `_THINNED` triangles close to these, whose vertices are merged in cells."""
-    size = max(float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) / 200, 1e-5)
-    given = triangles
-    while len(triangles) > _THINNED:
-        cells = np.round(given / size).astype(np.int64)
-        a, b, c = cells.transpose(1, 0, 2)
-        kept = (a != b).any(axis=1) & (b != c).any(axis=1) & (c != a).any(axis=1)
-        triangles = cells[kept] * size
-        size *= 1.4
-    return triangles
-
-
-def points_on(triangles: Array, count: int, seed: int = 0) -> tuple[Array, NDArray[np.intp]]:
-    """Points (count, 3) spread evenly over triangles (n, 3, 3), and the triangle of each."""
-    rng = np.random.default_rng(seed)
-    sizes = areas(triangles)
-    steps = (np.arange(count) + rng.random(count)) / count * sizes.sum()
-    which = np.minimum(np.searchsorted(np.cumsum(sizes), steps), len(sizes) - 1)
-    u, v = rng.random((2, count, 1))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    a, b, c = triangles[which].transpose(1, 0, 2)
-    return a + u * (b - a) + v * (c - a), which
-
-
-def sticks_out(inner: Array, outer: Array) -> float:
-    """How far (m) the farthest of 2000 points on the triangles `inner` is outside the surface `outer`, less the
-    sampling error; 0 if none is.
-    """
-    count = 40_000
-    beyond = points_on(inner, 2000)[0]
-    cloud = points_on(outer, count)[0]
-    spacing = float(np.sqrt(areas(outer).sum() / count))
-    apart = cKDTree(cloud).query(beyond)[0] - spacing
-    away = apart > CONTAINED
-    out = np.abs(winding(beyond[away], thinned(outer))) < 0.5
-    return float(apart[away][out].max(initial=0.0))
-
-
-def areas(triangles: Array) -> Array:
-    """Areas of triangles (n, 3, 3), in m^2."""
-    found: Array = (
-        np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
-    )
-    return found
+        return Surface(link.name, found, "as asked" if asked else f"no {other} geometry")
+    out = sticks_out(found["visual"], found["collision"], CONTAINED)
+    if not out:
+        return Surface(link.name, {"collision": found["collision"]}, "contains the visual mesh")
+    return Surface(link.name, found, f"the visual mesh sticks {1e3 * out:.1f} mm out of the collision geometry")
 
 
 class _Missing(Exception):

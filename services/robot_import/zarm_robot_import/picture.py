@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from zarm_geometry.robot_model import RobotModel
 from zarm_robot_import.fitting import Fitted
-from zarm_robot_import.meshes import points_on
-from zarm_robot_import.primitives import triangles_of
-from zarm_robot_import.spheres import ball_rows, below
+from zarm_robot_import.primitives import below, triangles_of
+from zarm_robot_import.spheres import ball_rows
+from zarm_robot_import.triangles import points_on
 
 Array = NDArray[np.float64]
 

@@ -22,9 +22,8 @@ from scipy.stats import qmc
 from zarm_geometry.rows import distances
 from zarm_robot_import.kernels.balls import around_shapes
 from zarm_robot_import.kernels.middles import middles
-from zarm_robot_import.kernels.outside import within
-from zarm_robot_import.meshes import areas, points_on
-from zarm_robot_import.primitives import grown, triangles_of
+from zarm_robot_import.primitives import below, triangles_of
+from zarm_robot_import.triangles import areas, points_on
 
 Array = NDArray[np.float64]
 
@@ -106,11 +105,6 @@ def outer_points(rows: Array, count: int) -> Array:
 def protrusion(ball: Array, rows: Array) -> float:
     """How far (m) a ball (4,) stands out of the union of shapes (m, 17), measured at points on its surface."""
     return -float(depths(outer_points(ball_rows(ball[None]), _SURFACE), rows).min())
-
-
-def below(points: Array, rows: Array) -> NDArray[np.bool_]:
-    """Which points (n, 3) are more than 1 um below the surface of one of the shapes (m, 17)."""
-    return within(points, np.array([grown(row, -1e-6) for row in rows]).reshape(-1, 17), 0.0)
 
 
 @dataclass

