@@ -7,7 +7,7 @@ seems to touch it; from there it first moves a little away, on a path that is fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple, Self
 
@@ -230,7 +230,9 @@ def _tight_ends(
 
 
 def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
-    """Joints for a pose (4, 4). Raises the deadline's error."""
+    """Joints for a pose (4, 4), free in spheres, and in exact geometry if that is `doubted`. Raises the deadline's
+    error.
+    """
     found = solve_ik(
         context.model,
         pose,
@@ -241,7 +243,11 @@ def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
         deadline=context.deadline,
     )
     context.deadline.check()
-    return found
+    if not context.doubted:
+        return found
+    free = np.array([context.exact.is_free(q, context.deadline.check) for q in found.solutions], np.bool_)
+    colliding = np.concatenate((found.solutions[~free], found.colliding))
+    return replace(found, solutions=found.solutions[free], colliding=colliding)
 
 
 def _blocked(nearest: Sequence[Nearest]) -> _Fault:
