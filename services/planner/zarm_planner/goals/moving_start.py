@@ -68,7 +68,7 @@ def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple
             return lead_in, end
     reason = str(failure or "a joint would leave its range")
     raise PlanningFailed(
-        f"every braking motion from the start collides: {reason}; give a state from which the robot can still brake",
+        f"no braking motion from the start can be used: {reason}; give a state from which the robot can still brake",
         code="no_path",
         field="start_state",
     )
