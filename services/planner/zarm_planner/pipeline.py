@@ -55,7 +55,7 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, m
     try:
         with context.timer.stage("ik"):
             problem = PlanningProblem.of(context, start, goal, motion)
-        verified, seed = _first(planner, context, problem)
+        verified, seed, problem = _first(planner, context, problem)
     except (PlanningFailed, InvalidRequest, DeadlineExceeded):
         context.check_assumptions()
         raise
@@ -67,8 +67,13 @@ def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, m
     return verified
 
 
-def _first(planner: Planner, context: PlanningContext, problem: PlanningProblem) -> tuple[Verified, int]:
-    """The first trajectory that passes verification, and its seed."""
+def _first(
+    planner: Planner, context: PlanningContext, problem: PlanningProblem
+) -> tuple[Verified, int, PlanningProblem]:
+    """The first trajectory that passes verification, its seed, and the problem that it solves.
+
+    Once one fails, only ends that are free in exact geometry count.
+    """
     failure: VerificationFailed | None = None
     try:
         for attempt in range(context.max_attempts):
@@ -77,10 +82,13 @@ def _first(planner: Planner, context: PlanningContext, problem: PlanningProblem)
             for trajectory in itertools.islice(planner.trajectories(seeded, problem), None if last else 1):
                 try:
                     with context.timer.stage("verify"):
-                        return _verified(context, problem, trajectory), seeded.seed
+                        return _verified(context, problem, trajectory), seeded.seed, problem
                 except VerificationFailed as error:
-                    failure = error
-                    context.check_assumptions()
+                    first, failure = failure is None, error
+                    if first:
+                        context.check_assumptions()
+                        with context.timer.stage("ik"):
+                            problem = problem.doubted(context)
     except DeadlineExceeded as late:
         if failure is None:
             raise
@@ -116,7 +124,7 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
     limits, check, ends = context.limits, context.deadline.check, problem.targets[-1]
     trajectory = rounded(trajectory, limits)
     end = ends[np.abs(problem.goals - trajectory.position[-1]).max(axis=1).argmin()] if len(ends) > 1 else ends[0]
-    start, motion = (problem.start.asked, None) if (led := problem.lead_in) is None else (led.state[0], led.state[1:])
+    start, motion = problem.beginning
     clearance = verify(trajectory, start, end.asked, limits, context.exact, check, problem.constraint, motion)
     times: tuple[float, ...] = ()
     if isinstance(problem.goal, WaypointsGoal):

@@ -207,7 +207,7 @@ def test_where_no_braking_keeps_clear_the_error_names_what_is_in_the_way(handler
     wall = Cuboid(kind="cuboid", name="wall", position=(x, y, z), size=(0.1, 0.02, 0.6))
     assert handlers.plan(request(HOME, speed)).trajectory.velocity[0] == pytest.approx(tuple(speed))
     handlers.edit(SceneEdit(edit=AddObjects(op="add", objects=(wall,))))
-    with pytest.raises(PlanningFailed, match=r"every braking motion .* inside wall") as refused:
+    with pytest.raises(PlanningFailed, match=r"no braking motion .* inside wall") as refused:
         handlers.plan(request(HOME, speed))
     assert (refused.value.code, refused.value.problem.field) == ("no_path", "start_state")
 
@@ -218,6 +218,32 @@ def test_where_no_braking_keeps_a_joint_in_its_range_the_error_says_so(handlers:
     with pytest.raises(PlanningFailed, match="range") as refused:
         handlers.plan(request(edge, 0.9 * LIMITS.velocity[2] * np.eye(6)[2]))
     assert (refused.value.code, refused.value.problem.field) == ("no_path", "start_state")
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        [
+            (-2.53798563, -1.49501178, -0.20336703, 0.33596594, 2.81672611, 2.07244958),
+            (0.2689509, 0.5870701, 0.6937799, -0.7395333, -0.1878412, -0.7313072),
+            (0.36368, 0.79384, 0.93813, -1.0, -0.254, -0.98888),
+        ],
+        [
+            (-0.8885901, 1.71309164, -1.56249926, -0.32729428, 0.7005742, -0.22203921),
+            (0.14628682, -0.40763468, 0.4196323, 0.18025054, -0.13944497, 0.42579863),
+            (0.34355554, -0.95732683, 0.98551084, 0.42331102, -0.327484, 1.0),
+        ],
+    ],
+    ids=["at a sample", "between samples"],
+)
+def test_a_state_of_a_plan_is_a_start_though_two_joints_reach_full_acceleration_almost_together(
+    state: list[tuple[float, ...]],
+) -> None:
+    """Some 50 us apart, too little for a sample at each of these moments."""
+    begun = np.array(state)
+    found = planned(M1013, begun[0], to_joints(HOME), motion=begun[1:])
+    assert_begins_in(found.trajectory, begun)
+    assert_inside_limits(found.trajectory, M1013)
 
 
 def test_a_state_and_a_start_at_rest_are_not_both_given() -> None:

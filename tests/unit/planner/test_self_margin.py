@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zarm_contract.messages import JointGoal
+from zarm_contract.errors import PlanningFailed
+from zarm_contract.messages import JointGoal, PathConstraint
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
@@ -17,6 +18,7 @@ from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.pipeline import Verified, plan
+from zarm_planner.planners.constrained import ConstrainedPlanner
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_trajectory.limits import Limits
@@ -80,3 +82,14 @@ def test_no_margin_takes_more_than_its_share_of_what_is_free() -> None:
     free = [x for x in q if is_free(MODEL, EMPTY, x)]
     assert sum(is_free(kept, EMPTY, x) for x in free) > (1.0 - 0.06 * len(MODEL.arrays.pairs)) * len(free)
     assert 0.0 < kept.arrays.apart.min() < 0.2
+
+
+def test_who_is_refused_for_its_sake_is_told_to_lower_it() -> None:
+    """With every component of the tip pose held, the arm cannot unfold first."""
+    start = folded(0.001, MARGIN / 2)[0]
+    held = PathConstraint(axes=(True,) * 6, position_tolerance=0.0005, angle_tolerance=0.001)
+    scene = SCENE.with_self_margin(MARGIN)
+    context = PlanningContext(scene, Limits.of(MODEL.robot), Deadline(60.0), path_constraint=held)
+    goal = JointGoal(kind="joints", position=tuple(start.tolist()))
+    with pytest.raises(PlanningFailed, match=r"no way out of the start, .* only \d\.\d mm .* lower self_margin"):
+        plan(ConstrainedPlanner(), context, start, goal)

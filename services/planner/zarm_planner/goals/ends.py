@@ -7,7 +7,7 @@ seems to touch it; from there it first moves a little away, on a path that is fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple, Self
 
@@ -85,9 +85,10 @@ def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold
         return End.at(q)
     check_start(context, q)
     if (end := _end(context, q, constraint, _ALONE)) is None:
-        gap = _gap(context.exact.nearest(q, context.deadline.check))
+        nearest = context.exact.nearest(q, context.deadline.check)
         raise PlanningFailed(
-            f"there is no way out of the start, where {gap}; move the robot away by hand, or lower margin",
+            f"there is no way out of the start, where {_gap(nearest)}; move the robot away by hand, or "
+            f"lower {_margin_of(context, nearest)}",
             code="start_in_collision",
             field="start",
         )
@@ -120,7 +121,7 @@ def goal_ends(
             _check_goal(context, q, field)
             end = _end(context, q, constraint, _ALONE)
         if end is None:
-            raise _blocked([context.exact.nearest(q)]).of_goal(field)
+            raise _blocked(context, [context.exact.nearest(q)]).of_goal(field)
         if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
             raise fault.of_goal(field)
         return (end,)
@@ -144,7 +145,7 @@ def goal_ends(
 def _check_goal(context: PlanningContext, q: Array, field: str) -> None:
     """Raises PlanningFailed (`goal_in_collision`) if the goal's joints, the request's `field`, are in collision."""
     if not context.exact.is_free(q):
-        raise _blocked([context.exact.nearest(q)]).of_goal(field)
+        raise _blocked(context, [context.exact.nearest(q)]).of_goal(field)
 
 
 @dataclass(frozen=True)
@@ -226,11 +227,13 @@ def _tight_ends(
                 ends.append(end)
         if ends:
             return ends
-    return _blocked(nearest)
+    return _blocked(context, nearest)
 
 
 def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
-    """Joints for a pose (4, 4). Raises the deadline's error."""
+    """Joints for a pose (4, 4), free in spheres, and in exact geometry if that is `doubted`. Raises the deadline's
+    error.
+    """
     found = solve_ik(
         context.model,
         pose,
@@ -241,15 +244,22 @@ def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
         deadline=context.deadline,
     )
     context.deadline.check()
-    return found
+    if not context.doubted:
+        return found
+    free = np.array([context.exact.is_free(q, context.deadline.check) for q in found.solutions], np.bool_)
+    colliding = np.concatenate((found.solutions[~free], found.colliding))
+    return replace(found, solutions=found.solutions[free], colliding=colliding)
 
 
-def _blocked(nearest: Sequence[Nearest]) -> _Fault:
+def _blocked(context: PlanningContext, nearest: Sequence[Nearest]) -> _Fault:
     """The fault of a goal whose solutions are all unusable."""
     best = max(nearest, key=lambda nearest: nearest.distance)
-    reason = f"in collision: {_overlap(best)}" if best.distance <= 0.0 else f"out of reach: {_gap(best)}"
+    reason, remedy = f"in collision: {_overlap(best)}", "choose another one, or correct the scene"
+    if best.distance > 0.0:
+        reason = f"out of reach: {_gap(best)}"
+        remedy = f"choose another one, lower {_margin_of(context, best)}, or correct the scene"
     ways = f" in all {len(nearest)} ways to reach it" if len(nearest) > 1 else ""
-    return _Fault("goal_in_collision", f"is{ways} {reason}", "choose another one, lower margin, or correct the scene")
+    return _Fault("goal_in_collision", f"is{ways} {reason}", remedy)
 
 
 def _broken(constraint: ConstraintManifold, pose: Array) -> _Fault | None:
@@ -302,3 +312,8 @@ def _overlap(nearest: Nearest) -> str:
 def _gap(nearest: Nearest) -> str:
     a, b = nearest.pair or ("", "")
     return f"{a} is only {1e3 * nearest.distance:.1f} mm from {b}"
+
+
+def _margin_of(context: PlanningContext, nearest: Nearest) -> str:
+    """The field of the request that says how far the two keep from each other."""
+    return "self_margin" if nearest.pair and nearest.pair[1] in context.model.links else "margin"

@@ -5,6 +5,9 @@ The path of a plan begins where the braking comes to rest; smoothing in time the
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import chain
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +23,11 @@ from zarm_planner.verification.verify import LOAD, RANGE, VerificationFailed, ve
 from zarm_trajectory.limits import Limits
 
 Array = NDArray[np.float64]
+
+_SHARES = (1.0, 0.98)
+"""Shares of the acceleration limits tried for braking. Knots closer to each other than `sampling.CLOSE` are merged, which
+lets the acceleration overshoot by up to 1 %.
+"""
 
 
 def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
@@ -47,8 +55,10 @@ def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple
     """
     check_start(context, state[0], "start_state")
     failure: VerificationFailed | None = None
-    ways = ways_to_rest(context.model, context.world, state, context.limits, context.dt, vias=vias, seed=context.seed)
-    for lead_in in ways:
+    ways = partial(
+        ways_to_rest, context.model, context.world, state, context.limits, context.dt, vias=vias, seed=context.seed
+    )
+    for lead_in in chain.from_iterable(ways(share=share) for share in _SHARES):
         context.deadline.check()
         trajectory = brake_to_rest(context.model, context.world, lead_in, context.limits, context.dt)
         try:
@@ -68,7 +78,7 @@ def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple
             return lead_in, end
     reason = str(failure or "a joint would leave its range")
     raise PlanningFailed(
-        f"every braking motion from the start collides: {reason}; give a state from which the robot can still brake",
+        f"no braking motion from the start can be used: {reason}; give a state from which the robot can still brake",
         code="no_path",
         field="start_state",
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,24 @@ class PlanningProblem:
             targets.append(goal_ends(context, start, target, field, constraint))
             start = targets[-1][0].asked
         return cls(begin, tuple(targets), goal, constraint, lead_in)
+
+    def doubted(self, context: PlanningContext) -> PlanningProblem:
+        """The same problem with only those solutions for poses that are free in exact geometry; raises as `of` does.
+
+        Spheres may miss a collision: of pairs of links that the descriptor leaves to the exact check, or where they do
+        not contain a link.
+        """
+        if all(end.pose is None for ends in self.targets for end in ends):
+            return self
+        start, motion = self.beginning
+        return self.of(replace(context, doubted=True), start, self.goal, motion)
+
+    @property
+    def beginning(self) -> tuple[Array, Array | None]:
+        """The requested start (dof,), and its velocity and acceleration (2, dof), or None at rest."""
+        if self.lead_in is None:
+            return self.start.asked, None
+        return self.lead_in.state[0], self.lead_in.state[1:]
 
     @property
     def goals(self) -> Array:

@@ -47,15 +47,24 @@ class LeadIn:
 
 
 def ways_to_rest(
-    model: RobotModel, world: World, state: Array, limits: Limits, dt: float, *, vias: bool, seed: int
+    model: RobotModel,
+    world: World,
+    state: Array,
+    limits: Limits,
+    dt: float,
+    *,
+    vias: bool,
+    seed: int,
+    share: float = 1.0,
 ) -> Iterator[LeadIn]:
     """Ways to brake from `state` (3, dof) inside the joint ranges: first one that is free in spheres, if any, then
     others.
 
-    With `vias` the acceleration is as gentle as `smooth_path` makes it in that case.
+    They accelerate by at most a `share` of the limits; with `vias` of an acceleration as gentle as `smooth_path` makes
+    it in that case.
     """
     q, velocity, acceleration = state
-    strongest = gentle_acceleration(limits, dt) if vias else limits.acceleration
+    strongest = share * (gentle_acceleration(limits, dt) if vias else limits.acceleration)
     strength = np.maximum(strongest, np.abs(acceleration))
     window = averaging_window(0.5 * (strongest + strength), limits, dt)
     change = window * np.abs(acceleration) / strength

@@ -59,7 +59,7 @@ def verify(
     if missed >= 0:
         raise VerificationFailed(f"the trajectory {_MISSED[missed]}")
     if not (used := load(trajectory, limits)) <= LOAD:
-        raise VerificationFailed(f"the trajectory needs {used:.2f} times the allowed speed")
+        raise VerificationFailed(f"the trajectory needs {used:.4g} times the allowed speed")
 
     times, position = followed(trajectory.time, position, velocity, acceleration, scene.reach, RESOLUTION)
     outside, sample, joint = furthest_outside(position, model.lower, model.upper)
