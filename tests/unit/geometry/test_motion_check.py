@@ -19,8 +19,9 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.exact import ExactScene
-from zarm_geometry.motion_check import MotionCheck, MovingObject
+from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
