@@ -50,7 +50,8 @@ _PREPARED = 50
 
 _Table = list[list[list[float]]]
 """By row and node: the bound on the rate from the accelerations, that on the rate times the path speed from the jerks,
-how fast the rate may grow and fall at zero, and by how much less for each unit of the rate times the path speed.
+how fast the rate may grow and fall at zero, and by how much less for each unit of the rate times the path speed; then
+how much each of these six is greater at the next node.
 """
 
 
@@ -90,12 +91,13 @@ class Bounds(NamedTuple):
 
     def rate_after(self, rate: float, dt: float) -> float:
         """The greatest rate that `rate` may become within `dt` s."""
-        grown = rate + (self.grow - self.grow_loss * rate) * dt, (rate + self.grow * dt) / (1.0 + self.grow_loss * dt)
-        return min(*grown, self.rate)
+        most, grow, _, loss, _ = self
+        return min(rate + (grow - loss * rate) * dt, (rate + grow * dt) / (1.0 + loss * dt), most)
 
     def ease(self, rate: float) -> float:
         """How fast this rate, and any lower one, may fall towards zero."""
-        return max(self.shrink - self.shrink_loss * rate, 0.0)
+        left = self.shrink - self.shrink_loss * rate
+        return left if left > 0.0 else 0.0
 
 
 class RateBounds:
@@ -124,19 +126,18 @@ class RateBounds:
 
     def at(self, row: int, speed: float, way: int) -> Bounds:
         """The bounds in a row, from the path time `row` x ROW (s) on, for slowing down (`way` -1) or speeding up (1)."""
-        block, index = divmod(row, _ROWS)
-        tables = self._tables.get(block) or self._block(block)
+        tables = self._tables.get(row // _ROWS) or self._block(row // _ROWS)
         node = speed * speed * _NODES
-        low = min(int(node), _NODES - 1)
-        high = node - low
-        cells = tables[way > 0][index]
-        a, b = cells[low], cells[low + 1]
+        low = int(node) if node < _NODES else _NODES - 1
+        part = node - low
+        rate, product, grow, shrink, grow_loss, shrink_loss, b0, b1, b2, b3, b4, b5 = tables[way > 0][row % _ROWS][low]
+        rate, product = rate + part * b0, (product + part * b1) / (speed if speed > 1e-6 else 1e-6)
         return Bounds(
-            min(a[0] + high * (b[0] - a[0]), (a[1] + high * (b[1] - a[1])) / max(speed, 1e-6)),
-            a[2] + high * (b[2] - a[2]),
-            a[3] + high * (b[3] - a[3]),
-            (a[4] + high * (b[4] - a[4])) * speed,
-            (a[5] + high * (b[5] - a[5])) * speed,
+            rate if rate < product else product,
+            grow + part * b2,
+            shrink + part * b3,
+            (grow_loss + part * b4) * speed,
+            (shrink_loss + part * b5) * speed,
         )
 
     def _block(self, block: int) -> tuple[_Table, _Table]:
@@ -169,7 +170,8 @@ class RateBounds:
                 far = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
                 columns.append(near)
                 losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING))
-            tables.append(np.stack(columns + losses, axis=-1).tolist())
+            cells = np.stack(columns + losses, axis=-1)
+            tables.append(np.concatenate((cells[:, :-1], np.diff(cells, axis=1)), axis=2).tolist())
         return tables[0], tables[1]
 
 
