@@ -21,7 +21,7 @@ import numpy as np
 from zarm_contract.errors import InternalError
 from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
-from zarm_trajectory.rate_bounds import ROW, RateBounds, RateLimits
+from zarm_trajectory.rate_bounds import ROW, RateBounds, RateLimits, ease, rate_after
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -256,17 +256,17 @@ class _View:
         row, last = int(follower.time / ROW), int(follower.trajectory.duration / ROW)
         end = min(int((follower.time + speed * dt + max(follower.rate, 0.0) * dt * dt) / ROW), last)
         here = [bounds.at(k, speed, way) for k in range(row, end + 1)]
-        most = min([each.rate_after(now, dt) for each in here])
+        most = min([rate_after(each, now, dt) for each in here])
         # The path speed is different at the end of the step.
         speed = min(max(speed + way * (now + most) * dt / 2, 0.0), 1.0)
         there = [bounds.at(k, speed, way) for k in range(row, end + 1)]
-        most = min(most, *[each.rate_after(now, dt) for each in there])
+        most = min(most, *[rate_after(each, now, dt) for each in there])
         here += there
-        shrink = min([each.ease(now) for each in here])
+        shrink = min([ease(each, now) for each in here])
         greatest = max(most, now)
-        ease = min([each.ease(greatest) for each in here])
+        least = min([ease(each, greatest) for each in here])
         # There must be a way back to what later rows allow, from one step later on.
-        place, squared, back = follower.time + follower.speed * dt, speed * speed, ease
+        place, squared, back = follower.time + follower.speed * dt, speed * speed, least
         recovered, push = -back * TICK, 2.0 if way > 0 else -1.0
         for k in range(end + 1, min(end + follower._ahead, last) + 1):
             way_there, before = max(k * ROW - place, 0.0), speed
@@ -275,8 +275,8 @@ class _View:
             speed = math.sqrt(squared)
             recovered += back * way_there / max(speed, before, 1e-3)
             each = bounds.at(k, speed, way)
-            most = min(most, each.rate + max(recovered, 0.0))
-            back = each.ease(min(most, each.rate))
-            ease = min(ease, back)
+            most = min(most, each[0] + max(recovered, 0.0))
+            back = ease(each, min(most, each[0]))
+            least = min(least, back)
         self.way, self.rate, self.most = way, now, most
-        self.shrink, self.ease = shrink, max(ease, _LEAST)
+        self.shrink, self.ease = shrink, max(least, _LEAST)
