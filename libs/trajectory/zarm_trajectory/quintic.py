@@ -26,6 +26,12 @@ start to those at its end (Hermite interpolation: six conditions, six coefficien
 """
 
 
+_ALL = np.zeros((6, 6))
+"""All six coefficients, over the start and the same conditions."""
+_ALL[[0, 1, 2], [0, 2, 3]] = 1.0, 1.0, 0.5
+_ALL[3:, 1:] = _HERMITE
+
+
 def coefficients(begin: Array, end: Array, step: Array) -> Array:
     """Coefficients (6, N, J) of the quintics over times of length `step` (N,) s.
 
@@ -52,9 +58,7 @@ def state(begin: Sequence[Array], end: Sequence[Array], step: float, u: float) -
         )
     )
     h, h2 = step, step * step
-    conditions = np.array((p1 - p0, v0 * h, a0 * h2, v1 * h, a1 * h2))
-    highest = _HERMITE @ conditions
-    found: Array = powers @ np.array((p0, conditions[1], conditions[2] / 2, *highest))
+    found: Array = powers @ _ALL @ np.array((p0, p1 - p0, v0 * h, a0 * h2, v1 * h, a1 * h2))
     return found
 
 

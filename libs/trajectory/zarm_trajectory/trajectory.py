@@ -143,11 +143,9 @@ class TimedTrajectory:
 
     def nearest(self, position: Array, first: float, last: float) -> float:
         """The time from `first` to `last` s at which the trajectory is nearest to `position` (J,), to 1 ms."""
-        for apart in (_COARSE, _FINE):
-            times = np.append(np.arange(first, last, apart), last).clip(self.time[0], self.duration)
-            nearest = float(times[np.abs(self.positions(times) - position).max(axis=1).argmin()])
-            first, last = max(first, nearest - apart), min(last, nearest + apart)
-        return nearest
+        times = np.append(np.arange(first, last, 0.001), last).clip(self.time[0], self.duration)
+        distance = np.abs(self.positions(times) - position).max(axis=1)
+        return float(times[distance.argmin()])
 
     def shifted(self, offset: Array) -> Self:
         """The same motion with `offset` (J,) rad added to every position."""
@@ -225,8 +223,6 @@ _SWING = 0.375
 """The quintic from rest to a point with the acceleration a, over no distance, reaches -0.374 a on its way: the minimum
 of 3 u - 12 u^2 + 10 u^3.
 """
-_COARSE, _FINE = 0.01, 0.001
-"""Intervals (s) at which the nearest point is searched for: around the nearest of the coarse ones the finer."""
 _FEW = 8
 """As long as so many times fewer segments than there are were asked for at once, only those are computed."""
 SHORTEST = 1e-6
