@@ -101,8 +101,9 @@ def bounds(rows: Array) -> tuple[Array, Array]:
     half = np.einsum("nij,ni->nj", np.abs(turn), rows[:, 12:15]) + disc
     lower, upper = center - half, center + half
     flat = rows[:, 15] < 0.0
-    points = corners(rows[flat])
-    lower[flat], upper[flat] = points.min(axis=1), points.max(axis=1)
+    if flat.any():
+        points = corners(rows[flat])
+        lower[flat], upper[flat] = points.min(axis=1), points.max(axis=1)
     return lower - rows[:, 16:], upper + rows[:, 16:]
 
 

@@ -52,9 +52,9 @@ def blended(
             field="start",
         )
     begin = max(now, start)
-    here = _states(trajectory, np.array([begin])), _states(chunk, np.array([begin - start]))
+    here = _state(trajectory, begin), _state(chunk, begin - start)
     if begin - start < chunk.duration - _CLOSE and _continues(*here):
-        return _followed_by(trajectory, now, begin, here[1], chunk.begun_at(start), begin, _CLOSE)
+        return _followed_by(trajectory, now, begin, here[1][:, None], chunk.begun_at(start), begin, _CLOSE)
     joins = begin + BLENDS
     before = _states(trajectory, np.full_like(joins, begin))
     after = _states(chunk, joins - start)
@@ -81,15 +81,15 @@ def continued(trajectory: TimedTrajectory, now: float, other: TimedTrajectory, s
     `now` is the commanded path time (s). Raises ExecutionRefused (`start_state_mismatch`) if position, velocity or
     acceleration would jump.
     """
-    here = _states(trajectory, np.array([start])), _states(other, np.array([0.0]))
+    here = _state(trajectory, start), _state(other, 0.0)
     if not _continues(*here):
-        off = np.abs(here[1] - here[0]).max(axis=(1, 2))
+        off = np.abs(here[1] - here[0]).max(axis=1)
         raise ExecutionRefused(
             f"the trajectory does not begin where the one before is at {start:.3f} s: it is off by {off[0]:.2g} rad, "
             f"{off[1]:.2g} rad/s and {off[2]:.2g} rad/s^2; plan from the state of the trajectory at that time",
             code="start_state_mismatch",
         )
-    return _followed_by(trajectory, now, start, here[1], other.begun_at(start), start, _CLOSE)
+    return _followed_by(trajectory, now, start, here[1][:, None], other.begun_at(start), start, _CLOSE)
 
 
 def _by_rest(
@@ -142,8 +142,16 @@ def _followed_by(
     return TimedTrajectory(np.concatenate(times), *np.concatenate(states, axis=1))
 
 
+def _state(trajectory: TimedTrajectory, time: float) -> Array:
+    """Position, velocity and acceleration (3, J); at its end and later a trajectory is at rest."""
+    state = trajectory.at(time)
+    if time >= trajectory.duration:
+        state[1:] = 0.0
+    return state
+
+
 def _states(trajectory: TimedTrajectory, times: Array) -> Array:
-    """Position, velocity and acceleration (3, N, J) at N times (N,); at its end and later a trajectory is at rest."""
+    """The same (3, N, J) at N times (N,)."""
     states = trajectory.sample(times.clip(trajectory.time[0], trajectory.duration))
     states[1:, times >= trajectory.duration] = 0.0
     return states

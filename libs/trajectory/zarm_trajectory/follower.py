@@ -21,7 +21,7 @@ import numpy as np
 from zarm_contract.errors import InternalError
 from zarm_trajectory.path_state import PathState
 from zarm_trajectory.quintic import Array
-from zarm_trajectory.rate_bounds import ROW, RateBounds, RateLimits
+from zarm_trajectory.rate_bounds import ROW, RateBounds, RateLimits, ease, rate_after
 from zarm_trajectory.retimed import RetimedTrajectory
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -110,15 +110,20 @@ class Follower:
 
     def moved_to(self, state: PathState, target: float) -> Self:
         """Another follower of the same trajectory, in this state."""
-        other = copy.copy(self)
-        other.time, other.speed, other.rate = state
-        other.target, other._step = target, None
+        other = self._scout(state, target)
         other._reach()
         return other
 
     def braking(self, dt: float) -> RetimedTrajectory:
         """How the robot comes to rest when told to stop now, a point every `dt` s: the single definition of a stop."""
-        return self.moved_to(self.state, 0.0).ahead(dt)
+        return self._scout(self.state, 0.0).ahead(dt)
+
+    def rest(self, state: PathState, dt: float) -> tuple[float, float]:
+        """How long (s) a robot takes that brakes from this state, in whole steps of `dt` s, and the path time (s) at
+        which it comes to rest.
+        """
+        rows = self._scout(state, 0.0)._rows(dt)
+        return dt * (len(rows) - 1), rows[-1].time
 
     def join(self, trajectory: TimedTrajectory) -> None:
         """Continue along `trajectory`, which at `time` is where the present one is."""
@@ -133,16 +138,7 @@ class Follower:
         Raises InternalError if it never ends.
         """
         scout = copy.copy(self)
-        rows: list[tuple[float, float, float]] = []
-        for _ in range(math.ceil(self.trajectory.duration / (_SLOWEST * dt)) if count is None else count):
-            rows.append((scout.time, scout.speed, scout.rate))
-            if count is None and (scout.settled or scout.steady):
-                break
-            scout._move(min(dt, CATCH_UP))
-        else:
-            if count is None:
-                raise InternalError(f"the path speed does not come from {self.speed:g} to {self.target:g}")
-        time, speed, rate = np.array(rows).T
+        time, speed, rate = np.array(scout._rows(dt, count)).T
         if not scout.settled and count is None:  # constant speed from here: all points at once
             rest = np.arange(scout.time, self.trajectory.duration, dt * scout.speed)[1:]
             time = np.concatenate((time, rest, [self.trajectory.duration]))
@@ -150,6 +146,25 @@ class Follower:
             rate = np.append(rate, np.zeros(len(rest) + 1))
         speed[time >= self.trajectory.duration] = 0.0
         return RetimedTrajectory.along(self.trajectory, dt, time, speed, rate)
+
+    def _scout(self, state: PathState, target: float) -> Self:
+        """A follower in this state, whose position nobody asks for."""
+        other = copy.copy(self)
+        other.time, other.speed, other.rate = state
+        other.target, other._step = target, None
+        return other
+
+    def _rows(self, dt: float, count: int | None = None) -> list[PathState]:
+        """Move on, and return the states from now on, one every `dt` s, see `ahead`."""
+        rows = []
+        for _ in range(math.ceil(self.trajectory.duration / (_SLOWEST * dt)) if count is None else count):
+            rows.append(self.state)
+            if count is None and (self.settled or self.steady):
+                return rows
+            self._move(min(dt, CATCH_UP))
+        if count is None:
+            raise InternalError(f"the path speed does not come from {rows[0].speed:g} to {self.target:g}")
+        return rows
 
     def _reach(self) -> None:
         self._state = self.trajectory.at(self.time)
@@ -237,29 +252,31 @@ class _View:
     """
 
     def __init__(self, follower: Follower, way: int, dt: float) -> None:
-        bounds, speed = follower._bounds, follower.speed
-        self.way, self.rate = way, way * follower.rate
+        bounds, speed, now = follower._bounds, follower.speed, way * follower.rate
         row, last = int(follower.time / ROW), int(follower.trajectory.duration / ROW)
         end = min(int((follower.time + speed * dt + max(follower.rate, 0.0) * dt * dt) / ROW), last)
         here = [bounds.at(k, speed, way) for k in range(row, end + 1)]
-        self.most = min(each.rate_after(self.rate, dt) for each in here)
+        most = min([rate_after(each, now, dt) for each in here])
         # The path speed is different at the end of the step.
-        speed = min(max(speed + way * (self.rate + self.most) * dt / 2, 0.0), 1.0)
-        here += [bounds.at(k, speed, way) for k in range(row, end + 1)]
-        self.most = min(each.rate_after(self.rate, dt) for each in here)
-        self.shrink = min(each.ease(self.rate) for each in here)
-        self.ease = min(each.ease(max(self.most, self.rate)) for each in here)
+        speed = min(max(speed + way * (now + most) * dt / 2, 0.0), 1.0)
+        there = [bounds.at(k, speed, way) for k in range(row, end + 1)]
+        most = min(most, *[rate_after(each, now, dt) for each in there])
+        here += there
+        shrink = min([ease(each, now) for each in here])
+        greatest = max(most, now)
+        least = min([ease(each, greatest) for each in here])
         # There must be a way back to what later rows allow, from one step later on.
-        place, squared, back = follower.time + follower.speed * dt, speed * speed, self.ease
-        recovered = -back * TICK
+        place, squared, back = follower.time + follower.speed * dt, speed * speed, least
+        recovered, push = -back * TICK, 2.0 if way > 0 else -1.0
         for k in range(end + 1, min(end + follower._ahead, last) + 1):
             way_there, before = max(k * ROW - place, 0.0), speed
             place = k * ROW
-            squared = min(max(squared + (2.0 if way > 0 else -1.0) * self.most * way_there, 0.0), 1.0)
+            squared = min(max(squared + push * most * way_there, 0.0), 1.0)
             speed = math.sqrt(squared)
             recovered += back * way_there / max(speed, before, 1e-3)
             each = bounds.at(k, speed, way)
-            self.most = min(self.most, each.rate + max(recovered, 0.0))
-            back = each.ease(min(self.most, each.rate))
-            self.ease = min(self.ease, back)
-        self.ease = max(self.ease, _LEAST)
+            most = min(most, each[0] + max(recovered, 0.0))
+            back = ease(each, min(most, each[0]))
+            least = min(least, back)
+        self.way, self.rate, self.most = way, now, most
+        self.shrink, self.ease = shrink, max(least, _LEAST)

@@ -5,6 +5,7 @@ Coefficients are arrays (6, N, J), lowest power first, of N segments of J joints
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import comb
 
 import numpy as np
@@ -25,6 +26,12 @@ start to those at its end (Hermite interpolation: six conditions, six coefficien
 """
 
 
+_ALL = np.zeros((6, 6))
+"""All six coefficients, over the start and the same conditions."""
+_ALL[[0, 1, 2], [0, 2, 3]] = 1.0, 1.0, 0.5
+_ALL[3:, 1:] = _HERMITE
+
+
 def coefficients(begin: Array, end: Array, step: Array) -> Array:
     """Coefficients (6, N, J) of the quintics over times of length `step` (N,) s.
 
@@ -35,6 +42,24 @@ def coefficients(begin: Array, end: Array, step: Array) -> Array:
     conditions = np.stack((end[0] - begin[0], v0, a0, v1, a1))
     highest = (_HERMITE @ conditions.reshape(5, -1)).reshape(3, *v0.shape)
     return np.concatenate((np.stack((begin[0], v0, a0 / 2)), highest))
+
+
+def state(begin: Sequence[Array], end: Sequence[Array], step: float, u: float) -> Array:
+    """Position, velocity and acceleration (3, J) at `u` in [0, 1] of one quintic over `step` s, from those at both
+    ends, each (J,).
+    """
+    (p0, v0, a0), (p1, v1, a1) = begin, end
+    u2, u3, u4 = u * u, u**3, u**4
+    powers = np.array(
+        (
+            (1.0, u, u2, u3, u4, u4 * u),
+            (0.0, 1.0 / step, 2 * u / step, 3 * u2 / step, 4 * u3 / step, 5 * u4 / step),
+            (0.0, 0.0, 2 / step**2, 6 * u / step**2, 12 * u2 / step**2, 20 * u3 / step**2),
+        )
+    )
+    h, h2 = step, step * step
+    found: Array = powers @ _ALL @ np.array((p0, p1 - p0, v0 * h, a0 * h2, v1 * h, a1 * h2))
+    return found
 
 
 def derivative(polynomials: Array) -> Array:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -43,14 +42,15 @@ _STANDING = 1e-9
 _MOST = 1e6
 """Bound where no joint is a constraint."""
 
-_KEPT = 100
-"""Multiples of `_ROWS` remembered: 5 MB for six joints."""
+_KEPT = 200
+"""Multiples of `_ROWS` remembered, of either way: 9 MB for six joints."""
 _PREPARED = 50
-"""Multiples of `_ROWS` looked up by `prepare`: 10 s of the trajectory, in some 40 ms."""
+"""Multiples of `_ROWS` looked up by `prepare`: 10 s of the trajectory, in some 50 ms."""
 
 _Table = list[list[list[float]]]
 """By row and node: the bound on the rate from the accelerations, that on the rate times the path speed from the jerks,
-how fast the rate may grow and fall at zero, and by how much less for each unit of the rate times the path speed.
+how fast the rate may grow and fall at zero, and by how much less for each unit of the rate times the path speed; then
+how much each of these six is greater at the next node.
 """
 
 
@@ -77,25 +77,22 @@ def _limits(acceleration: tuple[float, ...], jerk: tuple[float, ...]) -> RateLim
     return RateLimits(np.array(acceleration), np.array(jerk))
 
 
-class Bounds(NamedTuple):
-    """For one direction of change: the greatest `rate` (1/s); how fast it may `grow` and `shrink` near zero (1/s^2),
-    and by how much less for each unit of it.
-    """
+Bounds = tuple[float, float, float, float, float]
+"""For one direction of change: the greatest rate (1/s), how fast it may grow and shrink near zero (1/s^2), and by how
+much less for each unit of it.
+"""
 
-    rate: float
-    grow: float
-    shrink: float
-    grow_loss: float
-    shrink_loss: float
 
-    def rate_after(self, rate: float, dt: float) -> float:
-        """The greatest rate that `rate` may become within `dt` s."""
-        grown = rate + (self.grow - self.grow_loss * rate) * dt, (rate + self.grow * dt) / (1.0 + self.grow_loss * dt)
-        return min(*grown, self.rate)
+def rate_after(bounds: Bounds, rate: float, dt: float) -> float:
+    """The greatest rate that `rate` may become within `dt` s."""
+    most, grow, _, loss, _ = bounds
+    return min(rate + (grow - loss * rate) * dt, (rate + grow * dt) / (1.0 + loss * dt), most)
 
-    def ease(self, rate: float) -> float:
-        """How fast this rate, and any lower one, may fall towards zero."""
-        return max(self.shrink - self.shrink_loss * rate, 0.0)
+
+def ease(bounds: Bounds, rate: float) -> float:
+    """How fast this rate, and any lower one, may fall towards zero."""
+    left = bounds[2] - bounds[4] * rate
+    return left if left > 0.0 else 0.0
 
 
 class RateBounds:
@@ -107,7 +104,7 @@ class RateBounds:
 
     def __init__(self, trajectory: TimedTrajectory, limits: RateLimits) -> None:
         self._trajectory, self._limits = trajectory, limits
-        self._tables: dict[int, tuple[_Table, _Table]] = {}
+        self._tables: dict[tuple[int, int], _Table] = {}
 
     @staticmethod
     @lru_cache(4)
@@ -120,32 +117,33 @@ class RateBounds:
         loop.
         """
         for block in range(min(int(self._trajectory.duration / (ROW * _ROWS)) + 1, _PREPARED)):
-            self._block(block)
+            for way in (-1, 1):
+                self._block(block, way)
 
     def at(self, row: int, speed: float, way: int) -> Bounds:
         """The bounds in a row, from the path time `row` x ROW (s) on, for slowing down (`way` -1) or speeding up (1)."""
-        block, index = divmod(row, _ROWS)
-        tables = self._tables.get(block) or self._block(block)
+        block = row // _ROWS
+        table = self._tables.get((block, way)) or self._block(block, way)
         node = speed * speed * _NODES
-        low = min(int(node), _NODES - 1)
-        high = node - low
-        cells = tables[way > 0][index]
-        a, b = cells[low], cells[low + 1]
-        return Bounds(
-            min(a[0] + high * (b[0] - a[0]), (a[1] + high * (b[1] - a[1])) / max(speed, 1e-6)),
-            a[2] + high * (b[2] - a[2]),
-            a[3] + high * (b[3] - a[3]),
-            (a[4] + high * (b[4] - a[4])) * speed,
-            (a[5] + high * (b[5] - a[5])) * speed,
+        low = int(node) if node < _NODES else _NODES - 1
+        part = node - low
+        rate, product, grow, shrink, grow_loss, shrink_loss, b0, b1, b2, b3, b4, b5 = table[row % _ROWS][low]
+        rate, product = rate + part * b0, (product + part * b1) / (speed if speed > 1e-6 else 1e-6)
+        return (
+            rate if rate < product else product,
+            grow + part * b2,
+            shrink + part * b3,
+            (grow_loss + part * b4) * speed,
+            (shrink_loss + part * b5) * speed,
         )
 
-    def _block(self, block: int) -> tuple[_Table, _Table]:
-        if block not in self._tables:
-            tables = self._look_up(block * _ROWS)
-            self._tables = {**dict(list(self._tables.items())[1 - _KEPT :]), block: tables}
-        return self._tables[block]
+    def _block(self, block: int, way: int) -> _Table:
+        if (block, way) not in self._tables:
+            table = self._look_up(block * _ROWS, way)
+            self._tables = {**dict(list(self._tables.items())[1 - _KEPT :]), (block, way): table}
+        return self._tables[block, way]
 
-    def _look_up(self, first: int) -> tuple[_Table, _Table]:
+    def _look_up(self, first: int, way: int) -> _Table:
         trajectory, limit, jerk = self._trajectory, self._limits.acceleration, self._limits.jerk
         times = ROW * (first + np.arange(_ROWS * _SAMPLES + 1) / _SAMPLES)
         times = times.clip(trajectory.begin, trajectory.duration)
@@ -157,20 +155,19 @@ class RateBounds:
         turn = 3 * bend
         by_slope, by_turn = 1.0 / np.maximum(np.abs(slope), _STANDING), 1.0 / np.maximum(np.abs(turn), _STANDING)
         leaning, turning = np.sign(slope) * by_slope, np.sign(turn) * by_turn
-        tables = []
-        for way in (-1, 1):
-            rate = _room((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, (way * bend * leaning, _SQUARED))
-            product = _room(most_jerk * by_turn, least_jerk * by_turn, (way * twist * turning, _CUBED))
-            reach = np.minimum(rate * np.sqrt(np.maximum(_SQUARED, _SQUARED[1])), product)
-            columns, losses = [rate, product], []
-            for sign in (way, -way):
-                of_trajectory, of_rate = (sign * twist * leaning, _CUBED), (sign * way * turn * leaning, reach)
-                near = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
-                far = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
-                columns.append(near)
-                losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING))
-            tables.append(np.stack(columns + losses, axis=-1).tolist())
-        return tables[0], tables[1]
+        rate = _room((1 + _SLACK) * limit * by_slope, _SLACK * limit * by_slope, (way * bend * leaning, _SQUARED))
+        product = _room(most_jerk * by_turn, least_jerk * by_turn, (way * twist * turning, _CUBED))
+        reach = np.minimum(rate * np.sqrt(np.maximum(_SQUARED, _SQUARED[1])), product)
+        columns, losses = [rate, product], []
+        for sign in (way, -way):
+            of_trajectory, of_rate = (sign * twist * leaning, _CUBED), (sign * way * turn * leaning, reach)
+            near = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory)
+            far = _room(most_jerk * by_slope, least_jerk * by_slope, of_trajectory, of_rate)
+            columns.append(near)
+            losses.append(np.maximum(near - far, 0.0) / np.maximum(reach, _STANDING))
+        cells = np.stack(columns + losses, axis=-1)
+        table: _Table = np.concatenate((cells[:, :-1], np.diff(cells, axis=1)), axis=2).tolist()
+        return table
 
 
 _SQUARED = np.arange(_NODES + 1.0) / _NODES

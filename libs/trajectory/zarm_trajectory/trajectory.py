@@ -52,9 +52,7 @@ class TimedTrajectory:
         order = [named.index(joint) for joint in joints]
         shape = len(time), len(joints)
         rows = (trajectory.position, trajectory.velocity, trajectory.acceleration)
-        # NumPy would process every row twice, which takes three times as long.
-        flat = (np.fromiter(chain.from_iterable(each), float, count=time.size * len(joints)) for each in rows)
-        return cls(time, *(each.reshape(shape)[:, order] for each in flat))
+        return cls(time, *(_numbers(each, time.size * len(joints)).reshape(shape)[:, order] for each in rows))
 
     @classmethod
     def standing(cls, position: Array, duration: float = 1.0) -> Self:
@@ -123,34 +121,24 @@ class TimedTrajectory:
         time = min(max(time, knots[0]), knots[-1])
         index = min(bisect_right(knots, time), len(knots) - 1) - 1
         begin, end = knots[index], knots[index + 1]
-        step = end - begin
-        u = (time - begin) / step
-        u2, u3, u4 = u * u, u**3, u**4
-        powers = np.array(
-            (
-                (1.0, u, u2, u3, u4, u4 * u),
-                (0.0, 1.0 / step, 2 * u / step, 3 * u2 / step, 4 * u3 / step, 5 * u4 / step),
-                (0.0, 0.0, 2 / step**2, 6 * u / step**2, 12 * u2 / step**2, 20 * u3 / step**2),
-            )
-        )
-        rows: Array = powers @ self.coefficients[:, index]
-        return rows
+        rows = self.position, self.velocity, self.acceleration
+        here, there = [each[index] for each in rows], [each[index + 1] for each in rows]
+        return quintic.state(here, there, end - begin, (time - begin) / (end - begin))
 
     def sample(self, times: Array) -> Array:
         """Position, velocity and acceleration (3, K, J) at `times` (K,) within the trajectory, as `at` returns them."""
-        index, u, step = self._places(times)
-        position, velocity, acceleration = quintic.states(self.coefficients[:, index], u)
+        coefficients, u, step = self._pieces(times)
+        position, velocity, acceleration = quintic.states(coefficients, u)
         return np.stack((position, velocity / step, acceleration / step**2))
 
     def positions(self, times: Array) -> Array:
         """Positions (K, J) at `times` (K,) within the trajectory."""
-        index, u, _ = self._places(times)
-        return quintic.values(self.coefficients[:, index], u)
+        coefficients, u, _ = self._pieces(times)
+        return quintic.values(coefficients, u)
 
     def jerks(self, times: Array) -> Array:
         """Jerks (K, J) in rad/s^3 at `times` (K,) within the trajectory; at a sample, the jerk after it."""
-        index, u, step = self._places(times)
-        _, _, _, c3, c4, c5 = self.coefficients[:, index]
+        (_, _, _, c3, c4, c5), u, step = self._pieces(times)
         return np.asarray((6 * c3 + u * (24 * c4 + 60 * u * c5)) / step**3)
 
     def nearest(self, position: Array, first: float, last: float) -> float:
@@ -206,17 +194,37 @@ class TimedTrajectory:
     def _knots(self) -> list[float]:
         return list(self.time.tolist())
 
-    def _places(self, times: Array) -> tuple[npt.NDArray[np.intp], Array, Array]:
-        """The segment (K,) that contains each time, the elapsed share (K, 1) of it, and its length (K, 1) in s."""
+    def _pieces(self, times: Array) -> tuple[Array, Array, Array]:
+        """The segments that contain the times (K,): their coefficients (6, K, J), the elapsed shares (K, 1) of them,
+        and their lengths (K, 1) in s.
+        """
         index = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
         step = self.steps[index]
-        return index, ((times - self.time[index]) / step)[:, None], step[:, None]
+        if "coefficients" not in vars(self) and _FEW * len(times) < len(self.steps):  # often no others are ever needed
+            begin, end = self._states_at(index), self._states_at(index + 1)
+            coefficients = quintic.coefficients(begin, end, step)
+        else:
+            coefficients = self.coefficients[:, index]
+        return coefficients, ((times - self.time[index]) / step)[:, None], step[:, None]
+
+    def _states_at(self, index: npt.NDArray[np.intp]) -> Array:
+        return np.stack((self.position[index], self.velocity[index], self.acceleration[index]))
+
+
+def _numbers(rows: Any, count: int) -> Array:
+    """The numbers in rows of a message, (`count`,)."""
+    if isinstance(rows, np.ndarray):  # as `TimedTrajectory.message` leaves them
+        return rows.ravel()
+    # NumPy would process every row twice, which takes three times as long.
+    return np.fromiter(chain.from_iterable(rows), float, count=count)
 
 
 _SWING = 0.375
 """The quintic from rest to a point with the acceleration a, over no distance, reaches -0.374 a on its way: the minimum
 of 3 u - 12 u^2 + 10 u^3.
 """
+_FEW = 8
+"""As long as so many times fewer segments than there are were asked for at once, only those are computed."""
 SHORTEST = 1e-6
 """Least time between two samples, s."""
 NEGLIGIBLE = 1e-6

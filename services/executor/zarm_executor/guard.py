@@ -60,7 +60,7 @@ class Limit:
 
     def _rest(self, state: PathState) -> float:
         """The path time (s) at which a robot braking from this state comes to rest."""
-        return float(self._follower.moved_to(state, 0.0).ahead(_POINT).path_time[-1])
+        return self._follower.rest(state, _POINT)[1]
 
 
 class Guard:

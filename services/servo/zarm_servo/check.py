@@ -12,8 +12,9 @@ import numpy as np
 
 from zarm_contract.messages import Obstruction, SceneObject
 from zarm_geometry.meshes import Meshes
-from zarm_geometry.motion_check import MotionCheck, MotionVerdict, MovingObject
+from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.situation import MotionVerdict, MovingObject
 from zarm_geometry.world import World
 from zarm_servo.moving_objects import Mover
 from zarm_servo.scene_monitor import SceneSnapshot
@@ -26,8 +27,6 @@ DISTANCE = 0.02
 """The robot stops this far (m) from an obstacle if it can."""
 _SAMPLE = 0.01
 """Interval (s) at which the trajectory is sampled."""
-_LONG = 1e3
-"""Time (s) that a growing obstacle is given: at a small speed over this time it is inflated evenly on all sides."""
 AHEAD = 3.0
 """Look-ahead (s of path time) when checking against moving objects."""
 _FINENESS = 0.02
@@ -111,15 +110,8 @@ class Checker:
         positions = trajectory.positions(times)
 
         def first(*grown: MovingObject) -> MotionVerdict:
-            return self._scene.motions.check(
-                times,
-                positions,
-                margin=CONTACT,
-                attached=scene.attached,
-                ignored_links=scene.ignored_links,
-                moving=grown,
-                self_collision=not same,
-            )
+            situation = self._scene.motions.situation(scene.attached, scene.ignored_links, grown)
+            return situation.check(times, positions, margin=CONTACT, self_collision=not same)
 
         contact = first()
         time, what = contact.contact_time, contact.object or ""
@@ -127,8 +119,7 @@ class Checker:
             return PathValidity()
         until = time
         if what in objects:  # keep the distance to this object only: others may be closer to the trajectory all along
-            grown = MovingObject(objects[what], speed=DISTANCE / _LONG, time=begin - _LONG)
-            until = first(grown).contact_time or time
+            until = first(MovingObject(objects[what], growth=DISTANCE)).contact_time or time
         return PathValidity(until, Obstruction(object=what, link=contact.link or "", time=time))
 
     def validity_among(
@@ -151,16 +142,9 @@ class Checker:
         times = _times(begin, min(begin + AHEAD, trajectory.duration))
         positions = trajectory.positions(times)
 
-        def first(places: Sequence[tuple[SceneObject, float]]) -> MotionVerdict:
-            return self._moving.check(
-                times,
-                positions,
-                margin=CONTACT,
-                attached=scene.attached,
-                ignored_links=scene.ignored_links,
-                moving=[MovingObject(item, speed=growth / _LONG, time=begin - _LONG) for item, growth in places],
-                self_collision=False,
-            )
+        def first(places: Sequence[MovingObject]) -> MotionVerdict:
+            situation = self._moving.situation(scene.attached, scene.ignored_links, places)
+            return situation.check(times, positions, margin=CONTACT, self_collision=False)
 
         found = first([place for mover in movers for place in mover.swept(now, stopping, _FINENESS)])
         until, name = found.contact_time, found.object

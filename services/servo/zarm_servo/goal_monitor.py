@@ -12,6 +12,7 @@ import numpy as np
 from zarm_contract.errors import ZarmError
 from zarm_contract.messages import ExecutorState, GoalState, GoalTrajectory, JointState
 from zarm_runtime.bus import Latest
+from zarm_servo.kernels.nearest import nearest_time
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
@@ -99,4 +100,5 @@ class GoalMonitor:
         if measured is None or set(measured.joint_names) != set(self._joints):
             return first
         order = [measured.joint_names.index(name) for name in self._joints]
-        return trajectory.nearest(np.array(measured.position)[order], first, max(first, last))
+        times, coefficients = np.ascontiguousarray(trajectory.time), np.ascontiguousarray(trajectory.coefficients)
+        return nearest_time(times, coefficients, np.array(measured.position)[order], first, max(first, last))

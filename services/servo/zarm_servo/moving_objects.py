@@ -15,7 +15,7 @@ from zarm_contract.errors import InvalidRequest, Problem, ZarmError
 from zarm_contract.messages import ObjectPose, SceneObject, Sphere, Vector3, Voxels
 from zarm_geometry import rows
 from zarm_geometry.meshes import Meshes
-from zarm_geometry.motion_check import MovingObject
+from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import convex_shapes
 from zarm_servo.refusal import Refusal
 from zarm_servo.scene_monitor import SceneMonitor, SceneSnapshot
@@ -60,9 +60,8 @@ class Mover:
             self.placed, (x / scale, y / scale, z / scale), self.speed / scale, -scale * (self.age(now) + ahead)
         )
 
-    def swept(self, now: float, ahead: float, fineness: float) -> list[tuple[SceneObject, float]]:
-        """What it may occupy from `now` (s, monotonic) until `ahead` s later: copies of it, each to be inflated by a
-        distance (m).
+    def swept(self, now: float, ahead: float, fineness: float) -> list[MovingObject]:
+        """What it may occupy from `now` (s, monotonic) until `ahead` s later: copies of it that stand and are inflated.
 
         The copies are at most twice the `fineness` (m) apart, or further if the object is so fast that there would be
         too many.
@@ -73,9 +72,9 @@ class Mover:
         found = []
         for k in range(count):
             middle = first + (k + 0.5) * step
-            x, y, z = (p + middle * v for p, v in zip(self.placed.position, self.velocity, strict=True))
+            x, y, z = self.velocity
             growth = fast * step / 2 + self.speed * (first + (k + 1) * step)
-            found.append((self.placed.model_copy(update={"position": (x, y, z)}), growth))
+            found.append(MovingObject(self.placed, offset=(x * middle, y * middle, z * middle), growth=growth))
         return found
 
 

@@ -31,9 +31,10 @@ from zarm_runtime.metrics import Metrics
 from zarm_runtime.realtime import PROCESS_PRIORITY, ask_for_realtime
 from zarm_servo.check import SceneCheck
 from zarm_servo.clock import StreamClock
-from zarm_servo.controller import PERIOD, STALE, Controller, Limitation
+from zarm_servo.controller import STALE, Controller, Limitation
 from zarm_servo.global_plan import PlanFor, find_global_plan
 from zarm_servo.inbox import Inbox, ahead
+from zarm_servo.kernels.step import PERIOD
 from zarm_servo.local_goal import LocalGoal
 from zarm_servo.moving_objects import MovingObjects
 from zarm_servo.scene_monitor import SceneMonitor

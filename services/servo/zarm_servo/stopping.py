@@ -51,5 +51,5 @@ class StoppingTime:
         if k not in self._known:
             trajectory = self._follower.trajectory
             time = min(max(k * _STEP, trajectory.begin), trajectory.duration)
-            self._known[k] = _POINT * self._follower.moved_to(PathState(time, 1.0), 0.0).ahead(_POINT).last
+            self._known[k], _ = self._follower.rest(PathState(time, 1.0), _POINT)
         return self._known[k]

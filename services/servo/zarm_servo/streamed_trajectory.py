@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from zarm_servo.controller import PERIOD, Step
+from zarm_servo.controller import Step
+from zarm_servo.kernels.step import PERIOD
 from zarm_servo.speed_change import SpeedChange
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory

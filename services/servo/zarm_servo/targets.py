@@ -84,26 +84,29 @@ Target = PoseTarget | TwistTarget | JointSpeedTarget | JointTarget
 class Wish:
     """Joint speeds (J,) in rad/s that lead to a target, inside the speed limits; `singular`: a singularity slows them.
 
-    `metric` (J, J) is the quadratic cost of changing these speeds to avoid obstacles. It measures in the space of the
-    target, so that the tip loses only the part of its motion that leads into the obstacle. `singularity`, if one is
-    near: the smallest singular value of the tip's Jacobian, and its derivative by each joint (J,).
+    `inverse` (J, J) is that of the quadratic cost of changing these speeds to avoid obstacles. It measures in the space
+    of the target, so that the tip loses only the part of its motion that leads into the obstacle. `singularity`: the
+    smallest singular value of the tip's Jacobian, and its derivative by each joint (J,); infinite if it is not near 0.
     """
 
     velocity: Array
-    metric: Array
+    inverse: Array
+    singularity: tuple[float, Array]
     singular: bool = False
-    singularity: tuple[float, Array] | None = None
 
 
 def wish(model: RobotModel, target: Target, age: float, position: Array, speed: Array, acceleration: Array) -> Wish:
     """The joint speeds towards a target `age` s old at `position` (J,), with limits (J,) in rad/s and rad/s^2."""
-    joints = np.eye(model.dof)
     if isinstance(target, JointSpeedTarget):
-        return Wish(within_speed(target.velocity, speed), joints)
+        return Wish(within_speed(target.velocity, speed), np.eye(model.dof), (math.inf, np.zeros(model.dof)))
     if isinstance(target, JointTarget):
-        return Wish(within_speed(_approach(target.position - position, acceleration), speed), joints)
+        velocity = within_speed(_approach(target.position - position, acceleration), speed)
+        return Wish(velocity, np.eye(model.dof), (math.inf, np.zeros(model.dof)))
     jacobian = model.tip_jacobian(position)
-    inverse, share, singularity = _damped_inverse(jacobian)
+    u, values, v = np.linalg.svd(jacobian, full_matrices=False)
+    least = float(values[-1])
+    near = min(1.0, least / SINGULAR)
+    inverse = (v.T * (values / (values**2 + _DAMPING**2 * (1.0 - near**2)))) @ u.T
     if isinstance(target, TwistTarget):
         turn = model.fk_tip(position)[:3, :3] if target.frame == "tool" else np.eye(3)
         twist = np.concatenate((turn @ target.twist[:3], turn @ target.twist[3:]))
@@ -113,7 +116,10 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
         error = np.concatenate((pose[:3, 3] - tip[:3, 3], rotation_vector(pose[:3, :3] @ tip[:3, :3].T)))
         velocity = _approach(inverse @ error, acceleration) + inverse @ target.velocity
     return Wish(
-        share * within_speed(velocity, speed), jacobian.T @ jacobian + _JOINTS_COUNT * joints, share < 1.0, singularity
+        max(near, _SLOWEST) * within_speed(velocity, speed),
+        _inverse_metric(values, v),
+        (least, _change(jacobian, u[:, -1], v[-1])) if least < _WATCHED else (math.inf, np.zeros(model.dof)),
+        near < 1.0,
     )
 
 
@@ -129,16 +135,12 @@ def within_speed(velocity: Array, speed: Array) -> Array:
     return np.asarray(velocity / max(1.0, float((np.abs(velocity) / speed).max())))
 
 
-def _damped_inverse(jacobian: Array) -> tuple[Array, float, tuple[float, Array] | None]:
-    """The damped inverse (J, 6) of a Jacobian (6, J), the share of the speed allowed near a singularity, and the
-    singularity if one is near.
+def _inverse_metric(values: Array, v: Array) -> Array:
+    """The inverse (J, J) of the square of a Jacobian, with these singular values and right singular vectors, plus
+    _JOINTS_COUNT times the identity.
     """
-    u, values, v = np.linalg.svd(jacobian, full_matrices=False)
-    near = min(1.0, float(values[-1]) / SINGULAR)
-    damping = _DAMPING**2 * (1.0 - near**2)
-    least = float(values[-1])
-    singularity = (least, _change(jacobian, u[:, -1], v[-1])) if least < _WATCHED else None
-    return (v.T * (values / (values**2 + damping))) @ u.T, max(near, _SLOWEST), singularity
+    shares = values**2 / (values**2 + _JOINTS_COUNT)
+    return np.asarray((np.eye(v.shape[1]) - (v.T * shares) @ v) / _JOINTS_COUNT)
 
 
 def _change(jacobian: Array, u: Array, v: Array) -> Array:

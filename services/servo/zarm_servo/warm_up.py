@@ -15,7 +15,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_servo.check import Checker, SceneCheck
 from zarm_servo.controller import Controller
-from zarm_servo.kernels.projection import projected
+from zarm_servo.kernels.nearest import nearest_time
 from zarm_servo.moving_objects import Mover
 from zarm_servo.scene_monitor import SceneSnapshot
 from zarm_servo.targets import TwistTarget
@@ -24,16 +24,19 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 
 def warm_up(checker: Checker, check: SceneCheck) -> None:
-    """Check a robot at rest once, with an object far away, and take one step of a session there."""
+    """Check a robot at rest, and take a step of a session: with an object far away, and with one at its tip."""
     model, box = check.model, Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
     home = np.array(model.robot.descriptor.home)
-    checker.validity(TimedTrajectory.standing(home), 0.0, SceneSnapshot(objects={"far": box}), None)
+    tip = box.model_copy(update={"name": "tip", "position": tuple(model.fk_tip(home)[:3, 3].tolist())})
+    standing = TimedTrajectory.standing(home)
+    nearest_time(standing.time, standing.coefficients, home, 0.0, 0.1)
+    checker.validity(standing, 0.0, SceneSnapshot(objects={"far": box}), None)
     mover = Mover(box, box, (0.1, 0.0, 0.0), 0.1, 0.0, 0.0)
-    checker.validity_among(TimedTrajectory.standing(home), 0.0, SceneSnapshot(), [mover], 0.0, 0.5)
-    check.load({"far": box})
+    checker.validity_among(standing, 0.0, SceneSnapshot(), [mover], 0.0, 0.5)
     controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
-    controller.step(TwistTarget(np.zeros(6)), 0.0)
-    projected(np.ones(model.dof), np.eye(model.dof), np.ones((1, model.dof)), np.full(1, 2.0 * model.dof))
+    for item in (box, tip):
+        check.load({item.name: item})
+        controller.step(TwistTarget(np.zeros(6)), 0.0).braking.at(0.0)
     check.load({})
 
 

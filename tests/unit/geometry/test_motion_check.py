@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Attached, Capsule, Cuboid, Cylinder, SceneObject, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.exact import ExactScene
-from zarm_geometry.motion_check import MotionCheck, MovingObject
+from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.situation import MovingObject
 from zarm_geometry.world import World
 
 Array = NDArray[np.float64]
@@ -115,13 +117,15 @@ def test_what_moves_is_everywhere_that_it_may_be(seed: int) -> None:
     at, acceleration, duration = swing(arm, rng)
     velocity, speed, seen = rng.normal(0.0, 0.3, 3), rng.uniform(0.0, 0.3), rng.uniform(-0.2, 0.2)
     ball = Sphere(kind="sphere", name="ball", position=tuple(rng.uniform(-0.7, 0.7, 3).tolist()), radius=0.05)
-    mover = MovingObject(ball, tuple(velocity.tolist()), speed, seen)
+    offset, growth = rng.normal(0.0, 0.1, 3), rng.uniform(0.0, 0.05)
+    mover = MovingObject(ball, tuple(velocity.tolist()), speed, seen, tuple(offset.tolist()), growth)
     times = np.arange(0.0, duration, 0.01)
     verdict = check.check(times, at(times), margin=MARGIN, acceleration=acceleration, moving=[mover])
     end = times[-1] if verdict.contact_time is None else verdict.contact_time
     for t in np.linspace(0.0, end, 40):
-        place = np.array(ball.position) + velocity * (t - seen)
-        grown = Sphere(kind="sphere", name="ball", position=tuple(place.tolist()), radius=0.05 + speed * abs(t - seen))
+        place = np.array(ball.position) + offset + velocity * (t - seen)
+        radius = 0.05 + growth + speed * abs(t - seen)
+        grown = Sphere(kind="sphere", name="ball", position=tuple(place.tolist()), radius=radius)
         near = ExactScene(arm, World([grown], 0.0)).nearest(at(np.array([t])))
         assert end == 0.0 or near.distance >= MARGIN - PRECISION
 
@@ -160,6 +164,29 @@ def test_a_verdict_names_the_object_the_link_and_the_time_before_contact() -> No
     assert 0.3 < verdict.contact_time < 0.5
     late = check.check(TIMES + 7.0, TURN, margin=MARGIN, acceleration=FAST)
     assert late.contact_time == pytest.approx(verdict.contact_time + 7.0)
+
+
+def test_an_object_may_be_checked_inflated_and_displaced() -> None:
+    check, box = MotionCheck(model("doosan_m1013")), in_the_way("post", 0.5)
+    cube = Cuboid(kind="cuboid", name="cube", position=box.position, size=(0.04, 0.04, 0.04))
+
+    def contact(**changed: Any) -> float | None:
+        moving = [MovingObject(cube, **changed)]
+        return check.check(TIMES, TURN, margin=MARGIN, acceleration=FAST, moving=moving).contact_time
+
+    there, grown, away = contact(), contact(growth=0.05), contact(offset=(0.0, 0.0, 1.0))
+    assert there is not None
+    assert grown is not None
+    assert grown < there
+    assert away is None
+
+
+def test_a_situation_stays_as_it_was_and_the_next_one_is_new() -> None:
+    check = MotionCheck(model("doosan_m1013"))
+    before = check.situation()
+    check.update([in_the_way("post", 0.5)])
+    assert before.check(TIMES, TURN, margin=MARGIN, acceleration=FAST).free
+    assert not check.situation().check(TIMES, TURN, margin=MARGIN, acceleration=FAST).free
 
 
 def test_a_start_that_is_too_near_is_a_contact_at_the_first_time() -> None:

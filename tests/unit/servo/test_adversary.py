@@ -12,16 +12,22 @@ def cell() -> Cell:
     return Cell()
 
 
+each_mode = pytest.mark.parametrize(
+    "mode",
+    [pytest.param(mode, marks=pytest.mark.xdist_group(mode)) for mode in MODES],  # at once
+)
+
+
 @pytest.mark.lengthy
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("first", range(0, 50, 25))
+@each_mode
+@pytest.mark.parametrize("first", range(0, 250, 25))
 def test_a_robot_never_moves_into_what_comes_at_it(cell: Cell, mode: Mode, first: int) -> None:
     _attack(cell, mode, range(first, first + 25))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", [pytest.param(mode, marks=pytest.mark.xdist_group(mode)) for mode in MODES])  # at once
-@pytest.mark.parametrize("first", range(50, 500, 50))
+@each_mode
+@pytest.mark.parametrize("first", range(250, 2500, 50))
 def test_however_it_comes(cell: Cell, mode: Mode, first: int) -> None:
     _attack(cell, mode, range(first, first + 50))
 

@@ -79,8 +79,8 @@ def test_wherever_it_can_be_while_the_robot_stops_one_of_a_few_places_is_near(
     for time in rng.uniform(0.0, 0.5, 200):
         age, way = mover.age(NOW) + time, rng.normal(size=3)
         there = np.array((0.5, 0.0, 0.0)) + age * (np.array((fast, 0.0, 0.0)) + 0.1 * way / np.linalg.norm(way))
-        assert any(np.linalg.norm(there - item.position) <= growth + 1e-9 for item, growth in places)
-    assert max(growth for _, growth in places) < 0.1 * 0.55 + apart
+        assert any(np.linalg.norm(there - each.object.position - each.offset) <= each.growth + 1e-9 for each in places)
+    assert max(each.growth for each in places) < 0.1 * 0.55 + apart
 
 
 @pytest.mark.parametrize(

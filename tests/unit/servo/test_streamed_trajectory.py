@@ -9,7 +9,8 @@ from support.trajectories import ROBOT
 from zarm_executor.checks import continuation
 from zarm_geometry.motion_check import MotionCheck
 from zarm_geometry.robot_model import RobotModel
-from zarm_servo.controller import PERIOD, Controller
+from zarm_servo.controller import Controller
+from zarm_servo.kernels.step import PERIOD
 from zarm_servo.session import CHUNK, soft
 from zarm_servo.streamed_trajectory import REST, StreamedTrajectory
 from zarm_servo.targets import Target, TwistTarget

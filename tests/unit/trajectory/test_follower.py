@@ -250,6 +250,14 @@ def test_what_lies_ahead_is_what_will_be_commanded_at_every_speed(target: float)
     np.testing.assert_allclose(ahead.points.position[-1], path.end, atol=1e-9)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
+def test_a_rest_is_foretold_as_the_braking_to_it_says(share: float) -> None:
+    path = curved_path(7)
+    follower = Follower(path, RATE_LIMITS, time=share * path.duration)
+    braking = follower.braking(0.02)
+    assert follower.rest(follower.state, 0.02) == (0.02 * braking.last, braking.path_time[-1])
+
+
 def test_a_short_pause_between_ticks_is_caught_up_with() -> None:
     path = curved_path(4)
     late, on_time = Follower(path, RATE_LIMITS), Follower(path, RATE_LIMITS)

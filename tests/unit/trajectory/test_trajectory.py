@@ -52,6 +52,23 @@ def test_joints_may_come_in_any_order() -> None:
     )
 
 
+def test_a_few_times_are_sampled_as_all_are() -> None:
+    path = TimedTrajectory.of(rest_to_rest(moved(0.7, -0.3, 0.2), dt=0.01), JOINTS)
+    times = np.linspace(0.0, path.duration, 3 * len(path.time))
+    every = path.sample(times)
+    for index in range(0, len(times), 7):
+        fresh = path.begun_at(0.0)
+        np.testing.assert_allclose(fresh.sample(times[index : index + 1])[:, 0], every[:, index], atol=1e-9)
+        np.testing.assert_allclose(fresh.at(times[index]), every[:, index], atol=1e-9)
+
+
+def test_a_motion_is_read_from_the_message_that_it_wrote() -> None:
+    path = TimedTrajectory.of(rest_to_rest(moved(0.7, -0.3, 0.2)), JOINTS)
+    again = TimedTrajectory.of(path.message(JOINTS), JOINTS)
+    np.testing.assert_array_equal(again.time, path.time)
+    np.testing.assert_array_equal(again.states, path.states)
+
+
 @pytest.mark.parametrize(
     "names",
     [(*JOINTS[:-1], "joint_7"), JOINTS[:-1] + JOINTS[:1]],

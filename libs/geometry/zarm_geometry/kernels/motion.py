@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_geometry.kernels.arrays import Index, Pointer
-from zarm_geometry.kernels.compiled import inlined, kernel
+from zarm_geometry.kernels.compiled import brief, inlined, kernel
 from zarm_geometry.kernels.convex import Extents, Turn, Vector, core_gap, core_point, core_reach, turned, turned_back
 from zarm_geometry.kernels.course import Obstacles, RobotParts
 from zarm_geometry.kernels.kinematics import joint_frames
@@ -136,23 +136,28 @@ def motion_body(parts: RobotParts, asked: NDArray[np.bool_], room: Array) -> Mot
     )
 
 
+@brief
 def motion(body: MotionBody, time: Array, q: Array, acceleration: Array) -> Motion:
     """The motion `q` (N, dof) at `time` (N,), N > 1, whose joints accelerate by at most `acceleration` (dof,) in
     rad/s^2.
     """
     samples, dof = q.shape
     joints = np.zeros((dof + 1, 3, 4))
-    joints[0, :, :3] = np.eye(3)
+    for i in range(3):
+        joints[0, i, i] = 1.0
+    longest = 0.0
+    for k in range(1, samples):
+        longest = max(longest, time[k] - time[k - 1])
     return Motion(
-        time=time,
-        q=q,
-        bend=acceleration * (float(np.diff(time).max()) ** 2 / 8),
-        placed=np.zeros(samples, np.uint8),
-        frames=np.empty((samples, *body.solids.pose.shape)),
-        measured=np.zeros(4 * samples, np.uint8),
-        moved=np.empty((4 * samples, dof)),
-        uneven=np.empty((4 * samples, dof)),
-        joints=joints,
+        time,
+        q,
+        acceleration * (longest**2 / 8),
+        np.zeros(samples, np.uint8),
+        np.empty((samples, body.carrier.shape[0], 3, 4)),
+        np.zeros(4 * samples, np.uint8),
+        np.empty((4 * samples, dof)),
+        np.empty((4 * samples, dof)),
+        joints,
     )
 
 
