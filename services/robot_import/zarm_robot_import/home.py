@@ -43,11 +43,12 @@ def choose_home(model: RobotModel) -> tuple[float, ...]:
             return tuple(q)
     nearest = (ExactScene(model, empty).nearest(q) for _, q in best[:_LOOKED_AT])
     touching = Counter(found.pair for found in nearest if found.pair and found.distance < _APART)
-    (pair, count), *_ = touching.most_common(1) or [(("its", "spheres"), _LOOKED_AT)]
+    what = "the spheres of two links overlap"
+    for (one, other), count in touching.most_common(1):
+        what = f"what contains {one} and {other} overlaps in {count / _LOOKED_AT:.0%} of the {_LOOKED_AT} that were looked at"
     raise InvalidRequest(
-        f"in none of {SAMPLES} configurations is the robot free of itself; {' and '.join(pair)} are in contact in "
-        f"{count / _LOOKED_AT:.0%} of them. Look at their meshes and at the joints between them; and try --geometry visual or "
-        "collision, more --spheres, or another --tip"
+        f"in none of {SAMPLES} configurations is the robot free of itself; {what}. Look at the scale of their meshes and at the joints "
+        "between them; and try --geometry visual or collision, more --spheres, or another --tip"
     )
 
 
