@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from support.trajectories import HOME, ROBOT, curved_path, moved, rest_to_rest
 from zarm_contract.codec import encode
@@ -18,6 +19,7 @@ from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_planner.timing.rounding import rounded
 from zarm_planner.timing.sampling import load
+from zarm_planner.verification.verify import LOAD
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
@@ -40,6 +42,16 @@ def test_samples_close_together_keep_the_decimals_that_the_jerk_needs() -> None:
     times = np.sort(np.concatenate((motion.time, motion.time[5:40] + 1e-4)))
     dense = TimedTrajectory(times, *motion.sample(times))
     assert abs(load(rounded(dense, LIMITS), LIMITS) - load(dense, LIMITS)) < 1e-4
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.02, 0.01])
+def test_slow_motions_are_not_refused_for_their_rounding(scale: float) -> None:
+    """Where a hundredth of the acceleration is allowed, a hundredth of the rounding is."""
+    model, world, limits = RobotModel.of(ROBOT), World((), 0.0), Limits.of(ROBOT, 1.0, scale)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    goal = JointGoal(kind="joints", position=tuple(moved(0.5).tolist()))
+    context = PlanningContext(scene, limits, Deadline(60.0), max_attempts=1)
+    assert load(plan(FreePlanner(), context, HOME, goal).trajectory, limits) <= LOAD
 
 
 def test_every_plan_is_rounded() -> None:
