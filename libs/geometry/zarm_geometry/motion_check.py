@@ -20,9 +20,6 @@ from zarm_geometry.situation import (
 )
 from zarm_geometry.world import World
 
-_REMEMBERED = 32
-"""Number of moving objects whose shapes are remembered."""
-
 
 class MotionCheck:
     """Checks motions of one robot in a changing world; any number of threads may check while one changes it.
@@ -33,7 +30,7 @@ class MotionCheck:
     def __init__(self, model: RobotModel, meshes: Meshes | None = None) -> None:
         self.model, self._meshes = model, meshes or Meshes()
         self._robots: dict[tuple[tuple[Attached, ...], tuple[str, ...]], MotionRobot] = {}
-        self._shapes: dict[int, MovableShapes] = {}
+        self._shapes: dict[int, MovableShapes] = {}  # by the id of the object in it
         self.set_world(World((), 0.0))
 
     def set_world(self, world: World) -> None:
@@ -62,7 +59,7 @@ class MotionCheck:
         if robot is None:
             robot = MotionRobot.of(self.model.with_attached(*key))
             self._robots = {key: robot}
-        return self._world.situation(robot, [(self._shapes_of(item.object), item) for item in moving])
+        return self._world.situation(robot, self._shaped(moving) if moving else ())
 
     def check(
         self,
@@ -94,10 +91,13 @@ class MotionCheck:
         """`Situation.nearby` in the present situation."""
         return self.situation(attached, ignored_links, moving).nearby(position, within=within, time=time)
 
-    def _shapes_of(self, item: SceneObject) -> MovableShapes:
-        """The shapes of a moving object; those looked up last are remembered."""
-        known = self._shapes.get(id(item))
-        if known is None or known.item is not item:
-            known = MovableShapes.of(item, self._meshes)
-            self._shapes = {**dict(list(self._shapes.items())[1 - _REMEMBERED :]), id(item): known}
-        return known
+    def _shaped(self, moving: Sequence[MovingObject]) -> list[tuple[MovableShapes, MovingObject]]:
+        """Moving objects with their shapes, which are remembered: the next check is often of the same ones."""
+        known, used = self._shapes, dict[int, MovableShapes]()
+        for each in moving:
+            key = id(each.object)
+            if key not in used:
+                used[key] = known.get(key) or MovableShapes.of(each.object, self._meshes)
+        if not used.keys() <= known.keys():
+            self._shapes = used
+        return [(used[id(each.object)], each) for each in moving]
