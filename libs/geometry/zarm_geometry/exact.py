@@ -150,6 +150,8 @@ class ExactScene:
         """Rows (m, 5) of `clearance.look` that include the smallest distance over `q` (n, dof), if it is below `within`
         (m).
         """
+        if not len(q):
+            return np.empty((0, 5))
         motion = course(self._body, q, asked)
         found, smallest = begin(
             self._body, self.model.cover, self._obstacles, self._world.arrays.shapes, motion, asked, within

@@ -214,6 +214,7 @@ class Handlers:
                 seed=request.seed,
                 device=request.device,
                 deadline=deadline,
+                exact=scene.exact if request.collision_free else None,
             )
             return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
 

@@ -401,3 +401,12 @@ def test_a_stop_ends_the_look_along_a_motion(model: RobotModel) -> None:
 
     with pytest.raises(InterruptedError):
         scene_of(model, []).nearest(np.linspace(FREE, FREE + 0.1, 100), stop)
+
+
+def test_nothing_is_near_where_no_configuration_is_given(model: RobotModel) -> None:
+    scene, none = (
+        scene_of(model, [Sphere(kind="sphere", name="ball", position=(0.3, 0.0, 0.3), radius=0.1)]),
+        np.empty((0, model.dof)),
+    )
+    assert scene.is_free(none)
+    assert scene.nearest(none).distance == FARTHEST

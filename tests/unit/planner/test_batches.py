@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import random_joints
+from support.planner.unchecked_pairs import JOINTS, unchecked_pairs
 from support.tiers import sampled
 from zarm_contract.errors import Cancelled, InvalidRequest
 from zarm_contract.messages import Device, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
@@ -144,3 +147,21 @@ def test_a_device_without_torch_is_refused_with_the_remedy_and_auto_does_without
     poses = np.repeat(ur5e.fk_tip(np.full(6, 0.5))[None], WORTH_A_GPU // 64 + 1, axis=0)
     assert all(len(rows) == 64 for rows in solved(ur5e, poses, np.zeros(6), "auto", most=64))
     batches._has_gpu.cache_clear()
+
+
+def test_solutions_that_only_exact_geometry_finds_in_collision_are_replaced(tmp_path: Path) -> None:
+    model, world = unchecked_pairs(tmp_path), World((), 0.0)
+    poses, near = model.fk_tip([JOINTS]), np.array(model.robot.descriptor.home)
+    scene = ExactScene(model, world)
+
+    def found(exact: ExactScene | None) -> Array:
+        deadline = Deadline(60.0)
+        return batch_ik(
+            model, poses, near, world=world, max_solutions=16, seed=0, device="kernels", deadline=deadline, exact=exact
+        )[0]
+
+    every, free = found(None), found(scene)
+    assert not scene.is_free(every)
+    assert scene.is_free(free)
+    assert len(free) == len(every)
+    np.testing.assert_allclose(model.fk_tip(free), np.broadcast_to(poses[0], (len(free), 4, 4)), rtol=0, atol=1e-6)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
-from support.paths import ROOT
 from support.planner.small_arm import DESCRIPTOR, URDF
+from support.planner.unchecked_pairs import JOINTS, unchecked_pairs
 from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Cuboid, Cylinder, JointGoal, PoseGoal, SceneObject, Sphere, WaypointsGoal
 from zarm_contract.robot import load_robot
@@ -113,14 +110,8 @@ def test_an_end_in_collision_is_named_even_where_spheres_do_not_cover_the_robot(
 
 
 def test_a_pose_is_reached_by_a_free_solution_though_the_search_does_not_check_every_pair(tmp_path: Path) -> None:
-    """In the nearest solution the wrist is in the fore arm; the search knows nothing of these pairs."""
-    descriptor = yaml.safe_load((ROOT / "robots" / "ur10e.yaml").read_text())
-    arm, wrist = ("upper_arm_link", "forearm_link"), ("wrist_2_link", "wrist_3_link")
-    descriptor["self_collision_exact"] = [list(pair) for pair in product(arm, wrist)]
-    shutil.copy(ROOT / "robots" / "ur10e.urdf", tmp_path)
-    (tmp_path / "ur10e.yaml").write_text(yaml.safe_dump(descriptor))
-    model = RobotModel.of(load_robot(str(tmp_path / "ur10e.yaml")))
-    pose = pose_of(model.fk_tip([0.4, -2.8, -1.6, 2.8, -2.5, -2.1]))
+    model = unchecked_pairs(tmp_path)
+    pose = pose_of(model.fk_tip(JOINTS))
     goal = PoseGoal(kind="pose", position=pose.position, orientation=pose.orientation)
     for seed in range(5):
         request = context(model, max_attempts=5, seed=seed)

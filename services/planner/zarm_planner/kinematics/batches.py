@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Device
 from zarm_geometry.collision import is_free
+from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
@@ -36,6 +37,9 @@ WORTH_A_GPU = 10_000
 Kernels need 25 to 60 us for each, so 0.25 to 0.6 s for this many. In lockstep, a batch of any size takes up to 4 rounds
 of 20 steps with some 70 small GPU kernels of 5 to 10 us each, 30 to 60 ms, plus choosing the nearest, some 15 us per
 solution. An estimate from CPU times; not measured on a GPU.
+"""
+_CHOICE = 64
+"""Solutions of a pose among which those that are free in exact geometry are chosen, once spheres have missed a collision.
 """
 _CONVERGED = 1e-7
 """m and rad. pytorch-kinematics reads a URDF in float32, which may move the tip by as much again; TOLERANCE allows
@@ -76,8 +80,10 @@ def batch_ik(
     seed: int,
     device: Device,
     deadline: Deadline,
+    exact: ExactScene | None = None,
 ) -> list[Array]:
-    """For each pose (n, 4, 4) of the tip the solutions (m, dof) that `ik.solve_ik` promises, on any device.
+    """For each pose (n, 4, 4) of the tip the solutions (m, dof) that `ik.solve_ik` promises, on any device; those that
+    are free in `exact` geometry too, if it is given.
 
     Solutions from torch are checked with the kernels' own forward kinematics; poses without a solution there are solved
     by kernels. Raises InvalidRequest for the device, and the deadline's error.
@@ -97,6 +103,12 @@ def batch_ik(
                 model, pose, near, world=world, max_solutions=max_solutions, seed=seed, deadline=deadline
             ).solutions
             deadline.check()
+        if exact is not None and not exact.is_free(solutions[i], deadline.check):
+            more = solve_ik(
+                model, pose, near, world=world, max_solutions=_CHOICE, seed=seed, deadline=deadline
+            ).solutions
+            free = [q for q in more if exact.is_free(q, deadline.check)]
+            solutions[i] = np.array(free[:max_solutions]).reshape(-1, model.dof)
     return solutions
 
 
