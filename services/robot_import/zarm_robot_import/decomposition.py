@@ -19,7 +19,7 @@ from zarm_robot_import.cutting import halves
 from zarm_robot_import.directions import axes_of
 from zarm_robot_import.merging import merged
 from zarm_robot_import.partition import Partition
-from zarm_robot_import.primitives import below, written
+from zarm_robot_import.primitives import below, grown, written
 from zarm_robot_import.protrusion import Measure
 
 Array = NDArray[np.float64]
@@ -28,7 +28,6 @@ COUNT = 130
 """Triangles in this many primitives are not cut further."""
 _ROUNDS = 3
 """A link with so many is cut further once those that can be are merged, at most so many times in all."""
-
 _ENOUGH = 1.25
 """A link whose primitives protrude by no more times as far as wanted is not tried in another way."""
 
@@ -56,7 +55,8 @@ def _contained(shells: Sequence[Array], body: Body, measure: Measure) -> Array:
     for shell in shells:
         held = np.zeros(len(shell), bool)
         for row in rows:
-            held |= below(shell.reshape(-1, 3), row[None]).reshape(-1, 3).all(axis=1)
+            inner = grown(row, -body.off)[None]
+            held |= below(shell.reshape(-1, 3), inner).reshape(-1, 3).all(axis=1)
         if not held.all():
             left = shell[~held]
             whole = piece(left, np.unique(left.reshape(-1, 3), axis=0), axes, body)

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from zarm_geometry.rows import distances
+from zarm_robot_import import decomposition
 from zarm_robot_import.body import Body
 from zarm_robot_import.cutting import cut
 from zarm_robot_import.decomposition import fit_primitives
@@ -48,6 +49,18 @@ def test_primitives_contain_every_corner_and_stand_out_no_more_than_is_wanted(na
     out = Measure(body).all(rows)
     assert out.most < MOST + 0.001
     assert out.mean < MEAN
+
+
+@pytest.mark.lengthy
+def test_what_is_left_out_of_the_second_kind_of_geometry_is_contained_with_its_tolerance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(decomposition, "_ENOUGH", 0.0)
+    outer, off = np.array(trimesh.creation.box((0.1, 0.2, 0.3)).triangles), 0.002
+    larger = outer + np.sign(outer) * off / 2
+    rows = rows_of(fit_primitives(Body.of(outer, larger, off=off)))
+    corners = np.concatenate([outer, larger]).reshape(-1, 3)
+    assert distances(corners, rows).min(axis=1).max() <= 1e-6 - off
 
 
 @pytest.mark.lengthy
