@@ -88,7 +88,7 @@ def _first(
                     if first:
                         context.check_assumptions()
                         with context.timer.stage("ik"):
-                            problem = problem.doubted(context)
+                            problem = problem.with_exact_ik(context)
     except DeadlineExceeded as late:
         if failure is None:
             raise

@@ -14,15 +14,18 @@ from support.planner.sphere_model import random_joints
 from support.planner.unchecked_pairs import JOINTS, unchecked_pairs
 from support.tiers import sampled
 from zarm_contract.errors import Cancelled, InvalidRequest
-from zarm_contract.messages import Device, Sphere
+from zarm_contract.messages import CheckRequest, Device, IkRequest, Sphere
 from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
+from zarm_geometry.frames import pose_of
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
+from zarm_planner.handlers import Handlers
 from zarm_planner.kinematics import batches
 from zarm_planner.kinematics.batches import WORTH_A_GPU, batch_fk, batch_ik
+from zarm_planner.scene.store import SceneStore
 
 Array = NDArray[np.float64]
 
@@ -165,3 +168,18 @@ def test_solutions_that_only_exact_geometry_finds_in_collision_are_replaced(tmp_
     assert scene.is_free(free)
     assert len(free) == len(every)
     np.testing.assert_allclose(model.fk_tip(free), np.broadcast_to(poses[0], (len(free), 4, 4)), rtol=0, atol=1e-6)
+
+
+def test_ik_without_collision_answers_only_what_the_check_finds_free(tmp_path: Path) -> None:
+    model = unchecked_pairs(tmp_path)
+    planner = Handlers(model, "arm", SceneStore(tmp_path / "state"), lambda: np.array(model.robot.descriptor.home))
+    pose = pose_of(model.fk_tip(JOINTS))
+
+    def collide(*, collision_free: bool) -> list[bool]:
+        request = IkRequest(poses=(pose,), max_solutions=16, collision_free=collision_free)
+        (found,) = planner.ik(request).solutions
+        return [result.in_collision for result in planner.check(CheckRequest(joints=found)).results]
+
+    assert any(collide(collision_free=False))
+    assert not any(collide(collision_free=True))
+    planner.close()

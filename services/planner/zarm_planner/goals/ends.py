@@ -231,7 +231,7 @@ def _tight_ends(
 
 
 def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
-    """Joints for a pose (4, 4), free in spheres, and in exact geometry if that is `doubted`. Raises the deadline's
+    """Joints for a pose (4, 4), free in spheres, and with `exact_ik` in exact geometry too. Raises the deadline's
     error.
     """
     found = solve_ik(
@@ -244,7 +244,7 @@ def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
         deadline=context.deadline,
     )
     context.deadline.check()
-    if not context.doubted:
+    if not context.exact_ik:
         return found
     free = np.array([context.exact.is_free(q, context.deadline.check) for q in found.solutions], np.bool_)
     colliding = np.concatenate((found.solutions[~free], found.colliding))

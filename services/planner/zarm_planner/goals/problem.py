@@ -61,7 +61,7 @@ class PlanningProblem:
             start = targets[-1][0].asked
         return cls(begin, tuple(targets), goal, constraint, lead_in)
 
-    def doubted(self, context: PlanningContext) -> PlanningProblem:
+    def with_exact_ik(self, context: PlanningContext) -> PlanningProblem:
         """The same problem with only those solutions for poses that are free in exact geometry; raises as `of` does.
 
         Spheres may miss a collision: of pairs of links that the descriptor leaves to the exact check, or where they do
@@ -70,7 +70,7 @@ class PlanningProblem:
         if all(end.pose is None for ends in self.targets for end in ends):
             return self
         start, motion = self.beginning
-        return self.of(replace(context, doubted=True), start, self.goal, motion)
+        return self.of(replace(context, exact_ik=True), start, self.goal, motion)
 
     @property
     def beginning(self) -> tuple[Array, Array | None]:
