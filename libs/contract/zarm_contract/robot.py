@@ -225,7 +225,7 @@ class RobotDescriptor(_Section):
     """Pairs that pass each other too closely for their spheres: the search leaves them to the exact check of its result."""
     self_margin: Annotated[float, Field(ge=0, le=0.2)] = 0.005
     """Distance that a plan keeps between links (m), unless its request says another."""
-    interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.01
+    interpolation_dt: Annotated[float, Field(ge=0.001, le=0.1)] = 0.02
     """Maximum time between two samples of a planned trajectory (s)."""
     execution: ExecutionSettings = ExecutionSettings()
     """What the executor checks before and during motion."""

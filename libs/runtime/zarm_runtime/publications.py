@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -68,6 +69,7 @@ class Latched(Generic[M]):
         self._key = key
         self._observe = observe
         self._values: dict[str, Encoded] = {}
+        self._changes: deque[tuple[str, Encoded]] = deque()
         self._lock = threading.Lock()
         self._order = threading.Lock()
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
@@ -77,17 +79,26 @@ class Latched(Generic[M]):
 
         Returns what was published.
         """
-        key = key or self._key
-        encoded = Encoded.of(message)
-        with self._order:  # publications leave in the order of the changes, and no answer waits for one
-            with self._lock:
-                self._values[key] = encoded
-            # Zenoh would drop it on a link without room, and nobody would ever publish it again.
-            self._session.put(
-                key, encoded.payload, encoding=encoded.encoding, congestion_control=zenoh.CongestionControl.BLOCK
-            )
-            self._observe(key, encoded.payload)
+        encoded = self.change(message, key=key)
+        self.publish()
         return encoded
+
+    def change(self, message: M, *, key: str | None = None) -> Encoded:
+        """Like `set`, but published by the next `publish`, which must follow: until then it is only answered."""
+        encoded = Encoded.of(message)
+        with self._lock:
+            self._values[key or self._key] = encoded
+            self._changes.append((key or self._key, encoded))
+        return encoded
+
+    def publish(self) -> None:
+        """Publish the changes, in their order. Waits if the link has no room."""
+        with self._order:  # no answer waits for a publication
+            while self._changes:
+                key, (payload, encoding) = self._changes.popleft()
+                # Zenoh would drop it on a link without room, and nobody would ever publish it again.
+                self._session.put(key, payload, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK)
+                self._observe(key, payload)
 
     def forget(self, key: str) -> None:
         """Drop one member of a family; it is no longer answered."""

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
 from functools import partial
 from typing import Any, Generic, NoReturn, TypeVar
 
@@ -23,6 +24,13 @@ log = logging.getLogger(__name__)
 
 Request = TypeVar("Request", bound=Message)
 Reply = TypeVar("Reply", bound=Message)
+
+_after_answer: ContextVar[list[Callable[[], object]]] = ContextVar("after_answer")
+
+
+def after_answer(work: Callable[[], object]) -> None:
+    """For handlers: call `work` in this thread once the query at hand is answered, so that its client need not wait."""
+    _after_answer.get().append(work)
 
 
 class Served(Generic[Request]):
@@ -71,11 +79,18 @@ class Served(Generic[Request]):
         return True
 
     def _handle(self, query: zenoh.Query, who: Requester, arrival: int) -> None:
+        rest: list[Callable[[], object]] = []
+        _after_answer.set(rest)
         try:
             with on_behalf_of(who):
                 self._answer(query, lambda: self._handler(_request(query, self._key, self._request), arrival))
         finally:
             self._room.leave(who.client)
+        try:
+            for work in rest:
+                work()
+        except Exception:
+            log.exception("work after an answer failed key=%s", self._key)
 
     def _answer(self, query: zenoh.Query, work: Callable[[], Message | Encoded]) -> None:
         try:
@@ -101,7 +116,9 @@ def ask(
         return Unavailable(f"nobody answered on {asked}{late}{refused}; `zarm status` shows which services run")
 
     try:
-        replies = session.get(key, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK, **request)
+        replies = session.get(
+            key, timeout=timeout, congestion_control=zenoh.CongestionControl.BLOCK, express=True, **request
+        )
         first = next(iter(replies), None)
     except zenoh.ZError as error:
         raise unavailable() from error
@@ -155,7 +172,7 @@ def _reply(query: zenoh.Query, key: str, work: Callable[[], Message | Encoded]) 
         log.exception("handler failed key=%s", key)
         _reply_problem(query, InternalError(f"{key} failed on this request; its log has the trace"))
         return "internal"
-    query.reply(key, encoded.payload, encoding=encoded.encoding)
+    query.reply(key, encoded.payload, encoding=encoded.encoding, express=True)
     return "ok"
 
 

@@ -38,6 +38,7 @@ from zarm_planner.scene.store import SceneStore
 from zarm_runtime.mesh_folders import add_meshes
 from zarm_runtime.metrics import Metrics
 from zarm_runtime.publications import Encoded
+from zarm_runtime.queries import after_answer
 from zarm_runtime.service import Service, run_service, service_parser
 from zarm_runtime.state_file import owned
 
@@ -93,22 +94,12 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
             _count(service.metrics, kind, error.code)
             log.info("no plan request=%s code=%s reason=%s", request.request_id or "-", error.code, error)
             raise
-        encoded = plans.set(answer) if request.publish else Encoded.of(answer)
-        _count(service.metrics, kind, "ok")
-        service.metrics.time(
-            "zarm_planning_seconds",
-            "How long successful plans took.",
-            answer.timings.total,
-            planner=kind,
-        )
-        log.info(
-            "planned request=%s plan=%s seconds=%.3f clearance=%.4f duration=%.2f",
-            request.request_id or "-",
-            answer.plan_id,
-            answer.timings.total,
-            answer.clearance,
-            answer.trajectory.duration,
-        )
+        if request.publish:
+            encoded = plans.change(answer)
+            after_answer(plans.publish)
+        else:
+            encoded = Encoded.of(answer)
+        after_answer(lambda: _report(service.metrics, kind, request.request_id, answer))
         return encoded
 
     settings = bus.publisher(keys.settings, PlannerSettings)
@@ -139,6 +130,19 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         yield
     finally:
         handlers.close()
+
+
+def _report(metrics: Metrics, kind: str, request_id: str | None, answer: Plan) -> None:
+    _count(metrics, kind, "ok")
+    metrics.time("zarm_planning_seconds", "How long successful plans took.", answer.timings.total, planner=kind)
+    log.info(
+        "planned request=%s plan=%s seconds=%.3f clearance=%.4f duration=%.2f",
+        request_id or "-",
+        answer.plan_id,
+        answer.timings.total,
+        answer.clearance,
+        answer.trajectory.duration,
+    )
 
 
 def _count(metrics: Metrics, kind: str, outcome: str) -> None:
