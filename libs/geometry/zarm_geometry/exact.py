@@ -129,9 +129,10 @@ class ExactScene:
                 break
             check()
             part, other, sample = map(int, which)
-            pair, measured = self._measure(q[sample], part, other, upper)
+            exact = lower == upper > PRECISION  # as of balls
+            measured = upper if exact else self._measure(q[sample], part, other, upper)
             if measured < best.distance:
-                best = Nearest(measured, pair, sample, (part, other))
+                best = Nearest(measured, self._names(part, other), sample, (part, other))
         return best
 
     def nearest_points(self, q: Array, nearest: Nearest) -> Array | None:
@@ -163,10 +164,15 @@ class ExactScene:
             looks.append(found)
         return np.concatenate(looks)
 
-    def _measure(self, q: Array, part: int, other: int, upper: float) -> tuple[tuple[str, str], float]:
-        """Names and distance (m) of a part and the `other` of `clearance.look`, which is at most `upper`."""
+    def _names(self, part: int, other: int) -> tuple[str, str]:
+        """Names of a part and the `other` of `clearance.look`."""
+        name = self._world.names[self._world.owner[other]] if other >= 0 else self.model.parts[-1 - other][1].name
+        return self.model.parts[part][1].name, name
+
+    def _measure(self, q: Array, part: int, other: int, upper: float) -> float:
+        """Distance (m) of a part and the `other` of `clearance.look`, which is at most `upper`."""
         shape, pose, other_shape, other_pose = self._placed(q, part, other)
-        return (shape.name, other_shape.name), distance(shape, pose, other_shape, other_pose, upper)
+        return distance(shape, pose, other_shape, other_pose, upper)
 
     def _placed(self, q: Array, part: int, other: int) -> tuple[Shape, Array, Shape, Array]:
         """A part and the `other` of `clearance.look`, with their poses (4, 4) in the base frame at `q` (dof,)."""

@@ -110,6 +110,18 @@ def test_a_latched_value_that_is_not_set_yet_answers_nothing(bus: Bus, other: Bu
     assert inbox.empty()
 
 
+def test_a_change_can_be_read_at_once_and_is_published_with_all_before_it(bus: Bus, other: Bus) -> None:
+    states, seen = bus.latched(KEYS.executor_state, m.ExecutorState), queue.SimpleQueue[m.ExecutorState]()
+    other.subscribe(KEYS.executor_state, m.ExecutorState, lambda _, state: seen.put(state))
+    declared(other)
+    states.change(RUNNING)
+    states.change(IDLE)
+    assert other.read(KEYS.executor_state, m.ExecutorState, timeout=PATIENCE) == IDLE
+    assert seen.empty()
+    states.set(RUNNING)
+    assert [seen.get(timeout=PATIENCE) for _ in range(3)] == [RUNNING, IDLE, RUNNING]
+
+
 def test_a_family_answers_for_one_member_or_for_all(bus: Bus, plain: zenoh.Session) -> None:
     goals = bus.latched(KEYS.goal("*"), m.GoalState)
     expected = {}

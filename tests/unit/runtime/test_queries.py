@@ -32,6 +32,7 @@ from zarm_contract.keys import Keys
 from zarm_contract.messages import Message
 from zarm_runtime.bus import Bus
 from zarm_runtime.publications import Encoded
+from zarm_runtime.queries import after_answer
 from zarm_runtime.requester import ANYONE, requester
 
 KEYS = Keys("arm")
@@ -97,6 +98,29 @@ def test_a_handler_that_failed_serves_the_next_request(bus: Bus, other: Bus) -> 
     with pytest.raises(InternalError):
         call(other)
     assert call(other) == ANSWER
+
+
+def test_no_client_waits_for_what_a_handler_leaves_for_after_the_answer(
+    bus: Bus, other: Bus, caplog: pytest.LogCaptureFixture
+) -> None:
+    answered, done = threading.Event(), threading.Event()
+
+    def finish() -> None:
+        answered.wait(PATIENCE)
+        done.set()
+        raise ArithmeticError("nobody hears this but the log")
+
+    def handler(_: m.FkRequest) -> m.FkPoses:
+        after_answer(finish)
+        return ANSWER
+
+    serve(bus, handler, workers=1)
+    assert call(other) == ANSWER
+    assert not done.is_set()
+    answered.set()
+    assert call(other) == ANSWER  # the one worker goes on
+    assert done.is_set()
+    assert "nobody hears this but the log" in caplog.text
 
 
 def test_an_answer_that_cannot_be_read_is_a_fault_of_zarm(bus: Bus, other: Bus) -> None:
