@@ -140,5 +140,7 @@ def _verified(context: PlanningContext, problem: PlanningProblem, trajectory: Ti
 
 def _given_up(failure: VerificationFailed) -> PlanningFailed:
     return PlanningFailed(
-        f"every path that was found was rejected: {failure}; ask for a larger margin or more time", code="no_path"
+        f"every path that was found was rejected: {failure}; allow more time or attempts, or, against collisions, a larger "
+        "margin",
+        code="no_path",
     )

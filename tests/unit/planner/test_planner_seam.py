@@ -113,20 +113,26 @@ def test_where_no_planner_is_named_those_that_were_there_before_are_taken(handle
 
 
 @pytest.mark.parametrize(
-    ("more", "offered"),
+    ("more", "refusal"),
     [
         (
             {"goal": PoseGoal(kind="pose", position=(0.5, 0.0, 0.5), orientation=(0.0, 1.0, 0.0, 0.0))},
-            "classic or auto",
+            "the planner straight_line takes no goal of kind pose; ask for classic or auto",
         ),
-        ({"path_constraint": PathConstraint(axes=(True, True, False, False, False, False))}, "joint_space or auto"),
-        ({"planner": "nobody"}, "joint_space or straight_line or too_fast or auto"),
+        (
+            {"path_constraint": PathConstraint(axes=(True, True, False, False, False, False))},
+            "the planner straight_line takes no goal of kind joints with a path constraint; ask for joint_space or auto",
+        ),
+        (
+            {"planner": "nobody"},
+            "there is no planner nobody; ask for joint_space or straight_line or too_fast or auto",
+        ),
     ],
 )
 def test_what_a_planner_does_not_take_is_refused_with_those_that_do(
-    handlers: Handlers, more: dict[str, object], offered: str
+    handlers: Handlers, more: dict[str, object], refusal: str
 ) -> None:
-    with pytest.raises(InvalidRequest, match=f"ask for {offered}") as refused:
+    with pytest.raises(InvalidRequest, match=refusal) as refused:
         handlers.plan(request(**{"planner": "straight_line", **more}))
     assert refused.value.problem.field == "planner"
 

@@ -25,7 +25,7 @@ def choose(
 ) -> Planner:
     """The planner that takes a request; `constrained`: with a path constraint, `moving`: with a start in motion.
 
-    Raises InvalidRequest if the one called `name` does not take it.
+    Raises InvalidRequest if there is none called `name`, or if it does not take it.
     """
     fitting: dict[str, Planner] = {}
     for planner in planners:
@@ -38,9 +38,12 @@ def choose(
     chosen = next(iter(fitting), name) if name == AUTO else name
     if chosen not in fitting:
         kind = f"{goal.kind} with a path constraint" if constrained else goal.kind
-        raise InvalidRequest(
-            f"the planner {name} takes no goal of kind {kind}; ask for {' or '.join((*fitting, AUTO))}", field="planner"
+        unfit = (
+            f"the planner {name} takes no goal of kind {kind}"
+            if name in names_of(planners)
+            else f"there is no planner {name}"
         )
+        raise InvalidRequest(f"{unfit}; ask for {' or '.join((*fitting, AUTO))}", field="planner")
     return fitting[chosen]
 
 
