@@ -24,7 +24,7 @@ from zarm_geometry.world import World
 class MotionCheck:
     """Checks motions of one robot in a changing world; any number of threads may check while one changes it.
 
-    It computes on the exact shapes of robot and objects, without the GIL, see `kernels.motion`.
+    It computes on the exact shapes of robot and objects, without the GIL, see `kernels.first_contact`.
     """
 
     def __init__(self, model: RobotModel, meshes: Meshes | None = None) -> None:

@@ -119,7 +119,7 @@ def near(
     links.
 
     Returns how many rows of `found` (n, 3 + dof) are filled: the distance (m), part and obstacle as in
-    `motion.first_contact`, and the derivative of the distance by each joint in m/rad (m/m if prismatic). If there are
+    `first_contact`, and the derivative of the distance by each joint in m/rad (m/m if prismatic). If there are
     more, the largest are left out. Movers are displaced to the time of that sample and enlarged by how far they may
     have strayed.
     """

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from zarm_geometry.kernels.compiled import inlined, kernel
 from zarm_geometry.kernels.course import Obstacles
-from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, first_contact, motion
+from zarm_geometry.kernels.first_contact import first_contact
+from zarm_geometry.kernels.motion import Flags, MotionBody, Movers, Solids, motion
 from zarm_geometry.kernels.nearby import GRADIENT, near
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ class SituationArrays(NamedTuple):
 def contact(
     situation: SituationArrays, time: Array, q: Array, acceleration: Array, margin: float
 ) -> tuple[int, int, int]:
-    """`motion.first_contact` on the motion `q` (N, dof) at `time` (N,), N > 1, see `motion.motion`."""
+    """`first_contact` on the motion `q` (N, dof) at `time` (N,), N > 1, see `motion.motion`."""
     body = situation.body
     moved = motion(body, time, q, acceleration)
     return first_contact(body, situation.world, situation.standing, situation.alive, situation.movers, moved, margin)
@@ -101,7 +102,7 @@ def _is_known(situation: SituationArrays, found: Array, count: int, link: int, o
 
 @inlined
 def _room(body: MotionBody, link: int, other: int) -> float:
-    """The largest margin (m) that a link can keep from `other`, see `motion.first_contact`."""
+    """The largest margin (m) that a link can keep from `other`, see `first_contact`."""
     if other >= 0:
         return np.inf
     his, links = _link_of(body, -1 - other), body.first.shape[0] - 1
