@@ -20,6 +20,8 @@ from zarm_runtime.session import open_router
 
 SIZE = (1000, 640)
 """Width and height (px) of a page: small, because it is drawn without a GPU."""
+COARSE = 0.5
+"""Pixels drawn for each of these, for the same reason."""
 PANEL = 388
 """Width (px) of the panels beside the 3D view."""
 expect.set_options(timeout=PATIENCE * 1e3)
@@ -102,7 +104,9 @@ def cell_of(folder: Path, *services: str) -> Iterator[Cell]:
 
 def opened(chromium: Browser, address: str, size: tuple[int, int] = SIZE) -> Page:
     """An open page in the browser."""
-    page = chromium.new_page(viewport={"width": size[0], "height": size[1]}, ignore_https_errors=True)
+    page = chromium.new_page(
+        viewport={"width": size[0], "height": size[1]}, device_scale_factor=COARSE, ignore_https_errors=True
+    )
     page.goto(address)
     expect(page.get_by_text("STOP").first).to_be_visible()
     return page

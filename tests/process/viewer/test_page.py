@@ -18,7 +18,7 @@ import zarm
 from support.command_line import Command
 from support.harness import PATIENCE, eventually
 from support.trajectories import HOME, KEYS, ROBOT, moved
-from support.viewer import SIZE, Cell, cell_of, drawn_ghost, drawn_tip, drawn_width, free_port, opened
+from support.viewer import COARSE, SIZE, Cell, cell_of, drawn_ghost, drawn_tip, drawn_width, free_port, opened
 from zarm_contract.messages import Plan, Planners
 from zarm_contract.robot import load_robot
 from zarm_trajectory.trajectory import TimedTrajectory
@@ -68,7 +68,7 @@ def second(chromium: Browser, address: str) -> Iterator[Page]:
 def looks(page: Page, at: tuple[float, float], half: int = 12) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """The pixels around a place on the page."""
     box = (int(at[0]) - half, int(at[1]) - half, int(at[0]) + half, int(at[1]) + half)
-    picture = Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE * 1e3))).convert("RGB").crop(box)
+    picture = Image.open(io.BytesIO(page.screenshot(scale="css", timeout=PATIENCE * 1e3))).convert("RGB").crop(box)
     return np.asarray(picture, dtype=np.float64)
 
 
@@ -503,7 +503,7 @@ def test_a_record_plays_on_a_page_to_its_end(cell: Cell, chromium: Browser, tmp_
     listen = f"127.0.0.1:{free_port()}"
     with Command("replay", "--view", file, folder=tmp_path, ZARM_VIEW=listen) as replay:
         replay.wait_for("http://")
-        page = chromium.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+        page = chromium.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, device_scale_factor=COARSE)
         page.goto(f"http://{listen}/")
         end = Chain(ROBOT).tip(np.array(moved(0.4))).translation()
         eventually(lambda: np.allclose(drawn_tip(page) or 0.0, end, atol=2e-3), "it plays to its end")

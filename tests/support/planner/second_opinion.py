@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import fcl
 import numpy as np
@@ -195,13 +196,20 @@ def _turn_z_to(axis: Array) -> Array:
     return _about(across, math.atan2(float(np.linalg.norm(across)), float(axis[2])))
 
 
+_SPARE = 1e-3
+"""More (m) than what FCL's distances are off by."""
+
+
 class Clearance(_Posed):
-    """The distance of the robot's exact geometry to one object, which can be placed anywhere."""
+    """The distance of the robot's exact geometry to one object, which can be placed anywhere.
+
+    Whatever is certainly further away than the nearest, by the balls around the shapes, FCL is not asked about.
+    """
 
     def __init__(self, robot: RobotDescription, item: SceneObject) -> None:
         super().__init__(robot)
-        self._parts = [
-            (link, pose, fcl.CollisionObject(geometry))
+        parts = [
+            (link, pose, geometry)
             for link, items in robot.descriptor.collision.items()
             for geometry, pose in map(_link_shape, items)
             if any(
@@ -210,6 +218,11 @@ class Clearance(_Posed):
         ]
         geometry, self._turned = _object_shape(item)
         self._object = fcl.CollisionObject(geometry)
+        self._parts = [(pose, fcl.CollisionObject(shape)) for _, pose, shape in parts]
+        self._links = sorted({link for link, _, _ in parts})
+        self._of_link = np.array([self._links.index(link) for link, _, _ in parts])
+        self._centers = np.array([pose[:, 3:] for _, pose, _ in parts])
+        self._around = np.array([_radius(shape) for _, _, shape in parts]) + _radius(geometry) + _SPARE
 
     def at(self, q: ArrayLike, position: ArrayLike) -> float:
         """The distance (m) with the robot at `q` and the object at `position`; 0 or less if they touch."""
@@ -218,8 +231,21 @@ class Clearance(_Posed):
         self._object.setTransform(_transform(place))
         known = {self._robot.descriptor.base_link: np.eye(4)}
         values = dict(zip(self._robot.descriptor.joints, np.asarray(q), strict=True))
+        poses = np.array([self._pose(link, values, known) for link in self._links])[self._of_link]
+        away = (poses @ self._centers)[:, :3, 0] - position
+        bounds = np.sqrt((away * away).sum(axis=1)) - self._around
         least = np.inf
-        for link, pose, shape in self._parts:
-            shape.setTransform(_transform(self._pose(link, values, known) @ pose))
+        for k in np.argsort(bounds).tolist():
+            if bounds[k] > max(least, 0.0):
+                break
+            pose, shape = self._parts[k]
+            shape.setTransform(_transform(poses[k] @ pose))
             least = min(least, fcl.distance(shape, self._object, fcl.DistanceRequest(), fcl.DistanceResult()))
         return float(least)
+
+
+def _radius(geometry: Any) -> float:
+    """Of a ball (m) around a shape at its own origin."""
+    if isinstance(geometry, fcl.Box):
+        return math.hypot(*geometry.side) / 2
+    return float(geometry.radius + getattr(geometry, "lz", 0.0) / 2)
