@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from curobo_msgs.action import MpcMove
 from curobo_msgs.srv import SetPlanner, SetRobotStrategy, TrajectoryGeneration
 from support.harness import PATIENCE, eventually
 from support.ros.goals import ABORTED, CANCELED, SUCCEEDED, Actions, Robot, Sent
+from support.ros.node import destroyed
 from support.ros.stack import KEYS, Stack, stack
 from support.tiers import sampled
 from support.trajectories import patient
@@ -81,21 +83,21 @@ class Arm:
         kind, coming = type(messages[0]), chain(messages, repeat(messages[-1]))
         if topic not in self._publishers:  # they stay, as nothing of a node may go while its thread waits for it
             self._publishers[topic] = self.node.create_publisher(kind, f"{NODE}/{topic}", 10)
-        told, paused = len(self.texts), 0.0
+        told, paused, ended = len(self.texts), 0.0, threading.Event()
 
         def command() -> None:
             nonlocal told, paused
             new, told = self.texts[told:], len(self.texts)
             if heeding and any(PAUSE in text.data for text in new):
                 paused = time.monotonic() + 2 * RELEASE_SECONDS
-            if time.monotonic() > paused:
+            if time.monotonic() > paused and not ended.is_set():
                 self._publishers[topic].publish(next(coming))
 
         timer = self.node.create_timer(0.02, command)
         try:
-            yield timer.cancel
+            yield ended.set
         finally:
-            timer.cancel()
+            destroyed(self.node, self.node.destroy_timer, timer)
 
 
 def _xyz(point: Point) -> tuple[float, float, float]:
