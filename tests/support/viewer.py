@@ -21,7 +21,7 @@ from zarm_runtime.session import open_router
 SIZE = (1000, 640)
 """Width and height (px) of a page: small, because it is drawn without a GPU."""
 COARSE = 0.5
-"""Pixels drawn for each of these, for the same reason."""
+"""Device pixels per CSS pixel, few for the same reason."""
 PANEL = 388
 """Width (px) of the panels beside the 3D view."""
 expect.set_options(timeout=PATIENCE * 1e3)

@@ -129,7 +129,7 @@ class ExactScene:
                 break
             check()
             part, other, sample = map(int, which)
-            exact = lower == upper > PRECISION  # as of balls
+            exact = lower == upper > PRECISION  # one of the two is a ball
             measured = upper if exact else self._measure(q[sample], part, other, upper)
             if measured < best.distance:
                 best = Nearest(measured, self._names(part, other), sample, (part, other))

@@ -197,7 +197,7 @@ def _turn_z_to(axis: Array) -> Array:
 
 
 _SPARE = 1e-3
-"""More (m) than what FCL's distances are off by."""
+"""More (m) than FCL's distances may be wrong."""
 
 
 class Clearance(_Posed):
