@@ -63,7 +63,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     path_time(home[None], limits.velocity, limits.acceleration, 2)
     begin("the shortcuts of paths")
     shortcut(model, world, np.array((home, home)), seed=0, deadline=deadline)
-    quickest_of(model, world, home, home, seeds=(0,), deadline=deadline, most=1)
+    quickest_of(model, world, home, home, model.velocity, math.inf, seeds=(0,), deadline=deadline, most=1)
     begin("the smoothing of motions")
     away = np.clip(home + 0.1, model.lower, model.upper)
     trajectory = smooth_path(model, world, np.array((home, away)), limits, 0.01, seed=0, deadline=deadline)

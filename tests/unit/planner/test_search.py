@@ -22,7 +22,7 @@ from zarm_geometry.kernels.collision import RESOLUTION
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
-from zarm_planner.planners.route import LEG_SAMPLES
+from zarm_planner.planners.free import LEG_SAMPLES
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 
@@ -245,7 +245,9 @@ def test_the_route_into_a_cage_is_a_short_one_whatever_the_seed(tmp_path: Path) 
         chosen = []
         for seed in range(10):
             seeds, deadline = range(10 * seed, 10 * (seed + 1)), Deadline(60.0)
-            found = quickest_of(model, world, start, goal, seeds=seeds, deadline=deadline, most=LEG_SAMPLES).path
+            found = quickest_of(
+                model, world, start, goal, model.velocity, np.inf, seeds=seeds, deadline=deadline, most=LEG_SAMPLES
+            ).path
             if found is not None:
                 chosen.append(seconds(found))
         assert len(chosen) >= 8

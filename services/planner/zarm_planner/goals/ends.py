@@ -40,8 +40,8 @@ _TRIES = 40
 """Directions tried at each distance to get away from an obstacle on a straight edge."""
 _DISTANCES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Rad, Euclidean."""
-
-
+_FURTHER = 1.5
+"""Factor between distances tried beyond the first at which the robot is free."""
 _ALONE = 4
 """Factor on the ways out tried from a configuration that cannot be replaced by another. From one in a window that
 leaves the hand of a Panda 1 mm on all sides, `max_attempts` of 100 fail for one seed in 20.
@@ -293,7 +293,7 @@ def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | No
                 if constraint.use(points(context.exact, q, near)).max() > 1.0:
                     continue
             if is_free(model, context.world, near) and edge_is_free(context, q, near):
-                return End(q, near, q[None])
+                return End(q, near if constraint is not None else _roomier(context, q, near), q[None])
     if constraint is not None:
         return None
     for direction in random.normal(size=(times * context.max_attempts, model.dof)):
@@ -302,6 +302,21 @@ def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | No
         if way is not None:
             return End(q, way[-1], way[-2::-1])
     return None
+
+
+def _roomier(context: PlanningContext, q: Array, near: Array) -> Array:
+    """A configuration beyond `near` as seen from `q`, as far as all on the way are free, both (dof,).
+
+    A search reaches `near` itself with difficulty, since some obstacle is just beside it.
+    """
+    model, distance = context.model, float(np.linalg.norm(near - q))
+    direction = (near - q) / distance
+    while (distance := distance * _FURTHER) <= _DISTANCES[-1]:
+        further = np.clip(q + distance * direction, model.lower, model.upper)
+        if not (is_free(model, context.world, further) and edge_is_free(context, q, further)):
+            break
+        near = further
+    return near
 
 
 def _overlap(nearest: Nearest) -> str:

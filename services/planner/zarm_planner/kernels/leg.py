@@ -39,6 +39,15 @@ def seconds_between(a: Single, b: Single, fastest: Single) -> float:
     return most
 
 
+@inlined
+def inform(informed: Single, limits: Single, ends: Single, fastest: Single, least: float) -> None:
+    """Set `informed` (2, dof) to the part of `limits` (2, dof) where a path of `least` s can pass."""
+    for k in range(limits.shape[1]):
+        middle, half = 0.5 * (ends[0, k] + ends[1, k]), 0.5 * least * fastest[k]
+        informed[0, k] = max(limits[0, k], middle - half)
+        informed[1, k] = min(limits[1, k], middle + half)
+
+
 @kernel
 def quickest_of(
     robot: RobotArrays,
@@ -49,6 +58,7 @@ def quickest_of(
     weight: Single,
     ends: Single,
     fastest: Single,
+    within: float,
     seeds: NDArray[np.uint64],
     most: int,
     deadline: NDArray[np.float64],
@@ -56,11 +66,12 @@ def quickest_of(
 ) -> Single:
     """The fastest (n, dof) of the free paths found with `seeds` between `ends` (2, dof). A path is timed by moving
     along each edge with one joint at its maximum speed `fastest` (dof,). Not all seeds are tried, see NEAR and AGREED;
-    each search ends after `most` samples. The path has no rows if FAILURES searches failed, or the deadline passed,
-    before one was found.
+    each search ends after `most` samples. The path has no rows if none takes less than `within` s, FAILURES searches
+    failed, or the deadline passed, before one was found.
 
-    Once there is a path, samples are drawn only where a faster one can pass, within a box that contains the informed set
-    (Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014), and no more than for the first one.
+    Samples are drawn only where a path faster than the best so far, or `within`, can pass: within a box that contains
+    the informed set (Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014); and once there is a path, no more than for
+    the first one.
 
     Adds the seconds spent on searching and on shortcuts to `spent` (2,). `limits` and `weight` as in `connect`.
     """
@@ -69,8 +80,9 @@ def quickest_of(
     random, now = np.empty(1, np.uint64), np.empty(2, np.int64)
     best = np.empty((0, dof), np.float32)
     times, found = np.empty(seeds.shape[0]), 0
-    straight, least = seconds_between(ends[0], ends[1], fastest), np.inf
+    straight, least = seconds_between(ends[0], ends[1], fastest), within
     informed = limits.copy()
+    inform(informed, limits, ends, fastest, least)
     for tried in range(seeds.shape[0]):
         began = seconds(now)
         if began > deadline[0] or (found == 0 and tried == FAILURES):
@@ -97,14 +109,11 @@ def quickest_of(
         found += 1
         if time < least:
             best, least = room[:rows], time
-            for k in range(dof):
-                middle, half = 0.5 * (ends[0, k] + ends[1, k]), 0.5 * least * fastest[k]
-                informed[0, k] = max(limits[0, k], middle - half)
-                informed[1, k] = min(limits[1, k], middle + half)
+            inform(informed, limits, ends, fastest, least)
         alike = 0
         for i in range(found):
             if times[i] <= (1.0 + ALIKE) * least:
                 alike += 1
-        if least <= (1.0 + NEAR) * straight or alike == AGREED:
+        if least <= (1.0 + NEAR) * straight or alike == AGREED or (best.shape[0] == 0 and found == AGREED):
             break
     return best

@@ -14,14 +14,20 @@ from zarm_planner.constraints.constrained_search import search_constrained, shor
 from zarm_planner.constraints.constrained_timing import time_constrained
 from zarm_planner.constraints.path_constraint import ConstraintManifold
 from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
-from zarm_planner.planners.route import LEG_SAMPLES, Route, find_route
+from zarm_planner.planners.route import Route, find_route
 from zarm_planner.timing.improvement import GAIN
 from zarm_planner.timing.toppra_loading import await_toppra, load_toppra
 from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
+
+_LEG_SAMPLES = 1000
+"""Samples after which the search between two configurations gives up."""
+_MOST = 100_000
+"""Samples after which the search to any of several configurations gives up, some seconds."""
 
 
 class ConstrainedPlanner(Planner):
@@ -89,21 +95,21 @@ class _ConstrainedPaths:
     context: PlanningContext
     constraint: ConstraintManifold
 
-    def between(self, start: Array, goal: Array) -> Array | None:
+    def between(self, start: Array, goal: Array, within: float) -> Array | None:
         """A path found quickly, with shortcuts."""
-        return self._path(start, goal[None], LEG_SAMPLES)
+        return self._path(start, goal[None], self.context.deadline, _LEG_SAMPLES)
 
-    def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
+    def to_any(self, start: Array, goals: Array, until: Deadline) -> Array | None:
         """The first path found, with shortcuts."""
-        return self._path(start, goals, most)
+        return self._path(start, goals, until, _MOST)
 
-    def _path(self, start: Array, goals: Array, most: int) -> Array | None:
+    def _path(self, start: Array, goals: Array, until: Deadline, most: int) -> Array | None:
         if np.array_equal(start, goals[0]):
             return goals[:1]
         context, constraint = self.context, self.constraint
         world, seed, deadline = context.world, context.seed, context.deadline
         with context.timer.stage("search"):
-            path = search_constrained(world, constraint, start, goals, seed=seed, deadline=deadline, most=most)
+            path = search_constrained(world, constraint, start, goals, seed=seed, deadline=until, most=most)
         deadline.check()
         if path is None:
             return None

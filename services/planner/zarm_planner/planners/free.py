@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import DeadlineExceeded
 from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.planners.base import NAMES, Faster, Planner
-from zarm_planner.planners.route import LEG_SAMPLES, Route, find_route
+from zarm_planner.planners.route import Route, find_route
 from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.improvement import Improvement
@@ -30,6 +31,10 @@ Timed = Callable[[], TimedTrajectory]
 
 _TRIES = 10
 """Most searches for a path between two configurations, of which the quickest path counts."""
+LEG_SAMPLES = 3000
+"""Samples after which each of them gives up, some milliseconds; nine of ten problems of MotionBenchMaker take fewer."""
+_MOST = 10_000_000
+"""Samples after which the search to any of several configurations gives up, some 3 s."""
 _DEVIATIONS = (0.03, 0.01, 0.0)
 """How far (rad) a motion may leave the path at corners once the smooth one is refused: ever closer to what is known
 free.
@@ -111,24 +116,32 @@ class _FreePaths:
 
     context: PlanningContext
 
-    def between(self, start: Array, goal: Array) -> Array | None:
+    def between(self, start: Array, goal: Array, within: float) -> Array | None:
         """The quickest of a few paths; of more if they differ."""
         context = self.context
         seeds = range(_TRIES * context.seed, _TRIES * (context.seed + 1))
         found = quickest_of(
-            context.model, context.world, start, goal, seeds=seeds, deadline=context.deadline, most=LEG_SAMPLES
+            context.model,
+            context.world,
+            start,
+            goal,
+            context.limits.velocity,
+            within,
+            seeds=seeds,
+            deadline=context.deadline,
+            most=LEG_SAMPLES,
         )
         context.timer.add("search", found.search)
         context.timer.add("shortcut", found.shortcut)
         context.deadline.check()
         return found.path
 
-    def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
+    def to_any(self, start: Array, goals: Array, until: Deadline) -> Array | None:
         """The first path found, with shortcuts."""
         context = self.context
         model, world, seed, deadline = context.model, context.world, context.seed, context.deadline
         with context.timer.stage("search"):
-            path = search(model, world, start, goals, seed=seed, deadline=deadline, most=most)
+            path = search(model, world, start, goals, seed=seed, deadline=until, most=_MOST)
         deadline.check()
         if path is None:
             return None

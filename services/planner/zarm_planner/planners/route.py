@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import PlanningFailed
 from zarm_planner.context import PlanningContext
+from zarm_planner.deadline import Deadline
 from zarm_planner.goals.ends import End
 from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.kernels.leg_times import path_time, straight_times
@@ -31,15 +32,10 @@ _LEGS = 4
 """Pairs of configurations per target between which a path is searched before the best so far is used, plus one for each
 further pose of a goal set.
 """
-LEG_SAMPLES = 1000
-"""Samples after which the search for such a leg gives up, some milliseconds; nine of ten problems of MotionBenchMaker
-take fewer.
-"""
-_SOON = 20_000
-"""Samples after which a search to any of several configurations pauses for a proof that there is no path, some 0.1 s.
-"""
-_MOST = 100_000
-"""Samples after which that search gives up without a proof."""
+_GAIN = 0.03
+"""A further leg is searched only if it could make the route faster by this fraction."""
+_SOON_S = 0.3
+"""Time (s) after which a search to any of several configurations pauses for a proof that there is no path."""
 _PROOF_S = 0.5
 """Time limit (s) of the search for a proof."""
 
@@ -49,11 +45,13 @@ class Paths(Protocol):
     raise.
     """
 
-    def between(self, start: Array, goal: Array) -> Array | None:
-        """A short path between two configurations (dof,); None if none was found soon."""
+    def between(self, start: Array, goal: Array, within: float) -> Array | None:
+        """A short path between two configurations (dof,); None if none was found soon. One that must take longer than
+        `within` s is of no use.
+        """
 
-    def to_any(self, start: Array, goals: Array, most: int) -> Array | None:
-        """A path to one of `goals` (m, dof); None if none was found within `most` samples."""
+    def to_any(self, start: Array, goals: Array, until: Deadline) -> Array | None:
+        """A path to one of `goals` (m, dof); None if none was found soon enough, or at the deadline `until`."""
 
 
 @dataclass(frozen=True)
@@ -102,42 +100,40 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limit
         straight_times(a, b, limits.velocity, limits.acceleration, ends)
         for (a, b), ends in zip(itertools.pairwise(free), rests, strict=True)
     ]
-    known: list[dict[tuple[int, int], Array | None]] = [{} for _ in costs]
+    found = [np.full(cost.shape, math.inf) for cost in costs]  # the same, of the legs that are planned
+    legs: list[dict[tuple[int, int], Array | None]] = [{} for _ in costs]
     tries = sum(_LEGS - 1 + len({end.pose for end in ends}) for ends in layers[1:])
-    while (pairs := _cheapest(costs)) is not None:
-        step = next((k for k, pair in enumerate(pairs) if pair not in known[k]), None)
-        if step is None:
-            found = [(layers[k + 1][to], known[k][at, to]) for k, (at, to) in enumerate(pairs)]
-            return [(end, leg) for end, leg in found if leg is not None]
-        if tries == 0:  # from now on only known legs count
-            for cost, pairs_known in zip(costs, known, strict=True):
-                unknown = np.ones(cost.shape, bool)
-                unknown[tuple(np.array([*pairs_known], int).reshape(-1, 2).T)] = False
-                cost[unknown] = np.inf
-            continue
+    while True:
+        (least, hoped), (time, chain) = _cheapest(costs), _cheapest(found)
+        if tries == 0 or not least < (1.0 - _GAIN) * time:
+            break
         tries -= 1
-        at, to = pairs[step]
-        leg = known[step][at, to] = paths.between(layers[step][at].free, layers[step + 1][to].free)
-        time = math.inf if leg is None else path_time(leg, limits.velocity, limits.acceleration, rests[step])
-        costs[step][at, to] = time
-    return None
+        step = next(k for k, pair in enumerate(hoped) if pair not in legs[k])
+        at, to = hoped[step]
+        within = time - (least - costs[step][at, to])
+        leg = legs[step][at, to] = paths.between(layers[step][at].free, layers[step + 1][to].free, within)
+        took = math.inf if leg is None else path_time(leg, limits.velocity, limits.acceleration, rests[step])
+        costs[step][at, to] = found[step][at, to] = took
+    joined = [(layers[k + 1][to], legs[k].get((at, to))) for k, (at, to) in enumerate(chain)]
+    return [(end, leg) for end, leg in joined if leg is not None] if math.isfinite(time) else None
 
 
-def _cheapest(costs: Sequence[Array]) -> list[tuple[int, int]] | None:
-    """The ends of consecutive layers that the cheapest chain joins, step by step; None if every chain is blocked."""
+def _cheapest(costs: Sequence[Array]) -> tuple[float, list[tuple[int, int]]]:
+    """The time of the quickest chain, and the ends of consecutive layers that it joins, step by step; infinite if every
+    chain is blocked.
+    """
     total, previous = costs[0][0], []  # the first layer is the start alone
     for cost in costs[1:]:
         sums = total[:, None] + cost
         previous.append(sums.argmin(axis=0))
         total = sums.min(axis=0)
     to, pairs = int(total.argmin()), []
-    if not math.isfinite(total[to]):
-        return None
+    time = float(total[to])
     for best in reversed(previous):
         at = int(best[to])
         pairs.append((at, to))
         to = at
-    return [(0, to), *pairs[::-1]]
+    return time, [(0, to), *pairs[::-1]]
 
 
 def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningContext) -> Chain | None:
@@ -146,11 +142,11 @@ def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningC
     chain: Chain = []
     for before, ends in itertools.pairwise(layers):
         free = np.array([end.free for end in ends])
-        path = paths.to_any(start.free, free, _SOON)
+        path = paths.to_any(start.free, free, context.deadline.sooner(_SOON_S))
         if path is None:
             found = "the goal" if ends[0].pose is None else f"any of the {len(ends)} solutions found for the goal"
             _check_connected(context, np.array([end.free for end in before]), free, found)
-            path = paths.to_any(start.free, free, _MOST)
+            path = paths.to_any(start.free, free, context.deadline)
         if path is None:
             return None
         start = ends[int(np.argmin(np.abs(free - path[-1]).max(axis=1)))]

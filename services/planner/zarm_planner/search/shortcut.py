@@ -49,11 +49,21 @@ class Quickest(NamedTuple):
 
 
 def quickest_of(
-    model: RobotModel, world: World, start: Array, goal: Array, *, seeds: Sequence[int], deadline: Deadline, most: int
+    model: RobotModel,
+    world: World,
+    start: Array,
+    goal: Array,
+    fastest: Array,
+    within: float,
+    *,
+    seeds: Sequence[int],
+    deadline: Deadline,
+    most: int,
 ) -> Quickest:
     """The quickest of the paths, with shortcuts, that `seeds` give from `start` (dof,) to `goal` (dof,).
 
-    The path is None if a search reached `most` samples, or `deadline`, before finding one.
+    A path is timed by moving along each edge with one joint at its maximum speed `fastest` (dof,). There is none if
+    `deadline` passed, or searches reached `most` samples, before one was found that takes less than `within` s.
     """
     spent = np.zeros(2)
     rows = leg.quickest_of(
@@ -64,7 +74,8 @@ def quickest_of(
         sampling_range(model, np.stack((start, goal))),
         model.weight,
         np.array((start, goal), np.float32),
-        model.velocity.astype(np.float32),
+        fastest.astype(np.float32),
+        within,
         np.array(seeds, np.uint64),
         most,
         deadline.at,
