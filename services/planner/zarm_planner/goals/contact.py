@@ -24,14 +24,15 @@ _MOST_NEAR = 64
 """Most distances considered at once."""
 
 
-def clear_pose(context: PlanningContext, pose: Array, q: Array) -> Array:
-    """Joints (dof,) near `q` that also reach the tip `pose` (4, 4), with as much clearance as possible, up to _ROOM.
+def clear_pose(context: PlanningContext, pose: Array, q: Array) -> tuple[Array, float]:
+    """Joints (dof,) near `q` that also reach the tip `pose` (4, 4), with as much clearance as possible, up to _ROOM; and
+    that clearance (m).
 
     Only a redundant arm has such alternatives.
     """
     model, found = context.model, np.array(q)
-    contact.clear_pose(chain_of(model), _surroundings(context.exact), pose, _ROOM, found, context.deadline.at)
-    return found
+    room = contact.clear_pose(chain_of(model), _surroundings(context.exact), pose, _ROOM, found, context.deadline.at)
+    return found, room
 
 
 def way_out(context: PlanningContext, q: Array, direction: Array) -> Array | None:

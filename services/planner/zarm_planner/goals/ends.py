@@ -32,6 +32,9 @@ _GOALS = 16
 """Most solutions considered for a pose."""
 _SET_GOALS = 256
 """Most solutions considered for a goal set, equally many for each pose."""
+_TIGHT_GOALS = 4
+"""Most solutions considered for a pose that leaves the robot less room than its spheres take; each costs a millisecond.
+"""
 _FRUITLESS = 5
 """Consecutive seeds without a new solution after which all solutions of a pose count as known; one seed finds 98 to
 99.8 % of them.
@@ -121,7 +124,7 @@ def goal_ends(
             _check_goal(context, q, field)
             end = _end(context, q, constraint, _ALONE)
         if end is None:
-            raise _blocked(context, [context.exact.nearest(q)]).of_goal(field)
+            raise _blocked(context, [(0.0, q)]).of_goal(field)
         if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
             raise fault.of_goal(field)
         return (end,)
@@ -145,7 +148,7 @@ def goal_ends(
 def _check_goal(context: PlanningContext, q: Array, field: str) -> None:
     """Raises PlanningFailed (`goal_in_collision`) if the goal's joints, the request's `field`, are in collision."""
     if not context.exact.is_free(q):
-        raise _blocked(context, [context.exact.nearest(q)]).of_goal(field)
+        raise _blocked(context, [(0.0, q)]).of_goal(field)
 
 
 @dataclass(frozen=True)
@@ -205,7 +208,7 @@ def _tight_ends(
     `max_attempts` seeds or until _FRUITLESS in a row find nothing new.
     """
     known = np.empty((0, context.model.dof))
-    nearest: list[Nearest] = []
+    tried: list[tuple[float, Array]] = []
     fruitless = 0
     for attempt in range(context.max_attempts):
         if attempt > 0:
@@ -221,13 +224,15 @@ def _tight_ends(
         ends: list[End] = []
         for q in new:
             context.deadline.check()
-            roomy = clear_pose(context, pose, q)
-            nearest.append(context.exact.nearest(roomy, context.deadline.check))
-            if nearest[-1].distance > 0.0 and (end := _end(context, roomy, constraint)) and len(ends) < most:
+            roomy, room = clear_pose(context, pose, q)
+            tried.append((room, roomy))
+            if room > 0.0 and (end := _end(context, roomy, constraint)):
                 ends.append(end)
+            if len(ends) == min(most, _TIGHT_GOALS):
+                break
         if ends:
             return ends
-    return _blocked(context, nearest)
+    return _blocked(context, tried)
 
 
 def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
@@ -251,14 +256,15 @@ def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
     return replace(found, solutions=found.solutions[free], colliding=colliding)
 
 
-def _blocked(context: PlanningContext, nearest: Sequence[Nearest]) -> _Fault:
-    """The fault of a goal whose solutions are all unusable."""
-    best = max(nearest, key=lambda nearest: nearest.distance)
+def _blocked(context: PlanningContext, tried: Sequence[tuple[float, Array]]) -> _Fault:
+    """The fault of a goal whose solutions are all unusable: the clearance (m) and joints (dof,) of each."""
+    _, roomiest = max(tried, key=lambda one: one[0])
+    best = context.exact.nearest(roomiest, context.deadline.check)
     reason, remedy = f"in collision: {_overlap(best)}", "choose another one, or correct the scene"
     if best.distance > 0.0:
         reason = f"out of reach: {_gap(best)}"
         remedy = f"choose another one, lower {_margin_of(context, best)}, or correct the scene"
-    ways = f" in all {len(nearest)} ways to reach it" if len(nearest) > 1 else ""
+    ways = f" in all {len(tried)} ways to reach it" if len(tried) > 1 else ""
     return _Fault("goal_in_collision", f"is{ways} {reason}", remedy)
 
 
@@ -305,18 +311,19 @@ def _end(context: PlanningContext, q: Array, constraint: ConstraintManifold | No
 
 
 def _roomier(context: PlanningContext, q: Array, near: Array) -> Array:
-    """A configuration beyond `near` as seen from `q`, as far as all on the way are free, both (dof,).
+    """A configuration beyond `near` as seen from `q`, as far as it stays free in spheres and the straight edge from `q`
+    is free in exact geometry; each (dof,).
 
-    A search reaches `near` itself with difficulty, since some obstacle is just beside it.
+    A search finds `near` itself with difficulty, since an obstacle is just beside it.
     """
-    model, distance = context.model, float(np.linalg.norm(near - q))
+    model, distance, furthest = context.model, float(np.linalg.norm(near - q)), near
     direction = (near - q) / distance
     while (distance := distance * _FURTHER) <= _DISTANCES[-1]:
         further = np.clip(q + distance * direction, model.lower, model.upper)
-        if not (is_free(model, context.world, further) and edge_is_free(context, q, further)):
+        if not is_free(model, context.world, further):
             break
-        near = further
-    return near
+        furthest = further
+    return furthest if edge_is_free(context, q, furthest) else near
 
 
 def _overlap(nearest: Nearest) -> str:

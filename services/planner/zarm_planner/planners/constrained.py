@@ -95,7 +95,7 @@ class _ConstrainedPaths:
     context: PlanningContext
     constraint: ConstraintManifold
 
-    def between(self, start: Array, goal: Array, within: float) -> Array | None:
+    def between(self, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
         """A path found quickly, with shortcuts."""
         return self._path(start, goal[None], self.context.deadline, _LEG_SAMPLES)
 

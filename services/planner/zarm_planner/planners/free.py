@@ -31,8 +31,10 @@ Timed = Callable[[], TimedTrajectory]
 
 _TRIES = 10
 """Most searches for a path between two configurations, of which the quickest path counts."""
-LEG_SAMPLES = 3000
-"""Samples after which each of them gives up, some milliseconds; nine of ten problems of MotionBenchMaker take fewer."""
+LEG_SAMPLES = 1000
+"""Samples after which each of them gives up, a millisecond; nine of ten problems of MotionBenchMaker take fewer."""
+_ALONE = 3
+"""Factor on these samples for a leg without an alternative."""
 _MOST = 10_000_000
 """Samples after which the search to any of several configurations gives up, some 3 s."""
 _DEVIATIONS = (0.03, 0.01, 0.0)
@@ -116,7 +118,7 @@ class _FreePaths:
 
     context: PlanningContext
 
-    def between(self, start: Array, goal: Array, within: float) -> Array | None:
+    def between(self, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
         """The quickest of a few paths; of more if they differ."""
         context = self.context
         seeds = range(_TRIES * context.seed, _TRIES * (context.seed + 1))
@@ -129,7 +131,7 @@ class _FreePaths:
             within,
             seeds=seeds,
             deadline=context.deadline,
-            most=LEG_SAMPLES,
+            most=LEG_SAMPLES * (_ALONE if alone else 1),
         )
         context.timer.add("search", found.search)
         context.timer.add("shortcut", found.shortcut)

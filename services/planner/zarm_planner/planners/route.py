@@ -45,9 +45,9 @@ class Paths(Protocol):
     raise.
     """
 
-    def between(self, start: Array, goal: Array, within: float) -> Array | None:
+    def between(self, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
         """A short path between two configurations (dof,); None if none was found soon. One that must take longer than
-        `within` s is of no use.
+        `within` s is of no use. If it is `alone`, the search may take longer: no other leg can take its place.
         """
 
     def to_any(self, start: Array, goals: Array, until: Deadline) -> Array | None:
@@ -111,7 +111,8 @@ def _quickest_chain(paths: Paths, layers: Sequence[Sequence[End]], limits: Limit
         step = next(k for k, pair in enumerate(hoped) if pair not in legs[k])
         at, to = hoped[step]
         within = time - (least - costs[step][at, to])
-        leg = legs[step][at, to] = paths.between(layers[step][at].free, layers[step + 1][to].free, within)
+        begin, end, alone = layers[step][at].free, layers[step + 1][to].free, costs[step].size == 1
+        leg = legs[step][at, to] = paths.between(begin, end, within, alone=alone)
         took = math.inf if leg is None else path_time(leg, limits.velocity, limits.acceleration, rests[step])
         costs[step][at, to] = found[step][at, to] = took
     joined = [(layers[k + 1][to], legs[k].get((at, to))) for k, (at, to) in enumerate(chain)]
