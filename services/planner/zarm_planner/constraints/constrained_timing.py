@@ -41,7 +41,7 @@ def time_constrained(
     deadline: Deadline,
     vias: Sequence[int] = (),
 ) -> TimedTrajectory | None:
-    """A fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or slightly less.
+    """A fast motion along a smooth curve through points of `path` (n, dof), sampled every `dt` s or less.
 
     The rows `vias` are among these points, so the motion passes them exactly. Where configurations (n, dof) along the
     curve are not `free`, or break the constraint, the points are moved closer together. None if that does not help, or

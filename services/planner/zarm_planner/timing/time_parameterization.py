@@ -16,7 +16,8 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
 
+_SAMPLING = 0.01
+"""Longest interval (s) between samples. Steps of acceleration are averaged over at least two, which prolongs the motion."""
 _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
 _STEPS = 8
@@ -38,14 +41,14 @@ _ROUNDING = 3 / 16
 
 
 def time_path(path: Array, limits: Limits, dt: float, deviation: float) -> TimedTrajectory:
-    """The fast motion from rest to rest along `path` (n, dof), sampled every `dt` s or slightly less.
+    """The fast motion from rest to rest along `path` (n, dof), sampled every `dt` s or less.
 
     Corners of the polyline `path` are rounded, leaving it by at most `deviation` (rad, Euclidean). With `deviation` 0,
     or if that is faster, the motion stops at every corner. Limits are held within 0.1 %.
 
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
-    path = _distinct(path)
+    path, dt = _distinct(path), min(dt, _SAMPLING)
     if len(path) == 1:
         return TimedTrajectory.standing(path[0], dt)
     edges = [_straight(a, b, limits, dt) for a, b in itertools.pairwise(path)]
@@ -99,13 +102,13 @@ def through(points: Array) -> TimedTrajectory:
 
 
 def time_curve(curve: TimedTrajectory, limits: Limits, dt: float) -> TimedTrajectory | None:
-    """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or slightly
-    less.
+    """The fast motion from rest to rest along `curve`, whose time is a length (rad), sampled every `dt` s or less.
 
     Limits are held within 0.1 %. None if TOPPRA fails numerically.
 
     Raises InvalidRequest if the limits make the motion longer than `trajectory.MAX_SAMPLES`.
     """
+    dt = min(dt, _SAMPLING)
     fastest = _fastest(curve, limits, dt, _CURVE_STEP, 1)
     return None if fastest is None else within(partial(fastest.sample, dt=dt), limits)
 
@@ -190,12 +193,11 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
     """TOPPRA under the limits on velocity and acceleration, at points at most `step` (rad) apart, `least` on each piece
     of the curve; None if it fails numerically.
     """
-    from zarm_planner.timing.toppra_without_plots import TOPPRA, JointAccelerationConstraint, JointVelocityConstraint
+    from zarm_planner.timing.toppra_without_plots import TOPPRA
 
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
-    constraints = [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
-    toppra = TOPPRA(constraints, _ToppraPath(curve), gridpoints=s, solver_wrapper="seidel")
+    toppra = TOPPRA(_constraints(limits), _ToppraPath(curve), gridpoints=s, solver_wrapper="seidel")
     toppra.compute_parameterization(0.0, 0.0)
     sd = toppra.problem_data.sd_vec
     if sd is None or not np.all(np.isfinite(sd)) or np.any(sd[1:] + sd[:-1] <= 0.0):
@@ -203,6 +205,14 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
     t = np.insert(np.cumsum(2 * np.diff(s) / (sd[1:] + sd[:-1])), 0, 0.0)
     moving = np.ptp(curve.position, axis=0) > 0.0
     return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
+
+
+@lru_cache(maxsize=16)
+def _constraints(limits: Limits) -> list[Any]:
+    """The limits on velocity and acceleration, for TOPPRA, which takes long to make them."""
+    from zarm_planner.timing.toppra_without_plots import JointAccelerationConstraint, JointVelocityConstraint
+
+    return [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
 
 
 def joined(trajectories: Sequence[TimedTrajectory]) -> TimedTrajectory:

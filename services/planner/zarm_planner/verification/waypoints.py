@@ -57,7 +57,7 @@ def passing_times(
 def _tips(model: RobotModel, trajectory: TimedTrajectory, times: Array, check: Callable[[], None]) -> Array:
     """The poses (n, 4, 4) of the tip at `times` (n,) in s."""
     check()
-    tips: Array = model.fk_tip(trajectory.sample(times)[0])
+    tips: Array = model.fk_tip(trajectory.positions(times))
     return tips
 
 
