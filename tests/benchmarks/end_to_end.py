@@ -1,7 +1,7 @@
-"""What a client waits for a plan: `python tests/benchmarks/end_to_end.py [--robot panda] [--every 2] [--goals joints pose]`.
+"""What a client waits for a plan: `python tests/benchmarks/end_to_end.py [--robot panda] [--every 2] [--scenes cage]`.
 
-A planner process and a router on loopback, asked for MotionBenchMaker's problems one after the other with `optimize_s` 0.
-The round trip is wall-clock time from before the request is encoded until the plan is decoded; stages are from the
+A planner process and a router on loopback, asked for MotionBenchMaker's problems one after the other with `optimize_s` 0;
+or for those of our own making that resemble its other scenes (`support.planner.generated_bench`). The round trip is wall-clock time from before the request is encoded until the plan is decoded; stages are from the
 answer. Each is asked twice in a row and the second time counts: the first one after an edit makes the new scene ready. Needs
 the problems in ../shared/mbm.
 """
@@ -21,7 +21,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.harness import PATIENCE, ServiceProcess, router
-from support.planner import motion_bench
+from support.planner import generated_bench, motion_bench
 from zarm_contract.errors import ZarmError
 from zarm_contract.keys import Keys
 from zarm_contract.messages import (
@@ -35,8 +35,11 @@ from zarm_contract.messages import (
     SceneEdit,
     SceneEdited,
 )
+from zarm_geometry.robot_model import RobotModel
 from zarm_runtime.bus import Bus
 
+SCENES = (*motion_bench.SCENES, *generated_bench.SCENES)
+GENERATED = 30
 STAGES = tuple(name for name in PlanTimings.model_fields if name != "total")
 
 
@@ -45,6 +48,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", choices=motion_bench.ROBOTS, default="panda")
     parser.add_argument("--every", type=int, default=2, help="take every so-many-th problem")
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=motion_bench.SCENES)
     parser.add_argument("--goals", nargs="+", choices=("joints", "pose"), default=["joints", "pose"])
     options = parser.parse_args()
     if not motion_bench.AVAILABLE:
@@ -54,12 +58,17 @@ def main() -> None:
     asked = 0
     with tempfile.TemporaryDirectory() as name, router() as endpoint:
         folder = Path(name)
-        keys = Keys(motion_bench.robot(options.robot, folder).descriptor.name)
+        robot = motion_bench.robot(options.robot, folder)
+        keys = Keys(robot.descriptor.name)
         planner = ServiceProcess("planner", endpoint, folder, robot=str(folder / f"{options.robot}.yaml"))
         with Bus(endpoint) as bus, planner:
             planner.wait_ready(bus, keys)
-            for scene in motion_bench.SCENES:
-                problems = motion_bench.problems(options.robot, scene)[:: options.every]
+            for scene in options.scenes:
+                if scene in motion_bench.SCENES:
+                    problems = motion_bench.problems(options.robot, scene)
+                else:
+                    problems = generated_bench.problems(options.robot, RobotModel.of(robot), scene, GENERATED)
+                problems = problems[:: options.every]
                 for kind in options.goals:
                     rows = [row for problem in problems if (row := run(bus, keys, problem, kind))]
                     table.add_row(scene, kind, *cells(rows, len(problems)))

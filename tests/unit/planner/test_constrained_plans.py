@@ -80,6 +80,12 @@ def test_a_tool_stays_upright_all_the_way(model: RobotModel) -> None:
     assert tilt(tips(model, found)) <= UPRIGHT.angle_tolerance * np.sqrt(2.0)
 
 
+def test_samples_are_close_enough_for_the_curve_though_the_descriptor_allows_longer_steps(model: RobotModel) -> None:
+    assert model.robot.descriptor.interpolation_dt > 0.01
+    found = held_plan(model, moved(model, 0.0, 0.2, 0.0), UPRIGHT)
+    assert np.diff(found.trajectory.time).max() <= 0.01 + 1e-9
+
+
 @pytest.mark.lengthy
 def test_what_is_held_is_kept_around_an_obstacle(model: RobotModel) -> None:
     goal = moved(model, -0.25, 0.35, 0.0)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from support.planner.small_arm import DESCRIPTOR, URDF
 from support.planner.unchecked_pairs import JOINTS, unchecked_pairs
@@ -18,10 +20,13 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
+from zarm_planner.kernels.leg_times import path_time
 from zarm_planner.pipeline import Verified, plan
-from zarm_planner.planners.free import FreePlanner
+from zarm_planner.planners.free import FreePlanner, _FreePaths
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_trajectory.limits import Limits
+
+Array = NDArray[np.float64]
 
 HOME = np.array([0.0, 0.0, 1.5708, 0.0, 1.5708, 0.0])
 SWUNG = HOME + [1.3, 0, 0, 0, 0, 0]
@@ -59,6 +64,32 @@ def test_a_detour_to_a_near_posture_is_taken_before_the_straight_way_to_a_far_on
     found = to_pose(model, SWUNG, post(model), seed=seed)
     assert found.trajectory.length < 2.5 * straight.trajectory.length
     assert np.ptp(found.trajectory.position[:, 0]) < np.pi
+
+
+def test_no_leg_is_searched_that_could_hardly_make_the_route_faster(
+    model: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The real search between two configurations, whose arguments and results are noted."""
+    searched: list[tuple[Array, Array, float, Array | None]] = []
+    real = _FreePaths.between
+
+    def between(paths: _FreePaths, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
+        found = real(paths, start, goal, within, alone=alone)
+        searched.append((start, goal, within, found))
+        return found
+
+    monkeypatch.setattr(_FreePaths, "between", between)
+    limits = Limits.of(model.robot)
+    to_pose(model, SWUNG, post(model))
+    assert searched
+    best = math.inf
+    for start, goal, within, found in searched:
+        straight = path_time(np.array([start, goal]), limits.velocity, limits.acceleration, 2)
+        assert within == best
+        assert straight < 0.97 * best
+        if found is not None:
+            best = min(best, path_time(found, limits.velocity, limits.acceleration, 2))
+    assert best < math.inf
 
 
 def test_without_anything_in_the_way_the_nearest_posture_is_reached_straight(model: RobotModel) -> None:

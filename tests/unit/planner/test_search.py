@@ -231,6 +231,29 @@ def test_a_search_gives_up_after_the_samples_it_was_allowed(model: RobotModel, s
     assert search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0), most=10_000) is not None
 
 
+def test_only_a_path_that_takes_less_than_was_allowed_is_returned(
+    model: RobotModel, sides: tuple[Array, Array]
+) -> None:
+    world, (start, goal) = World(WALL, 0.0), sides
+
+    def quickest(within: float) -> Array | None:
+        fastest, seeds = model.velocity, range(10)
+        return quickest_of(
+            model, world, start, goal, fastest, within, seeds=seeds, deadline=Deadline(30.0), most=10_000
+        ).path
+
+    def seconds(path: Array) -> float:
+        return float(np.max(np.abs(np.diff(path, axis=0)) / model.velocity, axis=1).sum())
+
+    found = quickest(np.inf)
+    assert found is not None
+    again = quickest(1.2 * seconds(found))
+    assert again is not None
+    assert seconds(again) < 1.2 * seconds(found)
+    assert_free(model, WALL, again)
+    assert quickest(seconds(np.array(sides))) is None
+
+
 @pytest.mark.lengthy
 @pytest.mark.skipif(not motion_bench.AVAILABLE, reason="MotionBenchMaker's robots are not beside the repository")
 def test_the_route_into_a_cage_is_a_short_one_whatever_the_seed(tmp_path: Path) -> None:

@@ -39,13 +39,13 @@ ROOM = 0.001
 SEEDS = 20
 
 
-def board(model: RobotModel, q: Array, side: int) -> Cuboid | None:
+def board(model: RobotModel, q: Array, side: int, width: float = 0.5) -> Cuboid | None:
     """A board below (-1) or above (1) the tool at `q`, ROOM away from the robot; None where that would be far from it."""
     x, y, z = model.fk_tip(q)[:3, 3].tolist()
 
     def at(height: float) -> Cuboid:
         place = (x, y, z + side * height)
-        return Cuboid(kind="cuboid", name=f"board{side}", position=place, size=(0.5, 0.5, 0.02))
+        return Cuboid(kind="cuboid", name=f"board{side}", position=place, size=(width, width, 0.02))
 
     def gap(height: float) -> float:
         return ExactScene(model, World([at(height)], 0.0)).nearest(q, itself=False).distance
@@ -107,6 +107,23 @@ def test_a_goal_between_two_boards_has_a_way_out_of_there(name: str, seed: int) 
                 assert scene.exact.nearest(end.asked).distance > 0.0
                 assert is_free(scene.model, scene.world, end.free)
                 assert len(end.way) == 0 or np.array_equal(end.way[-1], end.asked)
+
+
+def test_the_search_begins_further_away_than_the_first_place_that_is_free() -> None:
+    """A tool held close above a table: the search must not end just above the margin, where hardly any edge is free."""
+    model = MODELS["panda"]
+    q = np.array(model.robot.descriptor.home)
+    table = board(model, q, -1, width=0.15)
+    assert table is not None
+    world = World((table,), 0.005)
+    scene = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
+    end = ends.start_end(context(scene, 0), q, None)
+    along = np.linspace(q, end.free, 200)
+    free = [is_free(model, world, one) for one in along]
+    first = free.index(True)
+    assert all(free[first:])
+    assert np.linalg.norm(end.free - q) > 1.4 * np.linalg.norm(along[first] - q)
+    assert all(scene.exact.is_free(one) for one in along)
 
 
 def test_the_motion_into_a_tight_shelf_is_free() -> None:
