@@ -12,6 +12,7 @@ import argparse
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,7 @@ def main() -> None:
         with Bus(endpoint) as bus, planner:
             planner.wait_ready(bus, keys)
             for scene in options.scenes:
+                problems: Sequence[motion_bench.Problem]
                 if scene in motion_bench.SCENES:
                     problems = motion_bench.problems(options.robot, scene)
                 else:
