@@ -23,8 +23,9 @@ class PlanningContext:
     the first trajectory, it looks for faster ones. `timer` records the time of each stage.
 
     `assumptions` are checks in exact geometry, in the order of the request, of ends that are free in spheres. A
-    verified trajectory proves them; without one, `check_assumptions` tells what is wrong with an end. With `exact_ik`,
-    IK solutions are checked in exact geometry too, before a path is searched to them.
+    verified trajectory proves them; without one, `check_assumptions` tells what is wrong with an end. With
+    `thorough_ik`, IK solutions are checked in exact geometry too, before a path is searched to them, and all of those
+    with little room are considered.
     """
 
     scene: PlanningScene
@@ -35,7 +36,7 @@ class PlanningContext:
     optimize_s: float = 0.0
     seed: int = 0
     timer: StageTimer = field(default_factory=StageTimer)
-    exact_ik: bool = False
+    thorough_ik: bool = False
     assumptions: list[Callable[[], None]] = field(default_factory=list)
 
     @property

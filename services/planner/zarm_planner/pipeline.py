@@ -72,23 +72,30 @@ def _first(
 ) -> tuple[Verified, int, PlanningProblem]:
     """The first trajectory that passes verification, its seed, and the problem that it solves.
 
-    Once one fails, only ends that are free in exact geometry count.
+    Once one fails, or the first attempt finds none, all ends that are free in exact geometry count, and no others.
     """
     failure: VerificationFailed | None = None
     try:
         for attempt in range(context.max_attempts):
             seeded = context.with_seed(context.seed + attempt)
             last = attempt >= min(_FASTEST_ONLY, context.max_attempts - 1)
-            for trajectory in itertools.islice(planner.trajectories(seeded, problem), None if last else 1):
-                try:
-                    with context.timer.stage("verify"):
-                        return _verified(context, problem, trajectory), seeded.seed, problem
-                except VerificationFailed as error:
-                    first, failure = failure is None, error
-                    if first:
-                        context.check_assumptions()
-                        with context.timer.stage("ik"):
-                            problem = problem.with_exact_ik(context)
+            try:
+                for trajectory in itertools.islice(planner.trajectories(seeded, problem), None if last else 1):
+                    try:
+                        with context.timer.stage("verify"):
+                            return _verified(context, problem, trajectory), seeded.seed, problem
+                    except VerificationFailed as error:
+                        first, failure = failure is None, error
+                        if first:
+                            context.check_assumptions()
+                            problem = _with_thorough_ik(context, problem)
+            except PlanningFailed:  # proven for the ends considered so far
+                if attempt > 0 or failure is not None or not (more := _more_ends(context, problem)):
+                    raise
+                problem = more
+            else:
+                if attempt == 0 and failure is None:
+                    problem = _with_thorough_ik(context, problem)
     except DeadlineExceeded as late:
         if failure is None:
             raise
@@ -99,6 +106,17 @@ def _first(
         f"no path was found within max_attempts, {context.max_attempts}; allow more, or simplify the scene",
         code="no_path",
     )
+
+
+def _with_thorough_ik(context: PlanningContext, problem: PlanningProblem) -> PlanningProblem:
+    with context.timer.stage("ik"):
+        return problem.with_thorough_ik(context)
+
+
+def _more_ends(context: PlanningContext, problem: PlanningProblem) -> PlanningProblem | None:
+    """The problem with thorough IK, if that finds more ends."""
+    thorough = _with_thorough_ik(context, problem)
+    return thorough if sum(map(len, thorough.targets)) > sum(map(len, problem.targets)) else None
 
 
 def _fastest(planner: Planner, context: PlanningContext, problem: PlanningProblem, best: Verified) -> Verified:

@@ -30,6 +30,7 @@ from zarm_planner.pipeline import plan
 from zarm_planner.planners.free import FreePlanner
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_trajectory.limits import Limits
+from zarm_trajectory.trajectory import TimedTrajectory
 
 Array = NDArray[np.float64]
 
@@ -124,6 +125,44 @@ def test_the_search_begins_further_away_than_the_first_place_that_is_free() -> N
     assert all(free[first:])
     assert np.linalg.norm(end.free - q) > 1.4 * np.linalg.norm(along[first] - q)
     assert all(scene.exact.is_free(one) for one in along)
+
+
+class _Unlucky(FreePlanner):
+    """Finds nothing at first; `ends` are the numbers of ends that it was given."""
+
+    def __init__(self, proof: PlanningFailed | None) -> None:
+        self.proof, self.ends = proof, list[int]()
+
+    def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
+        self.ends.append(len(problem.targets[-1]))
+        if len(self.ends) > 1:
+            yield from super().trajectories(context, problem)
+        elif self.proof:
+            raise self.proof
+
+
+@pytest.mark.parametrize("proof", [None, PlanningFailed("no path to the goal", code="no_path")])
+def test_all_ways_to_reach_a_tight_pose_are_considered_once_the_first_few_lead_to_nothing(
+    proof: PlanningFailed | None,
+) -> None:
+    for number in count():
+        q, scene = shelf("panda", number)
+        home, goal = np.array(scene.model.robot.descriptor.home), pose_goal(scene.model, q)
+        few = PlanningProblem.of(context(scene, 0), home, goal)
+        if len(few.targets[-1]) < len(few.with_thorough_ik(context(scene, 0)).targets[-1]):
+            break
+    planner = _Unlucky(proof)
+    assert plan(planner, context(scene, 0), home, goal).clearance > 0.0
+    assert planner.ends[1] > planner.ends[0]
+
+
+def test_a_proof_that_there_is_no_path_counts_if_there_is_no_other_way_to_reach_the_goal() -> None:
+    q, scene = shelf("panda", 0)
+    home, goal = np.array(scene.model.robot.descriptor.home), JointGoal(kind="joints", position=tuple(q.tolist()))
+    planner = _Unlucky(PlanningFailed("no path to the goal", code="no_path"))
+    with pytest.raises(PlanningFailed, match="no path to the goal"):
+        plan(planner, context(scene, 0), home, goal)
+    assert planner.ends == [1]
 
 
 def test_the_motion_into_a_tight_shelf_is_free() -> None:

@@ -33,7 +33,8 @@ _GOALS = 16
 _SET_GOALS = 256
 """Most solutions considered for a goal set, equally many for each pose."""
 _TIGHT_GOALS = 4
-"""Most solutions considered for a pose that leaves the robot less room than its spheres take; each costs a millisecond.
+"""Most solutions considered at first for a pose that leaves the robot less room than its spheres take; each costs a
+millisecond.
 """
 _FRUITLESS = 5
 """Consecutive seeds without a new solution after which all solutions of a pose count as known; one seed finds 98 to
@@ -207,6 +208,8 @@ def _tight_ends(
     First the colliding ones `found` (n, dof), with as much clearance as the pose leaves them; then others, for
     `max_attempts` seeds or until _FRUITLESS in a row find nothing new.
     """
+    if not context.thorough_ik:
+        most = min(most, _TIGHT_GOALS)
     known = np.empty((0, context.model.dof))
     tried: list[tuple[float, Array]] = []
     fruitless = 0
@@ -228,7 +231,7 @@ def _tight_ends(
             tried.append((room, roomy))
             if room > 0.0 and (end := _end(context, roomy, constraint)):
                 ends.append(end)
-            if len(ends) == min(most, _TIGHT_GOALS):
+            if len(ends) == most:
                 break
         if ends:
             return ends
@@ -236,7 +239,7 @@ def _tight_ends(
 
 
 def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
-    """Joints for a pose (4, 4), free in spheres, and with `exact_ik` in exact geometry too. Raises the deadline's
+    """Joints for a pose (4, 4), free in spheres, and with `thorough_ik` in exact geometry too. Raises the deadline's
     error.
     """
     found = solve_ik(
@@ -249,7 +252,7 @@ def _solved(context: PlanningContext, pose: Array, near: Array) -> IkResult:
         deadline=context.deadline,
     )
     context.deadline.check()
-    if not context.exact_ik:
+    if not context.thorough_ik:
         return found
     free = np.array([context.exact.is_free(q, context.deadline.check) for q in found.solutions], np.bool_)
     colliding = np.concatenate((found.solutions[~free], found.colliding))
