@@ -1,9 +1,10 @@
 """What a client waits for a plan: `python tests/benchmarks/end_to_end.py [--robot panda] [--every 2] [--scenes cage]`.
 
-A planner process and a router on loopback, asked for MotionBenchMaker's problems one after the other with `optimize_s` 0;
-or for those of our own making that resemble its other scenes (`support.planner.generated_bench`). The round trip is wall-clock time from before the request is encoded until the plan is decoded; stages are from the
-answer. Each is asked twice in a row and the second time counts: the first one after an edit makes the new scene ready. Needs
-the problems in ../shared/mbm.
+A planner process and a router on loopback, asked for MotionBenchMaker's problems one after the other with `optimize_s` 0,
+or for those of our own making that resemble its other scenes (`support.planner.generated_bench`). The round trip is
+wall-clock time from before the request is encoded until the plan is decoded; stages are from the answer. Each is asked
+twice in a row and the second time counts: the first one after an edit makes the new scene ready. Needs the problems in
+../shared/mbm.
 """
 
 from __future__ import annotations

@@ -79,6 +79,7 @@ def _first(
         for attempt in range(context.max_attempts):
             seeded = context.with_seed(context.seed + attempt)
             last = attempt >= min(_FASTEST_ONLY, context.max_attempts - 1)
+            widen = attempt == 0 and context.max_attempts > 1  # unless a trajectory fails verification
             try:
                 for trajectory in itertools.islice(planner.trajectories(seeded, problem), None if last else 1):
                     try:
@@ -90,11 +91,11 @@ def _first(
                             context.check_assumptions()
                             problem = _with_thorough_ik(context, problem)
             except PlanningFailed:  # proven for the ends considered so far
-                if attempt > 0 or failure is not None or not (more := _more_ends(context, problem)):
+                if not widen or failure is not None or not (more := _more_ends(context, problem)):
                     raise
                 problem = more
             else:
-                if attempt == 0 and failure is None:
+                if widen and failure is None:
                     problem = _with_thorough_ik(context, problem)
     except DeadlineExceeded as late:
         if failure is None:

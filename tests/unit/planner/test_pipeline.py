@@ -20,9 +20,11 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
+from zarm_planner.goals.ends import End
 from zarm_planner.kernels.leg_times import path_time
 from zarm_planner.pipeline import Verified, plan
-from zarm_planner.planners.free import FreePlanner, _FreePaths
+from zarm_planner.planners.free import FreePlanner
+from zarm_planner.planners.route import _quickest_chain
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_trajectory.limits import Limits
 
@@ -66,30 +68,34 @@ def test_a_detour_to_a_near_posture_is_taken_before_the_straight_way_to_a_far_on
     assert np.ptp(found.trajectory.position[:, 0]) < np.pi
 
 
-def test_no_leg_is_searched_that_could_hardly_make_the_route_faster(
-    model: RobotModel, monkeypatch: pytest.MonkeyPatch
+class _Overshooting:
+    """Paths along the first joint, of which the one to 1 rad overshoots; `searched` are their goals and time limits."""
+
+    def __init__(self, overshoot: float) -> None:
+        self.overshoot, self.searched = overshoot, list[tuple[float, float]]()
+
+    def between(self, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
+        self.searched.append((float(goal[0]), within))
+        beyond = goal + (self.overshoot, 0, 0, 0, 0, 0)
+        return np.array([start, beyond, goal] if goal[0] == 1.0 else [start, goal])
+
+    def to_any(self, start: Array, goals: Array, until: Deadline) -> Array | None:
+        return None
+
+
+@pytest.mark.parametrize(("overshoot", "goals"), [(0.0, [1.0]), (0.007, [1.0]), (0.2, [1.0, 1.01])])
+def test_a_further_leg_is_searched_only_if_it_could_make_the_route_noticeably_faster(
+    model: RobotModel, overshoot: float, goals: list[float]
 ) -> None:
-    """The real search between two configurations, whose arguments and results are noted."""
-    searched: list[tuple[Array, Array, float, Array | None]] = []
-    real = _FreePaths.between
-
-    def between(paths: _FreePaths, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
-        found = real(paths, start, goal, within, alone=alone)
-        searched.append((start, goal, within, found))
-        return found
-
-    monkeypatch.setattr(_FreePaths, "between", between)
-    limits = Limits.of(model.robot)
-    to_pose(model, SWUNG, post(model))
-    assert searched
-    best = math.inf
-    for start, goal, within, found in searched:
-        straight = path_time(np.array([start, goal]), limits.velocity, limits.acceleration, 2)
-        assert within == best
-        assert straight < 0.97 * best
-        if found is not None:
-            best = min(best, path_time(found, limits.velocity, limits.acceleration, 2))
-    assert best < math.inf
+    limits, paths = Limits.of(model.robot), _Overshooting(overshoot)
+    start, *ends = (End.at(np.array((q, 0.0, 0.0, 0.0, 0.0, 0.0))) for q in (0.0, 1.0, 1.01, 2.0))
+    chain = _quickest_chain(paths, [[start], ends], limits)
+    assert chain is not None
+    assert [goal for goal, _ in paths.searched] == goals
+    assert chain[0][0].asked[0] == goals[-1]
+    first = np.array([start.free, ends[0].free + (overshoot, 0, 0, 0, 0, 0), ends[0].free])
+    took = path_time(first, limits.velocity, limits.acceleration, 2)
+    assert [within for _, within in paths.searched] == [math.inf, took][: len(goals)]
 
 
 def test_without_anything_in_the_way_the_nearest_posture_is_reached_straight(model: RobotModel) -> None:

@@ -209,7 +209,7 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
 
 @lru_cache(maxsize=16)
 def _constraints(limits: Limits) -> list[Any]:
-    """The limits on velocity and acceleration, for TOPPRA, which takes long to make them."""
+    """The limits on velocity and acceleration for TOPPRA, which needs 0.5 ms to make them."""
     from zarm_planner.timing.toppra_without_plots import JointAccelerationConstraint, JointVelocityConstraint
 
     return [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
