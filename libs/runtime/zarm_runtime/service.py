@@ -40,6 +40,10 @@ _GLANCE = 0.3
 """Time limit (s) of that search, needed if no router is there."""
 
 
+class _Stopped(Unavailable):
+    """The service was told to end before it was ready."""
+
+
 @dataclass
 class Service:
     """A running service: its robot, its keys, its bus; `options` are its command line (`connect`, `state`, its own).
@@ -74,7 +78,11 @@ class Service:
         return Bus(self.options.connect, role=self.bus.role)
 
     def starting(self, activity: str) -> None:
-        """Report in `health` what the service is doing before it is ready."""
+        """Report in `health` what the service does next before it is ready. After SIGTERM or SIGINT it raises what makes
+        `run_service` end the process in order; so report each step of a long start.
+        """
+        if signals.heard:
+            raise _Stopped(f"the {self.name} is ending; wait until it is there again")
         self._activity = activity
         log.info("starting activity=%s", activity.replace(" ", "_"))
 
@@ -105,14 +113,14 @@ class Service:
     def reread(self, _: Nothing) -> Health:
         """Read the robot's file again; if it has changed, end, and restart with it in the same process.
 
-        `health` shows when that is done. Raises InvalidRequest for a faulty file, and what `interruptible` raises; then
-        nothing has changed.
+        `health` shows when that is done. Raises InvalidRequest for a faulty file, Unavailable if it is ending, and what
+        `interruptible` raises; then nothing has changed.
         """
         robot = load_robot(str(self.robot.path))
         if robot.hash != self.robot.hash:
             self.interruptible()
-            self._ready, self.outdated = False, True
             self.starting("restarting with the changed robot")
+            self._ready, self.outdated = False, True
             self.end()
         return self.health()
 
@@ -240,6 +248,8 @@ def run_service(
             if not signals.heard:
                 sys.stdout.flush()
                 os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - this very program
+    except _Stopped:
+        log.info("stopping")
     except ZarmError as error:
         log.error("cannot run reason=%s", error)
         return 1
