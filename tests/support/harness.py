@@ -61,6 +61,13 @@ def eventually(probe: Callable[[], T | None], what: str, patience: float = PATIE
     return value
 
 
+def nothing_compiled(folder: Path) -> dict[str, str]:
+    """Variables with which a process has to compile all its kernels, into this folder: those of the cache beside the code, which
+    the folder starts with, are for another processor.
+    """
+    return {"NUMBA_CACHE_DIR": str(folder / "kernels"), "NUMBA_CPU_NAME": "generic"}
+
+
 @dataclass
 class ServiceProcess:
     """One service of zarm as a separate process; use it in `with`. Leaving stops it with SIGTERM and waits.

@@ -5,6 +5,7 @@ Run `python -m zarm_servo.warm_up` after an installation, so that no servo has t
 
 from __future__ import annotations
 
+import signal
 import sys
 
 import numpy as np
@@ -48,4 +49,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it at once, without a traceback; the cache stays whole
     sys.exit(main())

@@ -12,7 +12,7 @@ import psutil
 import pytest
 import zenoh
 
-from support.harness import PATIENCE, ServiceProcess, eventually
+from support.harness import PATIENCE, ServiceProcess, eventually, nothing_compiled
 from support.planner.client import (
     BEHIND_FENCE,
     BEHIND_POST,
@@ -229,9 +229,8 @@ def test_a_second_planner_of_one_robot_is_refused_and_one_of_another_name_is_not
 
 
 def compiling(endpoint: str, folder: Path) -> ServiceProcess:
-    """A planner that compiles its kernels: nothing was compiled for the processor of that name."""
-    environment = {"NUMBA_CACHE_DIR": str(folder / "kernels"), "NUMBA_CPU_NAME": "generic"}
-    return ServiceProcess("planner", endpoint, folder, environment=environment)
+    """A planner that has to compile its kernels."""
+    return ServiceProcess("planner", endpoint, folder, environment=nothing_compiled(folder))
 
 
 def test_health_answers_while_kernels_are_compiled_and_plans_are_refused_with_the_reason(
