@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator, Sequence
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -10,6 +11,9 @@ from pydantic import BaseModel
 
 TAGS = ("kind", "op")
 """The fields that distinguish the members of a union, in every model of zarm."""
+
+_LONGEST = 100
+"""So much of an unknown field's name is compared with known ones: a payload of megabytes may be one name."""
 
 
 def field_path(location: Sequence[int | str], data: object) -> tuple[int | str, ...]:
@@ -41,17 +45,36 @@ def sentence(message: str) -> str:
 
 
 def remedy(model: type[BaseModel], location: Sequence[int | str], kind: str) -> str:
-    """What to write where something is missing in data for `model`, from the `loc` and `type` of pydantic's error; "" for other faults."""
+    """What to write where something is missing in data for `model`, or instead of a field that it does not have, from the `loc` and
+    `type` of pydantic's error; "" for other faults.
+    """
+    if kind == "extra_forbidden":
+        return _known(model, location)
     if kind not in ("missing", "union_tag_not_found"):
         return ""
-    found: Any = model
-    for part in location:
-        found = _inside(found, part)
-    choices = [f'"{choice}"' for each in _members(found) for choice in (_tags(each) or _literals(each))]
+    choices = [
+        f'"{choice}"' for each in _members(_annotation(model, location)) for choice in (_tags(each) or _literals(each))
+    ]
     if not choices:
         return "; docs/reference/messages.md explains what to write here"
     *others, last = choices
     return f"; write {', '.join(others)} or {last}" if others else f"; write {last}"
+
+
+def _known(model: type[BaseModel], location: Sequence[int | str]) -> str:
+    """Which field may be meant by the last part of a location."""
+    members = _members(_annotation(model, location[:-1]))
+    fields = [name for member in members for name in getattr(member, "model_fields", ())]
+    close = difflib.get_close_matches(str(location[-1])[:_LONGEST], fields, 1)
+    return f"; did you mean {close[0]}?" if close else "; docs/reference/messages.md lists the fields"
+
+
+def _annotation(model: type[BaseModel], location: Sequence[int | str]) -> Any:
+    """The annotation of what is at a location in data for `model`."""
+    found: Any = model
+    for part in location:
+        found = _inside(found, part)
+    return found
 
 
 def _inside(annotation: Any, part: int | str) -> Any:

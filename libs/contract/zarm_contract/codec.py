@@ -84,9 +84,11 @@ def decode(model: type[M], payload: bytes) -> M:
     try:
         return model.model_validate_json(payload)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
+        first, *others = error.errors(include_url=False, include_input=False)
         path = field_path(first["loc"], json.loads(payload) if first["loc"] and _tagged(payload) else None)
-        more = f"; and {error.error_count() - 1} more" if error.error_count() > 1 else ""
+        # A faulty row is also reported as one that lacks the faulty item.
+        count = sum(other["loc"] != first["loc"][: len(other["loc"])] for other in others)
+        more = f"; and {count} more" if count else ""
         said = _cut(sentence(first["msg"])) + remedy(model, first["loc"], first["type"])
         raise InvalidRequest(f"{model.__name__}: {said}{more}", field=_cut(".".join(map(str, path))) or None) from error
 

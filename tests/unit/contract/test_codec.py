@@ -243,16 +243,28 @@ TARGET = '{"goal_id": "jog", "sequence": 1, "stamp": 1.0, "target": %s}'
         (
             m.SceneEdit,
             '{"edit": {"op": "add", "objects": [{"name": "a"}]}}',
-            '"mesh", "voxels" or "cloud"; and 1 more (edit.objects.0)',
+            '"mesh", "voxels" or "cloud" (edit.objects.0)',
         ),
         (
             m.SceneEdit,
             '{"edit": {"op": "attach"}}',
             "SceneEdit: Field required; docs/reference/messages.md explains what to write here (edit.name)",
         ),
+        (
+            m.SceneEdit,
+            '{"edit": {"op": "add", "objects": [{"kind": "sphere", "name": "a", "radius": 1, "position": [0, 0, 0], "sise": 1}]}}',
+            "SceneEdit: Extra inputs are not permitted; docs/reference/messages.md lists the fields (edit.objects.0.sise)",
+        ),
+        (
+            m.PlanRequest,
+            '{"goal": {"kind": "pose", "position": [0.5, 0, 0.5], "orientatoin": [0, 0, 0, 1]}}',
+            "PlanRequest: Extra inputs are not permitted; did you mean orientation? (goal.orientatoin)",
+        ),
     ],
 )
-def test_what_is_missing_is_named_with_what_to_write_there(cls: type[Message], payload: str, problem: str) -> None:
+def test_what_is_missing_or_unknown_is_named_with_what_to_write_there(
+    cls: type[Message], payload: str, problem: str
+) -> None:
     with pytest.raises(InvalidRequest) as refusal:
         decode(cls, payload.encode())
     assert str(refusal.value).endswith(problem)
