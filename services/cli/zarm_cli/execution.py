@@ -12,7 +12,7 @@ import typer
 from zarm.motion import REST_SECONDS
 from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected, message
-from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json
+from zarm_cli.output import SCENE_CHANGED, err, facts, held_by, out, print_json, reached, share_text
 from zarm_cli.planning import AnyOf, JointsGoal, To, VelocityScale, read_plan, request_plan, typed_goal
 from zarm_contract.errors import ZarmError, from_problem
 from zarm_contract.messages import ExecuteRequest, ExecutorState, GoalState, Speed
@@ -96,7 +96,7 @@ def run_goal(robot: Robot, request: ExecuteRequest, *, preempt: bool = False, re
                 task,
                 description=state.status,
                 completed=state.progress,
-                time=f"{state.elapsed:.1f} of {state.duration:.1f} s",
+                time=reached(state),
             )
 
         try:
@@ -180,7 +180,7 @@ def speed(
     if as_json:
         print_json(Speed(speed_scale=scale))
     else:
-        out.print(f"{scale:g} of the planned speed")
+        out.print(share_text(scale))
 
 
 def strategy(

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from zarm_contract.codec import encode
 from zarm_contract.errors import ZarmError
-from zarm_contract.messages import Hold, Message, Pose
+from zarm_contract.messages import GoalState, Hold, Message, Pose
 
 
 def _width() -> int | None:
@@ -43,6 +43,11 @@ def held_by(hold: Hold) -> str:
         return "no servo guards it, and the descriptor demands one"
     late = "" if found.avoidable else ", and contact could not be avoided any more"
     return f"{found.object} is in the way of {found.link} at {found.time:.2f} s of the trajectory{late}"
+
+
+def reached(goal: GoalState) -> str:
+    """How far a goal is in its trajectory; at less than full speed that is less than the time in motion."""
+    return f"{goal.progress * goal.duration:.1f} of {goal.duration:.1f} s"
 
 
 def print_json(value: Message | Mapping[str, object]) -> None:
@@ -78,6 +83,11 @@ def counted(count: int, thing: str) -> str:
 def degrees(values: Sequence[float]) -> str:
     """Angles in rad as `30.0, -45.0`, in degrees."""
     return numbers([math.degrees(value) for value in values], 1)
+
+
+def share_text(scale: float) -> str:
+    """A share of the planned speed as `20 % of the planned speed`."""
+    return f"{100 * scale:g} % of the planned speed"
 
 
 def pose_text(pose: Pose) -> str:

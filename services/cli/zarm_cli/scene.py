@@ -12,10 +12,17 @@ from rich.table import Table
 from zarm.values import IDENTITY, Pose
 from zarm_cli.client import SIGNALS, AsJson, Connect, Name, connected, floats, joints, message
 from zarm_cli.output import counted, numbers, out, print_json
-from zarm_contract.messages import SceneEdit, SceneEdited, Voxels
+from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, Message, SceneEdit, SceneEdited, Sphere, Voxels
 from zarm_runtime.session import DEFAULT_ENDPOINT
 
 _POSE_PERIOD = 0.05
+_KINDS: dict[str, type[Message]] = {
+    "cuboid": Cuboid,
+    "sphere": Sphere,
+    "capsule": Capsule,
+    "cylinder": Cylinder,
+    "mesh": Mesh,
+}
 
 app = typer.Typer(no_args_is_help=True, help="Show and change the obstacles and attached objects.")
 
@@ -89,6 +96,9 @@ def add(
         "scale": factors and (factors * 3)[:3],
     }
     thing = {key: value for key, value in fields.items() if value is not None}
+    for field, definition in _KINDS[kind].model_fields.items():
+        if definition.is_required() and field not in thing:
+            raise typer.BadParameter(f"a {kind} needs it", param_hint=f"--{field}")
     _edit(connect, name, as_json, op="add", objects=[thing], replace=replace)
 
 

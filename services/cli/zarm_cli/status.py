@@ -13,7 +13,20 @@ from zarm.robot import Robot
 from zarm_cli.client import AsJson, Connect, Name, connected
 from zarm_cli.compatibility import mismatches
 from zarm_cli.interrupts import pause
-from zarm_cli.output import SCENE_CHANGED, counted, degrees, err, facts, held_by, out, pose_text, print_json, records
+from zarm_cli.output import (
+    SCENE_CHANGED,
+    counted,
+    degrees,
+    err,
+    facts,
+    held_by,
+    out,
+    pose_text,
+    print_json,
+    reached,
+    records,
+    share_text,
+)
 from zarm_contract.codec import CONTRACT
 from zarm_contract.errors import InternalError, Unavailable
 from zarm_contract.messages import (
@@ -118,7 +131,7 @@ def _service_row(service: str, health: Health | None) -> tuple[str, ...]:
 def _state_rows(state: ExecutorState) -> list[tuple[str, str]]:
     rows = [("mode", state.mode + (f", goal {state.goal_id}" if state.goal_id else "")), ("strategy", state.strategy)]
     if state.speed_scale != 1.0:
-        rows.append(("speed", f"{state.speed_scale:g} of the planned speed"))
+        rows.append(("speed", share_text(state.speed_scale)))
     if state.goal_id is not None or state.guarded:
         rows.append(("guard", "guarded by the servo" if state.guarded else "unguarded: no servo watches this motion"))
     if state.scene_changed:
@@ -211,7 +224,7 @@ def _picture(robot: Robot, look: _Look) -> Table:
     if goal is not None:
         filled = round(goal.progress * 30)
         rows += _hold_rows(goal)
-        rows.append(("goal", f"{'━' * filled}{'╌' * (30 - filled)} {goal.elapsed:.1f} of {goal.duration:.1f} s"))
+        rows.append(("goal", f"{'━' * filled}{'╌' * (30 - filled)} {reached(goal)}"))
     rows.append(("tip", "unknown" if tip is None else pose_text(tip)))
     if joints is None:
         rows.append(("joints", f"no state for {_STALE:g} s"))

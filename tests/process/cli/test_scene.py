@@ -79,7 +79,7 @@ def test_a_scene_file_that_is_wrong_changes_nothing(
 
 
 def test_an_object_without_its_dimensions_is_refused_by_field(up: Up) -> None:
-    assert "size" in refused(up, "scene", "add", "cuboid", "box", "--at", "1,0,0")
+    assert "--size: a cuboid needs it" in refused(up, "scene", "add", "cuboid", "box", "--at", "1,0,0", code=2)
     assert "radius" in refused(up, "scene", "add", "cuboid", "box", "--at", "1,0,0", "--size", "1,1,1", "--radius", "1")
     assert "ghost" in refused(up, "scene", "remove", "ghost")
 
