@@ -86,8 +86,8 @@ def degrees(values: Sequence[float]) -> str:
 
 
 def share_text(scale: float) -> str:
-    """A share of the planned speed as `20 % of the planned speed`."""
-    return f"{100 * scale:g} % of the planned speed"
+    """A share of the planned speed as `20% of the planned speed`."""
+    return f"{100 * scale:g}% of the planned speed"
 
 
 def pose_text(pose: Pose) -> str:

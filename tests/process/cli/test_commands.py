@@ -232,9 +232,9 @@ def test_a_goal_preempts_another_only_when_it_is_asked_to(
 
 def test_speed_shows_and_changes_at_which_share_of_the_planned_speed_the_robot_moves(up: Up, observer: Bus) -> None:
     assert data(up, "speed") == {"speed_scale": 1.0}
-    assert done(up, "speed", "0.4") == "40 % of the planned speed\n"
+    assert done(up, "speed", "0.4") == "40% of the planned speed\n"
     assert data(up, "speed") == {"speed_scale": 0.4}
-    assert "40 % of the planned speed" in done(up, "status")
+    assert "40% of the planned speed" in done(up, "status")
     assert "speed_scale" in refused(up, "speed", "0.01")
     assert data(up, "speed", "1") == {"speed_scale": 1.0}
     assert "planned speed" not in done(up, "status")
