@@ -78,13 +78,15 @@ class Service:
         return Bus(self.options.connect, role=self.bus.role)
 
     def starting(self, activity: str) -> None:
-        """Report in `health` what the service does next before it is ready. After SIGTERM or SIGINT it raises what makes
-        `run_service` end the process in order; so report each step of a long start.
-        """
-        if signals.heard:
-            raise _Stopped(f"the {self.name} is ending; wait until it is there again")
+        """Report in `health` what the service does next before it is ready. Raises what `check_running` does."""
+        self.check_running()
         self._activity = activity
         log.info("starting activity=%s", activity.replace(" ", "_"))
+
+    def check_running(self) -> None:
+        """Raise Unavailable after SIGTERM or SIGINT, which makes `run_service` end the process in order; for long starts."""
+        if signals.heard:
+            raise _Stopped(f"the {self.name} is ending; wait until it is there again")
 
     def ready(self) -> None:
         """Report in `health` that requests are now served at full speed."""

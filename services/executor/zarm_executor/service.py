@@ -235,6 +235,7 @@ def _wait_for(strategy: Strategy, service: Service) -> None:
     service.starting("waiting for the robot's driver")
     deadline = time.monotonic() + DRIVER_PATIENCE
     while strategy.obstacle() is not None and time.monotonic() < deadline:
+        service.check_running()
         time.sleep(0.05)
 
 

@@ -209,6 +209,14 @@ def test_an_executor_that_is_to_start_with_a_driver_waits_for_it(bus: Bus, endpo
             assert Client(bus).state().strategy == "joint_speed"
 
 
+def test_an_executor_that_waits_for_its_driver_can_be_stopped(endpoint: str, tmp_path: Path) -> None:
+    with ServiceProcess("executor", endpoint, tmp_path, arguments=("--strategy", "joint_speed")) as process:
+        eventually(lambda: "waiting_for_the_robot" in process.output(), "it waits")
+        process.process.terminate()
+        assert process.process.wait(PATIENCE) == 0
+        assert process.output().splitlines()[-1].endswith("stopping")
+
+
 @pytest.mark.slow
 def test_noise_on_the_keys_of_the_driver_does_no_harm(bus: Bus, endpoint: str, tmp_path: Path) -> None:
     noise = [
