@@ -135,7 +135,10 @@ def move(
     connect: Connect = DEFAULT_ENDPOINT,
     name: Name = None,
 ) -> None:
-    """Publish the pose of a moving object, without an edit: `zarm scene move box --at 0.5,0,0.2 --speed 0.2`."""
+    """Publish the pose of a moving object, without an edit: `zarm scene move box --at 0.5,0,0.2 --speed 0.2`.
+
+    Without a new pose the object is lost after 1 s: goals near it are held until one comes or an edit of the object places it.
+    """
     pose = floats(at, "--at", 3, 7)
     along = [0.0, 0.0, 0.0] if velocity is None else floats(velocity, "--velocity", 3)
     with connected(connect, name) as robot:
@@ -148,7 +151,7 @@ def move(
                 break
             SIGNALS.attend(lambda: time.sleep(_POSE_PERIOD))
             passed = time.monotonic() - begun
-    out.print(f"told where {object_name} is")
+    out.print(f"told where {object_name} is; without a new pose it is lost after 1 s")
 
 
 At = Annotated[
