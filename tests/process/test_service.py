@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from support.harness import PATIENCE, eventually, free_endpoint
+from support.harness import PATIENCE, ServiceProcess, eventually, free_endpoint, nothing_compiled
 from support.paths import PROGRAMS
 from support.tiers import sampled
 from zarm_contract.errors import InvalidRequest, Unavailable
@@ -80,6 +80,27 @@ def test_a_signal_ends_a_service_cleanly(start: Start, bus: Bus, number: signal.
     assert [line.split("level=INFO ")[1].split()[0] for line in log.splitlines()] == ["starting", "ready", "stopping"]
     assert health(bus) is None
     eventually(lambda: bus.alive(KEYS.alive("minimal", "*")) == [], "its token is gone")
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "later"),
+    sampled(
+        ("planner", "forward_kinematics", "inverse_kinematics"),  # the stage between may begin before the signal
+        ("servo", "the_check_of_motions", "the_control_of_sessions"),
+    ),
+    ids=["planner", "servo"],
+)
+def test_a_service_that_compiles_its_kernels_ends_at_the_next_stage(
+    endpoint: str, bus: Bus, tmp_path: Path, name: str, first: str, later: str
+) -> None:
+    with ServiceProcess(name, endpoint, tmp_path, environment=nothing_compiled(tmp_path)) as service:
+        eventually(lambda: f"loading_{first}" in service.output(), "it compiles")
+        service.process.terminate()
+        assert service.process.wait(PATIENCE) == 0
+    assert f"loading_{later}" not in service.output()
+    assert service.output().splitlines()[-1].endswith("stopping")
+    assert "Traceback" not in service.output()
+    assert bus.alive(Keys("doosan_m1013").alive(name, "*")) == []
 
 
 def test_a_service_says_how_it_is(start: Start, bus: Bus, pendulum: Path) -> None:

@@ -66,8 +66,7 @@ def start(service: Service) -> Iterator[None]:
     model = RobotModel.of(service.robot)
     meshes = Meshes(service.options.meshes)
     checker, check = Checker(model, meshes), SceneCheck(model, meshes)
-    service.starting("loading the check of motions")
-    warm_up(checker, check)
+    warm_up(checker, check, service.starting)
     with service.open_bus() as command_bus:
         measured = bus.latest(keys.joint_states, JointState)
         guard = Guard(

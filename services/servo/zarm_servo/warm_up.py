@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable
 
 import numpy as np
 
@@ -24,8 +25,11 @@ from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 
-def warm_up(checker: Checker, check: SceneCheck) -> None:
-    """Check a robot at rest, and take a step of a session: with an object far away, and with one at its tip."""
+def warm_up(checker: Checker, check: SceneCheck, report: Callable[[str], None]) -> None:
+    """Check a robot at rest, and take a step of a session: with an object far away, and with one at its tip. `report` is told what
+    comes next.
+    """
+    report("loading the check of motions")
     model, box = check.model, Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
     home = np.array(model.robot.descriptor.home)
     tip = box.model_copy(update={"name": "tip", "position": tuple(model.fk_tip(home)[:3, 3].tolist())})
@@ -34,6 +38,7 @@ def warm_up(checker: Checker, check: SceneCheck) -> None:
     checker.validity(standing, 0.0, SceneSnapshot(objects={"far": box}), None)
     mover = Mover(box, box, (0.1, 0.0, 0.0), 0.1, 0.0, 0.0)
     checker.validity_among(standing, 0.0, SceneSnapshot(), [mover], 0.0, 0.5)
+    report("loading the control of sessions")
     controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
     for item in (box, tip):
         check.load({item.name: item})
@@ -44,7 +49,7 @@ def warm_up(checker: Checker, check: SceneCheck) -> None:
 def main() -> int:
     """Compile all kernels."""
     model = RobotModel.of(load_robot("doosan_m1013"))
-    warm_up(Checker(model, Meshes()), SceneCheck(model, Meshes()))
+    warm_up(Checker(model, Meshes()), SceneCheck(model, Meshes()), lambda _: None)
     return 0
 
 

@@ -44,7 +44,6 @@ from zarm_contract.messages import (
     SceneEdited,
     WaypointsGoal,
 )
-from zarm_planner.warm_up import STAGES
 from zarm_runtime.bus import Bus
 
 
@@ -228,15 +227,10 @@ def test_a_second_planner_of_one_robot_is_refused_and_one_of_another_name_is_not
         assert planner.call(Keys("twin").plan, request, Plan, timeout=PATIENCE).robot == "twin"
 
 
-def compiling(endpoint: str, folder: Path) -> ServiceProcess:
-    """A planner that has to compile its kernels."""
-    return ServiceProcess("planner", endpoint, folder, environment=nothing_compiled(folder))
-
-
 def test_health_answers_while_kernels_are_compiled_and_plans_are_refused_with_the_reason(
     endpoint: str, bus: Bus, tmp_path: Path
 ) -> None:
-    with compiling(endpoint, tmp_path) as process:
+    with ServiceProcess("planner", endpoint, tmp_path, environment=nothing_compiled(tmp_path)) as process:
 
         def busy() -> Health | None:
             try:
@@ -250,18 +244,6 @@ def test_health_answers_while_kernels_are_compiled_and_plans_are_refused_with_th
         with pytest.raises(Unavailable, match="ask again when its health says ready"):
             plan(bus, PlanRequest(start=HOME, goal=to_joints(*BEHIND_POST)))
         process.kill()
-
-
-def test_a_planner_that_compiles_its_kernels_ends_at_the_next_of_them(endpoint: str, bus: Bus, tmp_path: Path) -> None:
-    with compiling(endpoint, tmp_path) as planner:
-        eventually(lambda: f"(1_of_{STAGES})" in planner.output(), "the planner compiles the first kernels")
-        planner.process.terminate()
-        assert planner.process.wait(PATIENCE) == 0
-        lines = planner.output().splitlines()
-    assert f"(3_of_{STAGES})" not in planner.output()  # the second stage may have begun before the signal
-    assert lines[-1].endswith("stopping")
-    assert "Traceback" not in planner.output()
-    assert bus.alive(KEYS.alive("planner", "*")) == []
 
 
 def test_the_end_of_the_service_answers_what_is_in_hand(endpoint: str, bus: Bus, tmp_path: Path) -> None:
