@@ -28,6 +28,7 @@ from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_planner.handlers import Handlers
 from zarm_planner.scene.store import SceneStore
+from zarm_planner.service import NEW_OBJECTS
 
 RADIUS = 0.2
 AT = (0.55, 0.0, 0.45)
@@ -56,6 +57,7 @@ def main() -> None:
         planner.warm_up(lambda _: None)
         gc.collect()
         gc.freeze()  # as the service does
+        gc.set_threshold(NEW_OBJECTS)
         for objects in (
             [_mesh(meshes, "ball", _ball(count), AT) for count in SUBDIVISIONS],
             [_mesh(meshes, "lathed part", _lathed(count), (0.5, 0.0, 0.3)) for count in SECTIONS],
