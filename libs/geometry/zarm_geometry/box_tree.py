@@ -8,10 +8,9 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from zarm_geometry import rows
 from zarm_geometry.kernels.arrays import WorldArrays
 from zarm_geometry.kernels.median_split import median_split
-from zarm_geometry.kernels.refit import refit
+from zarm_geometry.kernels.refit import centers, refit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -36,8 +35,7 @@ class BoxTree(NamedTuple):
     @classmethod
     def over(cls, shapes: Array) -> Self:
         """The tree over shapes (n, 17)."""
-        lower, upper = rows.bounds(shapes)
-        order = median_split(np.ascontiguousarray((lower + upper) / 2), BRANCHES)
+        order = median_split(centers(shapes), BRANCHES)
         skip, leaf = _nodes(len(shapes))
         there, boxes = refit(shapes[order], skip, leaf, np.eye(4))
         return cls(there, order, boxes, skip, leaf)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import io
 import stat
@@ -109,6 +110,7 @@ class Meshes:
         known = self._known.get((digest, item.scale))
         if known is None:
             known = self._known[digest, item.scale] = _held(item, content, field)
+            gc.collect()  # trimesh's meshes refer to themselves: few objects, but tens of MB
         return digest, known
 
     def _content(self, item: Mesh, field: str) -> bytes:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import PointCloud, Voxels
+from zarm_geometry.kernels.joining import Codes, joined
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -69,14 +70,7 @@ def occupied(points: Array, resolution: float) -> Cells:
 
 def distinct(cells: Cells) -> Cells:
     """The distinct cells of (n, 3), sorted by x, then y, then z."""
-    i, j, k = cells.T + _MIDDLE
-    codes = (i << 2 * _BITS) | (j << _BITS) | k
-    if np.all(codes[1:] > codes[:-1]):
-        return cells
-    codes.sort()
-    codes = codes[np.diff(codes, prepend=-1) != 0]
-    mask = (1 << _BITS) - 1
-    return np.column_stack([codes >> 2 * _BITS, (codes >> _BITS) & mask, codes & mask]) - _MIDDLE
+    return _decoded(_codes(cells))
 
 
 def merged(cells: Cells) -> tuple[Cells, Cells]:
@@ -84,19 +78,26 @@ def merged(cells: Cells) -> tuple[Cells, Cells]:
 
     Greedy: cells are joined to rows along z, equal adjacent rows to plates, equal plates to boxes.
     """
-    boxes = np.vstack([distinct(cells).T] * 2)  # first x, y, z, last x, y, z
-    for axis, alike in ((2, (0, 1)), (1, (0, 2, 5)), (0, (1, 2, 4, 5))):
-        if axis < 2:  # initially they are sorted
-            boxes = boxes[:, np.lexsort(boxes[[axis, *alike]])]
-        fresh = np.ones(boxes.shape[1], bool)
-        fresh[1:] = boxes[axis, 1:] != boxes[axis + 3, :-1] + 1
-        for row in alike:
-            fresh[1:] |= boxes[row, 1:] != boxes[row, :-1]
-        first = np.flatnonzero(fresh)
-        last = boxes[axis + 3, np.append(first, len(fresh))[1:] - 1]
-        boxes = boxes[:, first]
-        boxes[axis + 3] = last
-    return boxes[:3].T, boxes[3:].T
+    first = last = _codes(cells)
+    for axis in range(3):
+        first, last = joined(first, last, 1 << axis * _BITS)
+    return _decoded(first), _decoded(last)
+
+
+def _codes(cells: Cells) -> Codes:
+    """The distinct cells of (n, 3) as ascending codes (m,): x, y and z in _BITS each, z in the lowest."""
+    i, j, k = cells.T + _MIDDLE
+    codes: Codes = (i << 2 * _BITS) | (j << _BITS) | k
+    if not np.all(codes[1:] > codes[:-1]):
+        codes.sort()
+        codes = codes[np.diff(codes, prepend=-1) != 0]
+    return codes
+
+
+def _decoded(codes: Codes) -> Cells:
+    """The cells (n, 3) with these codes (n,)."""
+    mask = (1 << _BITS) - 1
+    return np.column_stack([codes >> 2 * _BITS, (codes >> _BITS) & mask, codes & mask]) - _MIDDLE
 
 
 def edges(low: Cells, high: Cells, resolution: float) -> tuple[Array, Array]:

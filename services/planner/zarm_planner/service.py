@@ -51,9 +51,9 @@ ROOM = 2 * ((os.cpu_count() or 1) + 16)
 own thread, in which it can be cancelled while it waits.
 """
 
-_NEW_OBJECTS = 50_000
-"""Objects allocated between two garbage collections. At Python's 700 the collector looks at the points of a new cloud again and
-again, which takes as long as the rest of the edit."""
+NEW_OBJECTS = 200_000
+"""Objects allocated between two garbage collections: as many as 100,000 points and their cells, so that the collector seldom looks at a new
+cloud. At Python's 700 it looks at it again and again, which takes as long as the rest of the edit. A plan leaves 10 for it."""
 
 
 @contextmanager
@@ -124,7 +124,7 @@ def _serving(service: Service, store: SceneStore) -> Iterator[None]:
         bus.watch_clients(handlers.leave)
         handlers.warm_up(service.starting)
         gc.freeze()  # collecting loaded objects again and again would at times delay a plan by 0.1 s
-        gc.set_threshold(_NEW_OBJECTS)
+        gc.set_threshold(NEW_OBJECTS)
         warm = True
         service.ready()
         yield

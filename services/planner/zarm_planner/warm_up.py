@@ -19,6 +19,7 @@ from zarm_contract.robot import load_robot
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.voxels import merged
 from zarm_geometry.world import World
 from zarm_planner.constraints.constrained_search import search_constrained, shortcut_constrained
 from zarm_planner.constraints.path_constraint import ConstraintManifold
@@ -55,6 +56,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     pose = model.fk_tip(home)
     begin("collision checks")
     is_free(model, world, home)
+    merged(np.zeros((1, 3), np.int64))
     begin("inverse kinematics")
     solve_ik(model, pose, home, world=world, max_solutions=1, seed=0, deadline=deadline)
     begin("the search")

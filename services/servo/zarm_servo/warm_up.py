@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from zarm_contract.messages import Cuboid
+from zarm_contract.messages import Cuboid, Voxels
 from zarm_contract.robot import load_robot
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
@@ -26,11 +26,12 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 
 def warm_up(checker: Checker, check: SceneCheck, report: Callable[[str], None]) -> None:
-    """Check a robot at rest, and take a step of a session: with an object far away, and with one at its tip. `report` is told what
+    """Check a robot at rest, and take a step of a session: with objects far away, and with one at its tip. `report` is told what
     comes next.
     """
     report("loading the check of motions")
     model, box = check.model, Cuboid(kind="cuboid", name="far", position=(0.0, 0.0, 50.0), size=(1.0, 1.0, 1.0))
+    cell = Voxels(kind="voxels", name="cell", position=box.position, resolution=1.0, cells=((0, 0, 0),))
     home = np.array(model.robot.descriptor.home)
     tip = box.model_copy(update={"name": "tip", "position": tuple(model.fk_tip(home)[:3, 3].tolist())})
     standing = TimedTrajectory.standing(home)
@@ -40,7 +41,7 @@ def warm_up(checker: Checker, check: SceneCheck, report: Callable[[str], None]) 
     checker.validity_among(standing, 0.0, SceneSnapshot(), [mover], 0.0, 0.5)
     report("loading the control of sessions")
     controller = Controller(model, check.motions, Limits.of(model.robot), home, margin=0.01)
-    for item in (box, tip):
+    for item in (box, cell, tip):
         check.load({item.name: item})
         controller.step(TwistTarget(np.zeros(6)), 0.0).braking.at(0.0)
     check.load({})

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from zarm_contract.messages import Cuboid, JointGoal, PathConstraint, PoseGoal, Sphere, WaypointsGoal
+from zarm_contract.messages import Cuboid, JointGoal, PathConstraint, PoseGoal, Sphere, Voxels, WaypointsGoal
 from zarm_contract.robot import load_robot
 from zarm_geometry import kernels as geometry_kernels
 from zarm_geometry.exact import ExactScene
@@ -54,8 +54,11 @@ def every_kind_of_plan(model: RobotModel) -> None:
     x, y, z = model.fk_tip((home + away) / 2)[:3, 3].tolist()
     post = Cuboid(kind="cuboid", name="post", position=(x, y, z + 0.05), size=(0.03, 0.03, 0.02))
     ball = Sphere(kind="sphere", name="ball", position=(0.0, 0.0, 3.0), radius=0.1)
+    crumbs = Voxels(
+        kind="voxels", name="crumbs", position=(0.0, 0.0, 3.5), resolution=0.1, cells=((0, 0, 0), (0, 0, 1))
+    )
     upright = PathConstraint(axes=(True, True, False, False, False, False), angle_tolerance=0.1)
-    for objects in ((), (ball, post)):
+    for objects in ((), (ball, crumbs, post)):
         world = World(objects, 0.005)
         snapshot = PlanningScene("1-000000000000", model, world, ExactScene(model, world))
         for goal in (to_joints, to_pose, through):

@@ -20,6 +20,7 @@ from zarm_geometry.box_tree import BoxTree
 from zarm_geometry.collision import is_free
 from zarm_geometry.exact import ExactScene
 from zarm_geometry.frames import matrix
+from zarm_geometry.kernels import refit
 from zarm_geometry.meshes import Meshes
 from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.world import World
@@ -164,6 +165,7 @@ def test_the_boxes_of_an_object_that_was_moved_contain_its_shapes_there_and_are_
         tree = BoxTree.over(shapes).placed(pose)
         np.testing.assert_allclose(tree.rows, rows.placed(shapes, pose)[tree.order], atol=1e-12)
         lower, upper = rows.bounds(tree.rows)
+        np.testing.assert_allclose(refit.centers(tree.rows), (lower + upper) / 2, atol=1e-12)
         for node, (box, leaf, skip) in enumerate(zip(tree.boxes, tree.leaf, tree.skip, strict=True)):
             inside = [leaf] if leaf >= 0 else [each for each in tree.leaf[node:skip] if each >= 0]
             np.testing.assert_allclose(box[:3] - box[3:], lower[inside].min(axis=0), atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -42,6 +43,17 @@ def add(*items: Mesh, replace: bool = False) -> SceneEdit:
 def saved(shape: trimesh.Trimesh, path: Path) -> Path:
     shape.export(path)
     return path
+
+
+def test_of_a_mesh_only_its_shapes_stay_in_memory(tmp_path: Path) -> None:
+    def held() -> int:
+        return sum(isinstance(one, trimesh.Trimesh) for one in gc.get_objects())
+
+    saved(trimesh.creation.icosphere(), tmp_path / "ball.stl")
+    gc.collect()
+    before = held()
+    Meshes((tmp_path,)).checked(mesh("ball.stl"), "")
+    assert held() == before
 
 
 @pytest.mark.parametrize("robot", ["panda", "doosan_m1013"])

@@ -1,5 +1,5 @@
-"""Refits a bounding volume hierarchy to shapes that were moved: its nodes stay, and their boxes are recomputed from the
-leaves up.
+"""Boxes around shapes, and around the nodes of a bounding volume hierarchy: refitted to shapes that were moved, its nodes
+stay, and their boxes are recomputed from the leaves up.
 """
 
 from __future__ import annotations
@@ -32,6 +32,17 @@ def _bounds(row: Array, box: Array) -> None:
             half = abs(x) * row[12] + abs(y) * row[13] + abs(z) * row[14]
             # A disc of radius r normal to the axis a extends r * sqrt(1 - a_j^2) along the direction j.
             box[j], box[3 + j] = center, half + row[15] * math.sqrt(max(0.0, 1.0 - z * z)) + rounding
+
+
+@kernel
+def centers(shapes: Array) -> Array:
+    """The centres (n, 3) of the axis-aligned boxes around shapes (n, 17)."""
+    found, box = np.empty((len(shapes), 3)), np.empty(6)
+    for i in range(len(shapes)):
+        _bounds(shapes[i], box)
+        for j in range(3):
+            found[i, j] = box[j]
+    return found
 
 
 @kernel
