@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,31 +73,32 @@ def _first(
 ) -> tuple[Verified, int, PlanningProblem]:
     """The first trajectory that passes verification, its seed, and the problem that it solves.
 
-    Once one fails, or the first attempt finds none, all ends that are free in exact geometry count, and no others.
+    Once one fails, or the first attempt finds none, all ends that are free in exact geometry count, and no others. Each
+    attempt leaves tight ends by another way.
     """
     failure: VerificationFailed | None = None
+    thorough = False
     try:
         for attempt in range(context.max_attempts):
             seeded = context.with_seed(context.seed + attempt)
-            last = attempt >= min(_FASTEST_ONLY, context.max_attempts - 1)
-            widen = attempt == 0 and context.max_attempts > 1  # unless a trajectory fails verification
+            last = attempt == context.max_attempts - 1
+            most = None if last or attempt >= _FASTEST_ONLY else 1
             try:
-                for trajectory in itertools.islice(planner.trajectories(seeded, problem), None if last else 1):
-                    try:
-                        with context.timer.stage("verify"):
-                            return _verified(context, problem, trajectory), seeded.seed, problem
-                    except VerificationFailed as error:
-                        first, failure = failure is None, error
-                        if first:
-                            context.check_assumptions()
-                            problem = _with_thorough_ik(context, problem)
+                for outcome in itertools.islice(_outcomes(planner, seeded, problem), most):
+                    if isinstance(outcome, Verified):
+                        return outcome, seeded.seed, problem
+                    failure = outcome
             except PlanningFailed:  # proven for the ends considered so far
-                if not widen or failure is not None or not (more := _more_ends(context, problem)):
+                if thorough or last or not (more := _more_ends(context, problem)):
                     raise
-                problem = more
-            else:
-                if widen and failure is None:
-                    problem = _with_thorough_ik(context, problem)
+                problem, thorough = more, True
+            if failure is not None:
+                context.check_assumptions()
+            if not thorough and (failure is not None or not last):
+                problem, thorough = _with_thorough_ik(context, problem), True
+            if not last:
+                with context.timer.stage("ik"):
+                    problem = problem.with_other_ways(context.with_seed(context.seed + attempt + 1))
     except DeadlineExceeded as late:
         if failure is None:
             raise
@@ -107,6 +109,20 @@ def _first(
         f"no path was found within max_attempts, {context.max_attempts}; allow more, or simplify the scene",
         code="no_path",
     )
+
+
+def _outcomes(
+    planner: Planner, context: PlanningContext, problem: PlanningProblem
+) -> Iterator[Verified | VerificationFailed]:
+    """What verification makes of each trajectory of an attempt."""
+    for trajectory in planner.trajectories(context, problem):
+        try:
+            with context.timer.stage("verify"):
+                verified = _verified(context, problem, trajectory)
+        except VerificationFailed as error:
+            yield error
+        else:
+            yield verified
 
 
 def _with_thorough_ik(context: PlanningContext, problem: PlanningProblem) -> PlanningProblem:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,11 @@ from zarm_geometry.world import World
 from zarm_planner.context import PlanningContext
 from zarm_planner.deadline import Deadline
 from zarm_planner.goals.ends import End
+from zarm_planner.goals.problem import PlanningProblem
 from zarm_planner.kernels.leg_times import path_time
 from zarm_planner.pipeline import Verified, plan
 from zarm_planner.planners.free import FreePlanner
-from zarm_planner.planners.route import _quickest_chain
+from zarm_planner.planners.route import _quickest_chain, find_route
 from zarm_planner.scene.planning_scene import PlanningScene
 from zarm_trajectory.limits import Limits
 
@@ -96,6 +98,32 @@ def test_a_further_leg_is_searched_only_if_it_could_make_the_route_noticeably_fa
     first = np.array([start.free, ends[0].free + (overshoot, 0, 0, 0, 0, 0), ends[0].free])
     took = path_time(first, limits.velocity, limits.acceleration, 2)
     assert [within for _, within in paths.searched] == [math.inf, took][: len(goals)]
+
+
+class _Fruitless:
+    """Finds no path; the first search lasts `until` its deadline if it is `slow`. `deadlines` (s) are those given."""
+
+    def __init__(self, *, slow: bool) -> None:
+        self.slow, self.deadlines = slow, list[float]()
+
+    def between(self, start: Array, goal: Array, within: float, *, alone: bool) -> Array | None:
+        return None
+
+    def to_any(self, start: Array, goals: Array, until: Deadline) -> Array | None:
+        self.deadlines.append(float(until.at[0]))
+        while self.slow and len(self.deadlines) == 1 and not until.passed:
+            pass
+        return None
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_a_search_pauses_for_a_proof_and_begins_again_unless_it_had_given_up(model: RobotModel, slow: bool) -> None:
+    paths, request = _Fruitless(slow=slow), context(model)
+    problem = PlanningProblem.of(request, HOME, JointGoal(kind="joints", position=tuple(SWUNG)))
+    began = time.monotonic()
+    assert find_route(paths, problem, request) is None
+    assert began + 0.3 <= paths.deadlines[0] < request.deadline.at[0]
+    assert paths.deadlines[1:] == ([float(request.deadline.at[0])] if slow else [])
 
 
 def test_without_anything_in_the_way_the_nearest_posture_is_reached_straight(model: RobotModel) -> None:

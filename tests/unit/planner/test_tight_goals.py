@@ -128,13 +128,13 @@ def test_the_search_begins_further_away_than_the_first_place_that_is_free() -> N
 
 
 class _Unlucky(FreePlanner):
-    """Finds nothing at first; `ends` are the numbers of ends that it was given."""
+    """Finds nothing at first; `ends` are those that it was given for each attempt."""
 
     def __init__(self, proof: PlanningFailed | None) -> None:
-        self.proof, self.ends = proof, list[int]()
+        self.proof, self.ends = proof, list[tuple[ends.End, ...]]()
 
     def trajectories(self, context: PlanningContext, problem: PlanningProblem) -> Iterator[TimedTrajectory]:
-        self.ends.append(len(problem.targets[-1]))
+        self.ends.append(problem.targets[-1])
         if len(self.ends) > 1:
             yield from super().trajectories(context, problem)
         elif self.proof:
@@ -155,7 +155,7 @@ def test_all_ways_to_reach_a_tight_pose_are_considered_once_the_first_few_lead_t
         pytest.fail("no shelf has more ways to reach it than are considered at first")
     planner = _Unlucky(proof)
     assert plan(planner, context(scene, 0), home, goal).clearance > 0.0
-    assert planner.ends[1] > planner.ends[0]
+    assert len(planner.ends[1]) > len(planner.ends[0])
 
 
 def test_a_proof_that_there_is_no_path_counts_if_there_is_no_other_way_to_reach_the_goal() -> None:
@@ -164,7 +164,19 @@ def test_a_proof_that_there_is_no_path_counts_if_there_is_no_other_way_to_reach_
     planner = _Unlucky(PlanningFailed("no path to the goal", code="no_path"))
     with pytest.raises(PlanningFailed, match="no path to the goal"):
         plan(planner, context(scene, 0), home, goal)
-    assert planner.ends == [1]
+    assert [len(given) for given in planner.ends] == [1]
+
+
+def test_another_attempt_leaves_a_tight_goal_by_another_way() -> None:
+    """The first may lead into a pocket that no search leaves."""
+    found = (shelf("panda", number) for number in count())
+    q, scene = next((q, scene) for q, scene in found if not is_free(scene.model, scene.world, q))
+    home, goal = np.array(scene.model.robot.descriptor.home), JointGoal(kind="joints", position=tuple(q.tolist()))
+    planner = _Unlucky(None)
+    assert plan(planner, context(scene, 0), home, goal).clearance > 0.0
+    (first,), (second,) = planner.ends[:2]
+    assert np.array_equal(first.asked, second.asked)
+    assert not np.array_equal(first.free, second.free)
 
 
 def test_the_motion_into_a_tight_shelf_is_free() -> None:

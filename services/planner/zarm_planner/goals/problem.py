@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zarm_contract.errors import PlanningFailed
 from zarm_contract.messages import Goal, JointGoal, PoseGoal, WaypointsGoal
 from zarm_planner.constraints.path_constraint import ConstraintManifold, constrains
 from zarm_planner.context import PlanningContext
@@ -73,6 +76,19 @@ class PlanningProblem:
             return self
         start, motion = self.beginning
         return self.of(replace(context, thorough_ik=True), start, self.goal, motion)
+
+    def with_other_ways(self, context: PlanningContext) -> PlanningProblem:
+        """The same problem with the ways out of tight ends that the context's seed gives, after `with_thorough_ik`; this
+        one if no end is tight, or there are no such ways.
+
+        A search gets nowhere from the end of a way that leads into a pocket.
+        """
+        if all(len(end.way) == 0 for end in itertools.chain((self.start,), *self.targets)):
+            return self
+        start, motion = self.beginning
+        with suppress(PlanningFailed):
+            return self.of(replace(context, thorough_ik=True), start, self.goal, motion)
+        return self
 
     @property
     def beginning(self) -> tuple[Array, Array | None]:

@@ -143,11 +143,14 @@ def _any_chain(paths: Paths, layers: Sequence[Sequence[End]], context: PlanningC
     chain: Chain = []
     for before, ends in itertools.pairwise(layers):
         free = np.array([end.free for end in ends])
-        path = paths.to_any(start.free, free, context.deadline.sooner(_SOON_S))
+        soon = context.deadline.sooner(_SOON_S)
+        path = paths.to_any(start.free, free, soon)
         if path is None:
+            unfinished = soon.passed
             found = "the goal" if ends[0].pose is None else f"any of the {len(ends)} solutions found for the goal"
             _check_connected(context, np.array([end.free for end in before]), free, found)
-            path = paths.to_any(start.free, free, context.deadline)
+            if unfinished:  # otherwise the same search would give up once more
+                path = paths.to_any(start.free, free, context.deadline)
         if path is None:
             return None
         start = ends[int(np.argmin(np.abs(free - path[-1]).max(axis=1)))]
