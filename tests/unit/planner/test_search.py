@@ -231,6 +231,20 @@ def test_a_search_gives_up_after_the_samples_it_was_allowed(model: RobotModel, s
     assert search(model, world, sides[0], sides[1][None], seed=0, deadline=Deadline(30.0), most=10_000) is not None
 
 
+@pytest.mark.skipif(not motion_bench.AVAILABLE, reason="MotionBenchMaker's robots are not beside the repository")
+def test_most_searches_find_the_way_into_a_cage_with_few_samples(tmp_path: Path) -> None:
+    model, most, seeds = RobotModel.of(motion_bench.robot("panda", tmp_path)), 300, range(20)
+    problems = generated_bench.problems("panda", model, "cage", 6)
+    found = [
+        search(model, world, start, goal, seed=seed, deadline=Deadline(60.0), most=most) is not None
+        for world, start, goal in (
+            (World(problem.objects, 0.0), np.array(problem.start), np.array(problem.goals)) for problem in problems
+        )
+        for seed in seeds
+    ]
+    assert np.mean(found) > 0.6  # 0.46 if all samples are drawn anywhere
+
+
 def test_only_a_path_that_takes_less_than_was_allowed_is_returned(
     model: RobotModel, sides: tuple[Array, Array]
 ) -> None:
@@ -263,6 +277,7 @@ def test_the_route_into_a_cage_is_a_short_one_whatever_the_seed(tmp_path: Path) 
     def seconds(path: Array) -> float:
         return float(np.max(np.abs(np.diff(path, axis=0)) / model.velocity, axis=1).sum())
 
+    longer = []
     for problem in generated_bench.problems("ur5", model, "cage", 3):
         world, start, goal = World(problem.objects, 0.0), np.array(problem.start), np.array(problem.goals[0])
         chosen = []
@@ -274,4 +289,5 @@ def test_the_route_into_a_cage_is_a_short_one_whatever_the_seed(tmp_path: Path) 
             if found is not None:
                 chosen.append(seconds(found))
         assert len(chosen) >= 8
-        assert np.median(chosen) < 1.1 * min(chosen)
+        longer.append(np.mean(chosen) / min(chosen))
+    assert np.mean(longer) < 1.15  # 1.18 with the first path found
