@@ -26,8 +26,6 @@ FAILURES = 4
 """The search ends after this many failed attempts without any path. The time of an attempt has a long tail, so the next
 one is likely to be short.
 """
-AGAIN = 2
-"""Once there is a path, searches may take this many times the samples of the one that found it."""
 FEWEST = 20
 """Samples that any search may take."""
 
@@ -72,8 +70,8 @@ def quickest_of(
     failed, or the deadline passed, before one was found.
 
     Samples are drawn only where a path faster than the best so far, or `within`, can pass: within a box that contains
-    the informed set (Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014); and once there is a path, no more than AGAIN
-    allows.
+    the informed set (Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014); and once there is a path, no more than for
+    the first one.
 
     Adds the seconds spent on searching and on shortcuts to `spent` (2,). `limits` and `weight` as in `connect`.
     """
@@ -107,7 +105,7 @@ def quickest_of(
             time += seconds_between(room[i], room[i + 1], fastest)
         times[found] = time
         if found == 0:
-            most = min(most, max(AGAIN * samples, FEWEST))
+            most = min(most, max(samples, FEWEST))
         found += 1
         if time < least:
             best, least = room[:rows], time
