@@ -277,17 +277,19 @@ def test_the_route_into_a_cage_is_a_short_one_whatever_the_seed(tmp_path: Path) 
     def seconds(path: Array) -> float:
         return float(np.max(np.abs(np.diff(path, axis=0)) / model.velocity, axis=1).sum())
 
-    longer = []
-    for problem in generated_bench.problems("ur5", model, "cage", 3):
+    longer, seeds = [], range(20)
+    found = 0
+    for problem in generated_bench.problems("ur5", model, "cage", 6):
         world, start, goal = World(problem.objects, 0.0), np.array(problem.start), np.array(problem.goals[0])
         chosen = []
-        for seed in range(10):
-            seeds, deadline = range(10 * seed, 10 * (seed + 1)), Deadline(60.0)
-            found = quickest_of(
-                model, world, start, goal, model.velocity, np.inf, seeds=seeds, deadline=deadline, most=LEG_SAMPLES
+        for seed in seeds:
+            tries, deadline = range(10 * seed, 10 * (seed + 1)), Deadline(60.0)
+            path = quickest_of(
+                model, world, start, goal, model.velocity, np.inf, seeds=tries, deadline=deadline, most=LEG_SAMPLES
             ).path
-            if found is not None:
-                chosen.append(seconds(found))
-        assert len(chosen) >= 8
+            if path is not None:
+                chosen.append(seconds(path))
+        found += len(chosen)
         longer.append(np.mean(chosen) / min(chosen))
-    assert np.mean(longer) < 1.15  # 1.18 with the first path found
+    assert found > 0.85 * 6 * len(seeds)
+    assert np.mean(longer) < 1.18  # 1.26 with the first path found

@@ -34,7 +34,7 @@ DOMAIN = 4.0
 LOCAL = 0.4
 """Share of samples that are drawn near an end."""
 BOX = 1.5
-"""The most by which any joint is away from the end there."""
+"""The most by which a joint is away from the end there; a joint that moves little may be anywhere, or at a limit."""
 
 
 @inlined
