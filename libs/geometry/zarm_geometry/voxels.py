@@ -21,7 +21,7 @@ S = TypeVar("S", np.float64, np.int64)
 _BITS = 21
 _MIDDLE = 1 << (_BITS - 1)
 FARTHEST_CELL = _MIDDLE - 1
-"""Largest absolute index of a cell."""
+"""Largest absolute index of a cell. -_MIDDLE is left out, so that no code but that of a neighbour is one step away."""
 FARTHEST = 1e3
 """Largest distance (m) of a cell from the origin of its frame."""
 

@@ -65,6 +65,15 @@ def add(*items: PointCloud | Voxels) -> SceneEdit:
     return SceneEdit(edit=AddObjects(op="add", objects=items))
 
 
+@pytest.mark.parametrize("axis", [1, 2])
+def test_the_last_cell_of_a_row_and_the_first_of_the_next_are_two_boxes(axis: int) -> None:
+    last, first = np.zeros((2, 3), np.int64)
+    last[axis], first[axis], first[axis - 1] = FARTHEST_CELL, -FARTHEST_CELL, 1
+    low, high = merged(np.array([last, first]))
+    np.testing.assert_array_equal(low, [last, first])
+    np.testing.assert_array_equal(high, [last, first])
+
+
 @pytest.mark.parametrize(
     ("item", "field"),
     [
