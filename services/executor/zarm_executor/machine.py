@@ -13,8 +13,7 @@ mode      idle -> running -> idle                      a goal that succeeds, or 
 The machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and changes
 wait in `changes` until they are published.
 
-Several threads carry out commands, so each has an `arrival`, a number in the order in which they reached the process: whatever
-arrived before a stop that has been carried out is too late, however long it waited.
+Several threads carry out commands, so each has an `arrival`; `arrivals.py` says which commands win over which.
 """
 
 from __future__ import annotations
@@ -24,28 +23,24 @@ import math
 import threading
 from collections import deque
 
-from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable, ZarmError
+from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable
 from zarm_contract.messages import Authority, ExecutorState, GoalState, RobotMode, SceneRevision
+from zarm_executor.arrivals import ArrivalOrder
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.goal_execution import GoalExecution
 from zarm_executor.guard import Guard
 from zarm_executor.monitor import Monitor
 from zarm_executor.strategies.base import Measured, Strategy
+from zarm_executor.switching import ActiveStrategy
+from zarm_executor.tick_clock import TickClock
+from zarm_executor.withdrawals import Withdrawals
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.trajectory import TimedTrajectory
 
 log = logging.getLogger(__name__)
 
-WITHDRAWN = 4096
-"""Number of goals remembered that were cancelled before they arrived."""
 STALL_LIMIT = 1.0
 """If the control loop stands still for longer than this (s) while the robot moves, the motion ends in `fault`."""
-_CUT_OFF = 3.5
-"""A process suspended for longer than this (s) may have lost its link to the router, which drops a silent peer after 5
-s. A cancel of an earlier request may then not have arrived.
-"""
-_DRAINED = 0.5
-"""For this long (s) after that, arriving requests may be old."""
 
 
 class Machine:
@@ -56,29 +51,22 @@ class Machine:
     """
 
     def __init__(self, strategy: Strategy, period: float, guard: Guard, *, speed_scale: float = 1.0) -> None:
-        strategy.open()
-        self._period = period
+        self._active = ActiveStrategy(strategy)
+        self._clock = TickClock(period)
+        self._arrivals = ArrivalOrder()
+        self._withdrawals = Withdrawals()
         self._guard, self._guarded = guard, False
         self._speed_scale = speed_scale
-        self._strategy, self._open = strategy, True
         self._motion: GoalExecution | None = None
-        self._successor: str | None = None
         self._problem: Problem | None = None
         self._faulty: Goal | None = None  # the goal that ended in the current fault
         self._switching = False
         self._ending = False
-        self._last_tick: float | None = None
-        self._back_at = -math.inf
-        self._missed_ticks = 0
         self._lock = threading.RLock()
         self._rested = threading.Condition(self._lock)
         self._told = threading.Condition(self._lock)
         self._begun = threading.Condition(self._lock)
         self._ticked = threading.Condition(self._lock)
-        self._withdrawn: deque[str] = deque(maxlen=WITHDRAWN)
-        # Arrivals of the latest stop, of the latest command that ends any motion (including stop), and of the latest
-        # pause.
-        self._stopped_by = self._cleared_by = self._held_by = 0.0
         self.changes: deque[GoalState] = deque()
         self.scene: SceneRevision | None = None
 
@@ -100,8 +88,7 @@ class Machine:
     def was_away(self, now: float) -> bool:
         """Whether the control loop stood still until just now, so that a request arriving at `now` may be old."""
         with self._lock:
-            standing = self._last_tick is not None and now - self._last_tick > _CUT_OFF
-            return standing or now - self._back_at < _DRAINED
+            return self._clock.suspended(now)
 
     def start(self, goal: Goal, arrival: int) -> None:
         """Move the robot along the goal's path, which starts at its position.
@@ -109,7 +96,7 @@ class Machine:
         Raises what `admit` raises, and Cancelled if a stop, a pause or a cancel of this goal arrived later than this.
         """
         with self._lock:
-            self._successor = None
+            self._withdrawals.successor = None
             self._demand_not_overtaken(arrival, goal.goal_id)
             self.admit()
             motion = GoalExecution(goal, self._strategy, self._guard, self.changes)
@@ -126,10 +113,10 @@ class Machine:
 
     def _can_leave_fault(self) -> bool:
         """Whether the next goal may leave the present fault."""
-        goal, now, strategy = self._faulty, self._last_tick, self._strategy
-        if goal is None or goal.outcome is None or goal.outcome.latched or now is None:
+        goal, strategy = self._faulty, self._strategy
+        if goal is None or goal.outcome is None or goal.outcome.latched:
             return False
-        return goal.monitor.rests(now, strategy.progress(), strategy.joint_state())
+        return goal.monitor.rests(self._clock.now, strategy.progress(), strategy.joint_state())
 
     def _leave_fault(self) -> None:
         self._problem = self._faulty = None
@@ -141,7 +128,7 @@ class Machine:
         """
         with self._lock:
             self._demand_not_overtaken(arrival, goal_id)
-            self._successor = goal_id
+            self._withdrawals.successor = goal_id
             self._end(None, _cancelled(f"{goal_id} was executed instead, which was to preempt this goal"))
         if not self.wait_for_rest(patience):
             raise Unavailable("the robot does not come to rest; see why (executor/state), then execute again")
@@ -149,28 +136,24 @@ class Machine:
 
     def _demand_not_overtaken(self, arrival: float, goal_id: str) -> None:
         """Raise Cancelled if a stop, a pause or a cancel of this goal arrived after the request to start it."""
-        if goal_id in self._withdrawn:
+        if goal_id in self._withdrawals:
             raise Cancelled(f"{goal_id} was cancelled before it started; the robot has not moved")
-        if self._overtaken(arrival):
+        if self._arrivals.before_hold(arrival):
             raise Cancelled("a stop or a pause came after this request; this motion has not started")
-
-    def _overtaken(self, arrival: float) -> bool:
-        """Whether a stop or a pause arrived later than this request to move the robot."""
-        return arrival < max(self._cleared_by, self._held_by)
 
     def stop(self, why: str, arrival: float) -> None:
         """Cancel any motion. Nothing that arrived earlier is carried out any more."""
         with self._lock:
-            self._stopped_by = max(self._stopped_by, arrival)
+            self._arrivals.stop(arrival)
             self.cancel(None, why, arrival)
 
     def cancel(self, goal_id: str | None, why: str, arrival: float) -> None:
         """Cancel this goal, or the current one. A goal that has not come yet, or arrived earlier, will not start."""
         with self._lock:
             if goal_id is not None and self._motion_of(goal_id) is None:
-                self._withdrawn.append(goal_id)
-            if goal_id in (None, self._successor):
-                self._cleared_by = max(self._cleared_by, arrival)
+                self._withdrawals.withdraw(goal_id)
+            if goal_id in (None, self._withdrawals.successor):
+                self._arrivals.end(arrival)
             self._end(goal_id, _cancelled(why))
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> Goal | None:
@@ -237,7 +220,7 @@ class Machine:
         """
         with self._told:
             return self._told.wait_for(
-                lambda: self._guard.checked(goal_id, scene, self._last_tick or -math.inf), self._guard.timeout
+                lambda: self._guard.checked(goal_id, scene, self._clock.now), self._guard.timeout
             )
 
     def demand_guard(self, goal: Goal) -> None:
@@ -266,7 +249,7 @@ class Machine:
     def pause(self, arrival: float) -> None:
         """Bring the running goal to rest and hold it."""
         with self._lock:
-            self._held_by = max(self._held_by, arrival)
+            self._arrivals.pause(arrival)
             if self._motion is not None:
                 self._motion.pause()
 
@@ -276,8 +259,8 @@ class Machine:
         Raises what `GoalExecution.resume` raises.
         """
         with self._lock:
-            if self._motion is not None and not self._overtaken(arrival):
-                self._motion.resume(self._speed_scale, scene, self._last_tick or 0.0)
+            if self._motion is not None and not self._arrivals.before_hold(arrival):
+                self._motion.resume(self._speed_scale, scene, self._clock.now)
 
     def set_speed(self, speed_scale: float) -> None:
         """From now on move at this share of the planned speed; a held goal does so when it resumes."""
@@ -292,11 +275,9 @@ class Machine:
         If a switch left no strategy open, opens it again; if that raises its ZarmError, the fault stays.
         """
         with self._lock:
-            if arrival < self._stopped_by:
+            if self._arrivals.before_stop(arrival):
                 return
-            if not self._open:
-                self._strategy.open()
-                self._open = True
+            self._active.open()
             self._leave_fault()
 
     def switch(self, strategy: Strategy, patience: float, arrival: float) -> None:
@@ -320,35 +301,18 @@ class Machine:
                 if not self.wait_for_rest(patience):
                     raise Unavailable(f"the robot does not come to rest; {old.name} is still active")
                 self._demand_no_stop_since(arrival)
-                if self._open:
-                    old.close()
-                self._open = False
                 try:
-                    strategy.open()
-                except ZarmError as error:
-                    raise self._reopened(f"{strategy.name} cannot start: {error}") from error
-                self._strategy, self._open = strategy, True
+                    self._active.switch(strategy)
+                except Unavailable as error:
+                    if not self._active.is_open:
+                        self._problem, self._faulty = error.problem, None
+                    raise
         finally:
             self._switching = False
 
     def _demand_no_stop_since(self, arrival: float) -> None:
-        if arrival < self._stopped_by:
+        if self._arrivals.before_stop(arrival):
             raise Busy("a stop came after the request to switch; send it again")
-
-    def _reopened(self, why: str) -> Unavailable:
-        """Open the old strategy again after a failed switch; returns the error to answer with."""
-        try:
-            self._strategy.open()
-        except ZarmError as error:
-            message = (
-                f"{why}; and {self._strategy.name} cannot start again: {error}; fix that, or switch to another strategy, then "
-                "reset (executor/reset)"
-            )
-            self._faulty = None
-            self._problem = Problem(code="unavailable", message=message)
-            return Unavailable(message)
-        self._open = True
-        return Unavailable(f"{why}; {self._strategy.name} is active again")
 
     def end(self, patience: float) -> bool:
         """Bring the robot to rest and admit no further motion; returns whether it is at rest within `patience` s."""
@@ -360,11 +324,13 @@ class Machine:
     def release(self) -> None:
         """Close the active strategy; no command and no tick may follow."""
         with self._lock:
-            if self._open:
-                self._strategy.close()
-                self._open = False
+            self._active.close()
 
     # -- state --
+
+    @property
+    def _strategy(self) -> Strategy:
+        return self._active.strategy
 
     def state(self) -> ExecutorState:
         """The robot's current state."""
@@ -377,7 +343,7 @@ class Machine:
                 scene_changed=not self._guarded and self._motion is not None and self._motion.goal.scene != self.scene,
                 guarded=self._guarded,
                 speed_scale=self._speed_scale,
-                missed_ticks=self._missed_ticks,
+                missed_ticks=self._clock.missed,
             )
 
     def news(self) -> tuple[tuple[GoalState, ...], ExecutorState]:
@@ -442,11 +408,7 @@ class Machine:
     def tick(self, now: float) -> Measured | None:
         """One control period at `now` (s, monotonic clock); returns the measured state of the robot."""
         with self._lock:
-            dt = 0.0 if self._last_tick is None else now - self._last_tick
-            self._last_tick = now
-            if dt > _CUT_OFF:
-                self._back_at = now
-            self._missed_ticks += max(0, round(dt / self._period) - 1)
+            dt = self._clock.advance(now)
             motion = self._motion
             if motion is not None and dt > STALL_LIMIT and not self._strategy.progress().at_rest:
                 motion.fail(_stalled(dt))

@@ -1,0 +1,38 @@
+"""The time of the control loop, and gaps in it."""
+
+from __future__ import annotations
+
+import math
+
+_SUSPENSION = 3.5
+"""A process suspended for longer than this (s) may have lost its link to the router, which drops a silent peer after 5
+s. A cancel of an earlier request may then not have arrived.
+"""
+_BACKLOG_TIME = 0.5
+"""For this long (s) after that, arriving requests may be old."""
+
+
+class TickClock:
+    """The ticks of a loop of this `period` (s). Times (s) are on the monotonic clock."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._resumed_at = -math.inf
+        self.now = -math.inf
+        """The time of the latest tick."""
+        self.missed = 0
+        """The number of missed ticks."""
+
+    def advance(self, now: float) -> float:
+        """A tick at `now`; returns the time (s) since the one before, 0 for the first."""
+        dt = 0.0 if math.isinf(self.now) else now - self.now
+        self.now = now
+        if dt > _SUSPENSION:
+            self._resumed_at = now
+        self.missed += max(0, round(dt / self._period) - 1)
+        return dt
+
+    def suspended(self, now: float) -> bool:
+        """The loop stood still until just now, so that a request arriving at `now` may be old."""
+        standing = not math.isinf(self.now) and now - self.now > _SUSPENSION
+        return standing or now - self._resumed_at < _BACKLOG_TIME
