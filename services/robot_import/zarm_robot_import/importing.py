@@ -39,6 +39,7 @@ class Options:
     name: str | None = None
     base: str | None = None
     tip: str | None = None
+    joints: Sequence[str] = ()
     packages: Sequence[Path] = ()
     arguments: Mapping[str, str] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -86,7 +87,7 @@ def _imported(
     begun = time.process_time()
     progress("reading", 0.0)
     robot = describe(read_source(file, options.packages, options.arguments))
-    chain = choose_chain(robot, options.base, options.tip, options.fixed)
+    chain = choose_chain(robot, options.base, options.tip, options.fixed, options.joints)
     limits = limits_of(robot, chain.joints)
     controller = trajectory_controller(robot, [joint.name for joint in chain.joints])
     name = _checked(options.name) if options.name else _name(robot.name)
@@ -98,7 +99,7 @@ def _imported(
             "--name"
         )
     surfaces = []
-    left_out = [f"{link}: no joint connects it to the robot, so it is left out; add that joint" for link in robot.stray]
+    left_out: list[str] = []
     suspect: list[str] = []
     for index, mounted in enumerate(chain.mounted):
         progress(f"meshes of {mounted.link}", 0.2 * index / len(chain.mounted))
@@ -155,7 +156,7 @@ def _imported(
         limits,
         pairs,
         home,
-        [*left_out, *suspect],
+        [*left_out, *suspect, *robot.notes],
         time.process_time() - begun,
         controller,
     )
