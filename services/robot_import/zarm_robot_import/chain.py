@@ -57,6 +57,13 @@ class Chain:
     gripper: tuple[str, ...]
     """The joints behind the tip's rigid part, which are taken as a gripper."""
 
+    @property
+    def reach(self) -> float:
+        """How far (m) the joints lie from one another, and slide, all together."""
+        apart = sum(float(np.linalg.norm(origin[:3, 3])) for origin in self.origins)
+        slides = [joint for joint in self.joints if joint.type == "prismatic"]
+        return apart + sum((joint.upper or 0.0) - (joint.lower or 0.0) for joint in slides)
+
     def poses(self, q: Array) -> dict[str, Array]:
         """The poses (n, 4, 4) of every link in the base frame, at joint positions (n, dof)."""
         carried = [np.tile(np.eye(4), (len(q), 1, 1))]

@@ -6,7 +6,7 @@ import re
 import tempfile
 import time
 import unicodedata
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +21,7 @@ from zarm_robot_import.fitting import fit
 from zarm_robot_import.home import choose_home
 from zarm_robot_import.inertia import unphysical
 from zarm_robot_import.limits import limits_of
-from zarm_robot_import.meshes import link_surface
+from zarm_robot_import.meshes import doubted, link_surface
 from zarm_robot_import.picture import draw
 from zarm_robot_import.report import Report
 from zarm_robot_import.ros_control import trajectory_controller
@@ -45,6 +45,8 @@ class Options:
     fixed: Mapping[str, float] = field(default_factory=dict)
     geometry: str = "auto"
     spheres: int = BUDGET
+    right_size: Collection[str] = ()
+    """Links whose size is right, however large they are beside the arm."""
     overwrite: bool = False
 
 
@@ -107,6 +109,8 @@ def _imported(
         if unphysical(link.inertia):
             suspect.append(f"{link.name}: no body has the inertia that its <inertial> states; correct it in the URDF")
         if surface := link_surface(robot.source, link, options.geometry):
+            if mounted.link not in options.right_size and (doubt := doubted(surface, chain.reach, mounted.body > 0)):
+                raise robot.source.fault(link.element, doubt)
             surfaces.append(surface)
         elif link.collision or link.visual:
             left_out.append(
