@@ -474,7 +474,7 @@ def _described(name: str, member: Any) -> Iterator[str]:
         called = [one for one in found.parameters.values() if one.name != "self"]
         returned = inspect.Signature.empty if inspect.isclass(member) else found.return_annotation
         written = str(found.replace(parameters=called, return_annotation=returned))
-        call = name + re.sub(r"(: |-> )'([^']*)'", r"\1\2", written)  # annotations are texts
+        call = name + re.sub(r"""(: |-> )(['"])(.*?)\2""", r"\1\3", written)  # annotations are texts
     yield from (f"### {name}", "", "```python", *_wrapped(call), "```", "", *_docstring(member))
 
 
