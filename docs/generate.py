@@ -16,6 +16,7 @@ from typing import Any
 import typer
 from pydantic import BaseModel, TypeAdapter
 
+import zarm
 from zarm_cli.commands import command_line
 from zarm_contract import messages as every_message
 from zarm_contract.access import ROLES, SERVICE_ROLES, TABLE, Rights, rights
@@ -57,6 +58,7 @@ def pages() -> dict[str, str]:
         "messages.md": messages,
         "problems.md": problems,
         "settings.md": settings,
+        "python.md": python,
         "commands.md": commands,
         "robot.md": robot,
         "metrics.md": metrics,
@@ -430,6 +432,70 @@ def metrics() -> Iterator[str]:
                 )
             )
     yield from _table(("name", "kind", "labels", "from", "what"), sorted(rows, key=lambda row: (row[3], row[0])))
+
+
+def python() -> Iterator[str]:
+    """Everything that `import zarm` offers: functions, classes with their methods, values, messages and errors."""
+    public = {name: getattr(zarm, name) for name in zarm.__all__}
+    own = {name: one for name, one in public.items() if getattr(one, "__module__", "").partition(".")[0] == "zarm"}
+    values = {name: one for name, one in own.items() if one.__module__ == zarm.values.__name__}
+    yield from ("# Python", "", *_docstring(zarm), "## Functions", "")
+    for name, function in own.items():
+        if inspect.isfunction(function):
+            yield from _described(f"zarm.{name}", function)
+    for name in ("Robot", "Scene", "Tracking", "Jogging", "Stream", "Story"):
+        yield from (f"## {name}", "", *_docstring(own[name]))
+        for method, member in sorted(inspect.getmembers(own[name]), key=_place):
+            if not method.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):
+                yield from _described(method, member)
+    yield from ("## Goals, objects and trajectories", "")
+    for name, model in values.items():
+        yield from _described(f"zarm.{name}", model)
+    others = [
+        name for name, one in public.items() if getattr(one, "__module__", "").startswith("zarm_contract.messages")
+    ]
+    yield from ("## Messages and errors", "", f"Calls return {_linked(', '.join(others))}.")
+    errors = (f"`{name}`" for name, one in public.items() if inspect.isclass(one) and issubclass(one, ZarmError))
+    yield from (f"Errors, of which every [problem](problems.md) is one: {', '.join(errors)}.", "")
+
+
+def _place(member: tuple[str, Any]) -> tuple[str, int]:
+    """Where a method stands: the methods of one file in their order there."""
+    function = inspect.unwrap(member[1].fget if isinstance(member[1], property) else member[1])
+    return (function.__module__, function.__code__.co_firstlineno) if inspect.isfunction(function) else ("", 0)
+
+
+def _described(name: str, member: Any) -> Iterator[str]:
+    """A function, a method, a property or a class: how it is called, and its docstring."""
+    if isinstance(member, property):
+        call = f"{name}: {inspect.signature(member.fget).return_annotation}"
+    else:
+        found = inspect.signature(member.__init__ if inspect.isclass(member) else member)
+        called = [one for one in found.parameters.values() if one.name != "self"]
+        returned = inspect.Signature.empty if inspect.isclass(member) else found.return_annotation
+        written = str(found.replace(parameters=called, return_annotation=returned))
+        call = name + re.sub(r"""(: |-> )(['"])(.*?)\2""", r"\1\3", written)  # annotations are texts
+    yield from (f"### {name}", "", "```python", *_wrapped(call), "```", "", *_docstring(member))
+
+
+def _wrapped(call: str) -> list[str]:
+    """A call that is too long for a line with one parameter per line."""
+    if len(call) <= 100:
+        return [call]
+    head, _, rest = call.partition("(")
+    inside, _, end = rest.rpartition(")")
+    depth, parts = 0, [""]
+    for sign in inside:
+        depth += (sign in "([{") - (sign in ")]}")
+        if sign == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += sign
+    return [f"{head}(", *(f"    {part.strip()}," for part in parts), f"){end}"]
+
+
+def _docstring(member: Any) -> list[str]:
+    return [*(inspect.getdoc(member) or "").splitlines(), ""]
 
 
 def _linked(text: str) -> str:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import difflib
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from zarm_contract._document import Document, KeyPath, read_document
 from zarm_contract._faults import field_path, one_line, sentence
+from zarm_contract.document import Document, KeyPath, read_document
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import Joints, NonNegative, Positive, Quaternion, SpeedScale, Vector3
 from zarm_contract.strategies import DRIVER_STRATEGIES, DriverStrategyName
@@ -278,12 +278,16 @@ class RobotDescriptor(_Section):
         return self
 
 
+_HALF_TURN = math.pi + 1e-6
+"""Half a turn (rad), and a little more, so that no rounding makes two halves less than a turn."""
+
+
 @dataclass(frozen=True)
 class RobotDescription:
     """A descriptor together with its URDF's kinematics.
 
     `path` is the descriptor's file. `lower` and `upper` are the position limits of `descriptor.joints` (rad), from
-    the URDF; a continuous joint gets +-2 pi. `hash` names this exact content: two services that show different hashes
+    the URDF; those of a continuous joint, which turns freely, are infinite. `hash` names this exact content: two services that show different hashes
     know different robots.
     """
 
@@ -294,6 +298,19 @@ class RobotDescription:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     hash: str
+
+    @property
+    def continuous(self) -> tuple[bool, ...]:
+        """Which joints turn freely: for them, angles that differ by whole turns are the same."""
+        return tuple(map(math.isinf, self.upper))
+
+    def range_about(self, position: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Finite limits, lower and upper, to sample or to show: those of the joints, or for a continuous one half a turn
+        to each side of its `position` (rad).
+        """
+        lower = (at - _HALF_TURN if low == -math.inf else low for low, at in zip(self.lower, position, strict=True))
+        upper = (at + _HALF_TURN if high == math.inf else high for high, at in zip(self.upper, position, strict=True))
+        return tuple(lower), tuple(upper)
 
 
 def find_robot(name_or_path: str) -> Path:
@@ -312,7 +329,7 @@ def find_robot(name_or_path: str) -> Path:
 
 def load_robot(name_or_path: str) -> RobotDescription:
     """Read and check a descriptor and its URDF. Raises InvalidRequest with file, line and remedy; one line per fault."""
-    document = read_document(find_robot(name_or_path))
+    document = read_document(find_robot(name_or_path), "a robot descriptor")
     try:
         descriptor = RobotDescriptor.model_validate(document.data)
     except ValidationError as error:
@@ -333,8 +350,8 @@ def load_robot(name_or_path: str) -> RobotDescription:
         path=document.path,
         urdf=urdf,
         urdf_path=urdf_path,
-        lower=tuple(-math.tau if (low := limits[name][0]) is None else low for name in descriptor.joints),
-        upper=tuple(math.tau if (high := limits[name][1]) is None else high for name in descriptor.joints),
+        lower=tuple(-math.inf if (low := limits[name][0]) is None else low for name in descriptor.joints),
+        upper=tuple(math.inf if (high := limits[name][1]) is None else high for name in descriptor.joints),
         hash=hashlib.sha256(document.text.encode() + urdf_path.read_bytes()).hexdigest()[:16],
     )
 

@@ -1,7 +1,7 @@
 """The kinematics of a URDF: its links and joints, and the transforms between them.
 
-Only what motion needs is read: joint type, parent, child, origin, axis, limits, and the joints that mimic others are
-refused. Geometry comes from the robot descriptor.
+`read_joint` is the one reader of joints, for descriptors and for the import alike. What else is in the file is accounted for
+in `urdf_elements`. Geometry comes from the robot descriptor.
 """
 
 from __future__ import annotations
@@ -11,25 +11,28 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
-from xml.parsers import expat
+from typing import Literal, get_args
 
 from zarm_contract.errors import InvalidRequest
+from zarm_contract.urdf_document import UrdfDocument, parse_urdf
+from zarm_contract.urdf_elements import account_for
 
-JointType = Literal["revolute", "continuous", "prismatic", "fixed"]
-_TYPES: dict[str, JointType] = {
-    "revolute": "revolute",
-    "continuous": "continuous",
-    "prismatic": "prismatic",
-    "fixed": "fixed",
-}
+JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
+_TYPES: dict[str, JointType] = {kind: kind for kind in get_args(JointType)}
+_LIMITED = ("revolute", "prismatic")
+_DRIVEN = ("revolute", "continuous", "prismatic")
+_SHORTEST = 1e-9
+"""Length of an axis, at least."""
 
 
 @dataclass(frozen=True)
 class Joint:
     """One URDF joint: `child` = `parent` * origin(`xyz` m, `rpy` rad: Rz(y) Ry(p) Rx(r)) * motion about or along `axis`.
 
-    `lower` and `upper` are in rad (m if prismatic); a continuous or fixed joint has none.
+    `axis` has length 1. `lower` and `upper` are in rad (m if prismatic), the soft limits where the URDF has them; a continuous
+    or fixed joint has none, nor has one without <limit>. `velocity`, `effort`, `acceleration` (the smaller one of
+    acceleration and deceleration) and `jerk` are in rad, m, N, Nm and s, None if not stated or infinite. `mimic` is the joint
+    that this one follows, with multiplier and offset.
     """
 
     name: str
@@ -41,14 +44,22 @@ class Joint:
     axis: tuple[float, float, float]
     lower: float | None
     upper: float | None
+    velocity: float | None = None
+    effort: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    mimic: tuple[str, float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Urdf:
-    """A tree of links; `joints` are keyed by the child link they carry."""
+    """A tree of links; `joint_of_child` are keyed by the child link they carry. `notes` say what in the file has no effect,
+    and what was made of the rest where that is not obvious, each as `file:line: what`.
+    """
 
     links: tuple[str, ...]
     joint_of_child: dict[str, Joint]
+    notes: tuple[str, ...] = ()
 
     def chain(self, base: str, tip: str) -> tuple[Joint, ...]:
         """The joints from `base` to `tip`, fixed ones included. Raises InvalidRequest if there is no such chain."""
@@ -65,21 +76,185 @@ class Urdf:
 
 def load_urdf(path: Path) -> Urdf:
     """Read a URDF file. Raises InvalidRequest with file, line and remedy; one line per fault."""
-    source = _Source(path)
-    links = tuple(source.attribute(link, "name") for link in source.root.findall("link"))
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise InvalidRequest(f"cannot read the URDF {path}: {error.strerror or error}") from error
+    document = parse_urdf(path, text)
+    account = account_for(document)
+    links = tuple(document.attribute(link, "name") for link in document.root.findall("link"))
     joints: dict[str, Joint] = {}
     faults: list[str] = []
-    for element in source.root.findall("joint"):
+    notes: list[str] = []
+    for element in document.root.findall("joint"):
         try:
-            joint = source.joint(element)
+            joint = read_joint(document, element, notes)
+            _check_drive(document, element, joint)
         except InvalidRequest as error:
             faults.append(error.problem.message)
             continue
-        faults += [source.place(element) + fault for fault in _misplaced(joint, links, joints)]
+        faults += [f"{document.place(element)}: {fault}" for fault in _misplaced(joint, links, joints)]
         joints[joint.child] = joint
+    # A fault that was met in reading already is not said twice.
+    places = {fault.split(": ")[0] for fault in faults}
+    faults += [fault for fault in account.faults if fault.split(": ")[0] not in places]
     if faults:
         raise InvalidRequest("\n".join(faults))
-    return Urdf(links, joints)
+    return Urdf(links, joints, (*account.notes, *notes))
+
+
+def read_joint(document: UrdfDocument, element: ET.Element, notes: list[str]) -> Joint:
+    """A <joint>; `notes` get what is to be said about it. Raises InvalidRequest with file and line."""
+    name = document.attribute(element, "name")
+    owner = f"joint {name}"
+    kind = _TYPES.get(document.attribute(element, "type"))
+    if kind is None:
+        known = ", ".join(_TYPES)
+        raise document.fault(element, f"{owner} has the type {element.get('type')}; known are {known}")
+    parent, child = (document.attribute(_end(document, element, tag, owner), "link") for tag in ("parent", "child"))
+    xyz, rpy = document.origin(element.find("origin"), owner)
+    limit = element.find("limit")
+    speeds = {} if limit is None else dict(_speeds(document, limit, owner, notes))
+    lower, upper = _range(document, element, kind, owner, notes)
+    return Joint(
+        name=name,
+        type=kind,
+        parent=parent,
+        child=child,
+        xyz=xyz,
+        rpy=rpy,
+        axis=_axis(document, element, kind, owner),
+        lower=lower,
+        upper=upper,
+        velocity=speeds.get("velocity"),
+        effort=speeds.get("effort"),
+        acceleration=min((speeds[key] for key in ("acceleration", "deceleration") if key in speeds), default=None),
+        jerk=speeds.get("jerk"),
+        mimic=_mimic(document, element.find("mimic"), owner),
+    )
+
+
+def _end(document: UrdfDocument, element: ET.Element, tag: str, owner: str) -> ET.Element:
+    end = element.find(tag)
+    if end is None:
+        raise document.fault(element, f"{owner} has no <{tag}>; write <{tag} link=.../>")
+    return end
+
+
+def _axis(document: UrdfDocument, element: ET.Element, kind: JointType, owner: str) -> tuple[float, float, float]:
+    axis = element.find("axis")
+    x, y, z = document.numbers(axis, "xyz", 3, owner, (1.0, 0.0, 0.0))
+    if kind in ("fixed", "floating"):
+        return (1.0, 0.0, 0.0)  # it has no meaning, and exporters write 0 0 0
+    if (length := math.hypot(x, y, z)) < _SHORTEST:
+        where = element if axis is None else axis
+        raise document.fault(where, f"{owner} has the axis {x:g} {y:g} {z:g}; give it a direction, such as 0 0 1")
+    return (x / length, y / length, z / length)
+
+
+def _range(
+    document: UrdfDocument, element: ET.Element, kind: JointType, owner: str, notes: list[str]
+) -> tuple[float | None, float | None]:
+    limit, safety = element.find("limit"), element.find("safety_controller")
+    low = document.bound(limit, "lower", owner) if limit is not None else None
+    high = document.bound(limit, "upper", owner) if limit is not None else None
+    soft_low, soft_high = (
+        document.bound(safety, key, owner) if safety is not None else None
+        for key in ("soft_lower_limit", "soft_upper_limit")
+    )
+    if kind not in _LIMITED:
+        if kind == "continuous":
+            for where, one, other in ((limit, low, high), (safety, soft_low, soft_high)):
+                if where is not None and (one or 0.0) != (other or 0.0) and not _endless(one, other):
+                    notes.append(
+                        f"{document.place(where)}: {owner} is continuous, so the limits {one or 0:g} to {other or 0:g} of its "
+                        f'<{where.tag}> have no effect; write type="revolute" if they hold'
+                    )
+        return None, None
+    if limit is None:
+        return None, None
+    low, high = low or 0.0, high or 0.0  # the specification's default for each
+    if not (math.isfinite(low) and math.isfinite(high)):
+        remedy = 'write type="continuous" if it turns freely, or' if kind == "revolute" else "write"
+        raise document.fault(limit, f"{owner} ({kind}) has the limits {low:g} to {high:g}; {remedy} its real ones")
+    if low > high:
+        raise document.fault(limit, f"{owner} has its lower limit {low} above its upper limit {high}; swap them")
+    if safety is None or (soft_low is None and soft_high is None):
+        return low, high
+    soft_low, soft_high = low if soft_low is None else soft_low, high if soft_high is None else soft_high
+    place = document.place(safety)
+    if soft_low > soft_high:
+        raise document.fault(
+            safety, f"{owner} has its soft lower limit {soft_low:g} above its soft upper limit {soft_high:g}; swap them"
+        )
+    inner, outer = max(low, soft_low), min(high, soft_high)
+    if inner >= outer:
+        if soft_low == soft_high == 0.0:
+            notes.append(f"{place}: {owner} has both its soft limits at 0, which means none")
+            return low, high
+        raise document.fault(
+            safety,
+            f"{owner} has the soft limits {soft_low:g} to {soft_high:g}, which leave nothing of {low:g} to {high:g}; correct them",
+        )
+    if (soft_low < low and math.isfinite(soft_low)) or (soft_high > high and math.isfinite(soft_high)):
+        notes.append(f"{place}: {owner} has soft limits {soft_low:g} to {soft_high:g} outside of {low:g} to {high:g}")
+    if (inner, outer) != (low, high):
+        notes.append(
+            f"{place}: {owner} has soft limits: {inner:g} to {outer:g} are taken, not the {low:g} to {high:g} of its <limit>"
+        )
+    return inner, outer
+
+
+def _endless(lower: float | None, upper: float | None) -> bool:
+    return all(value is None or math.isinf(value) for value in (lower, upper))
+
+
+def _speeds(document: UrdfDocument, limit: ET.Element, owner: str, notes: list[str]) -> Iterator[tuple[str, float]]:
+    for key in ("velocity", "effort", "acceleration", "deceleration", "jerk"):
+        if (value := document.bound(limit, key, owner)) is None:
+            continue
+        if value < 0.0:
+            raise document.fault(limit, f"{owner} has a limit of {value:g} for its {key}; write it positive")
+        if math.isinf(value) or (value == 0.0 and key not in ("velocity", "effort")):
+            notes.append(
+                f"{document.place(limit)}: {owner} has a limit of {value:g} for its {key}, which is taken as none"
+            )
+        else:
+            yield key, value
+    if len(both := {key for key in ("acceleration", "deceleration") if key in limit.attrib}) == 2:
+        one, other = (limit.get(key) for key in sorted(both))
+        if one != other:
+            notes.append(
+                f"{document.place(limit)}: {owner} may accelerate by {one} and decelerate by {other}; the smaller one is taken for both"
+            )
+
+
+def _mimic(document: UrdfDocument, mimic: ET.Element | None, owner: str) -> tuple[str, float, float] | None:
+    if mimic is None:
+        return None
+    multiplier = document.numbers(mimic, "multiplier", 1, owner, (1.0,))[0]
+    offset = document.numbers(mimic, "offset", 1, owner, (0.0,))[0]
+    return document.attribute(mimic, "joint"), multiplier, offset
+
+
+def _check_drive(document: UrdfDocument, element: ET.Element, joint: Joint) -> None:
+    """Raise InvalidRequest for a joint that no descriptor can use."""
+    name = joint.name
+    if joint.type not in (*_DRIVEN, "fixed"):
+        raise document.fault(element, f"joint {name} is {joint.type}; known are {', '.join(_DRIVEN)}, fixed")
+    if joint.mimic is not None:
+        mimic = element.find("mimic")
+        where = element if mimic is None else mimic
+        raise document.fault(where, f"joint {name} mimics another; make it fixed at the position it is used in")
+    if joint.type not in _LIMITED:
+        return
+    limit = element.find("limit")
+    if limit is None:
+        raise document.fault(element, f"joint {name} ({joint.type}) needs <limit lower= upper=>")
+    if joint.lower == joint.upper:
+        raise document.fault(
+            limit, f"joint {name} cannot move: both limits are {joint.lower}; give a range or make it fixed"
+        )
 
 
 def _misplaced(joint: Joint, links: tuple[str, ...], joints: dict[str, Joint]) -> Iterator[str]:
@@ -91,117 +266,3 @@ def _misplaced(joint: Joint, links: tuple[str, ...], joints: dict[str, Joint]) -
         yield f"two joints are named {joint.name}; rename one"
     if joint.child in joints:
         yield f"the link {joint.child} has two parent joints, {joints[joint.child].name} and {joint.name}; keep one"
-
-
-class _Source:
-    """A URDF's elements, and the line of each."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._lines: dict[ET.Element, int] = {}
-        builder = ET.TreeBuilder()
-        parser = expat.ParserCreate()
-
-        def start(tag: str, attributes: dict[str, str]) -> None:
-            self._lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
-
-        parser.StartElementHandler = start
-        parser.EndElementHandler = builder.end
-        try:
-            parser.Parse(path.read_bytes(), True)
-        except OSError as error:
-            raise InvalidRequest(f"cannot read the URDF {path}: {error.strerror or error}") from error
-        except expat.ExpatError as error:
-            problem = expat.ErrorString(error.code)
-            raise InvalidRequest(f"{path}:{error.lineno}: not well-formed XML: {problem}") from error
-        self.root = builder.close()
-        if self.root.tag != "robot":
-            raise self._fault(self.root, f"a URDF starts with <robot>; this file starts with <{self.root.tag}>")
-
-    def place(self, element: ET.Element) -> str:
-        return f"{self._path}:{self._lines[element]}: "
-
-    def joint(self, element: ET.Element) -> Joint:
-        name = self.attribute(element, "name")
-        kind = _TYPES.get(self.attribute(element, "type"))
-        if kind is None:
-            known = ", ".join(_TYPES)
-            raise self._fault(element, f"joint {name} has the type {element.get('type')}; known are {known}")
-        mimic = element.find("mimic")
-        if mimic is not None:
-            raise self._fault(mimic, f"joint {name} mimics another; make it fixed at the position it is used in")
-        lower = upper = None
-        if kind in ("revolute", "prismatic"):
-            limit = element.find("limit")
-            if limit is None:
-                raise self._fault(element, f"joint {name} ({kind}) needs <limit lower= upper=>")
-            lower, upper = self._number(limit, "lower", name), self._number(limit, "upper", name)
-            if lower > upper:
-                raise self._fault(limit, f"joint {name} has its lower limit {lower} above its upper limit {upper}")
-            if lower == upper:
-                raise self._fault(
-                    limit, f"joint {name} cannot move: both limits are {lower}; give a range or make it fixed"
-                )
-        axis = element.find("axis")
-        direction = self._vector(axis, "xyz", (1.0, 0.0, 0.0), name)
-        if axis is not None and not any(direction):
-            raise self._fault(axis, f"joint {name} has the axis 0 0 0; give it a direction")
-        origin = element.find("origin")
-        return Joint(
-            name=name,
-            type=kind,
-            parent=self.attribute(self._child(element, "parent", name), "link"),
-            child=self.attribute(self._child(element, "child", name), "link"),
-            xyz=self._vector(origin, "xyz", (0.0, 0.0, 0.0), name),
-            rpy=self._vector(origin, "rpy", (0.0, 0.0, 0.0), name),
-            axis=direction,
-            lower=lower,
-            upper=upper,
-        )
-
-    def attribute(self, element: ET.Element, name: str) -> str:
-        value = element.get(name)
-        if not value:
-            raise self._fault(element, f"a <{element.tag}> has no {name}=")
-        return value
-
-    def _child(self, element: ET.Element, tag: str, joint: str) -> ET.Element:
-        child = element.find(tag)
-        if child is None:
-            raise self._fault(element, f"joint {joint} has no <{tag}>")
-        return child
-
-    def _number(self, element: ET.Element, name: str, joint: str) -> float:
-        text = element.get(name, "0")  # the default of the URDF specification
-        try:
-            return _finite(text)
-        except ValueError as error:
-            raise self._fault(
-                element, f"joint {joint}: {name}={text!r} is not a finite number{_macro(text)}"
-            ) from error
-
-    def _vector(
-        self, element: ET.Element | None, name: str, default: tuple[float, float, float], joint: str
-    ) -> tuple[float, float, float]:
-        text = element.get(name) if element is not None else None
-        if element is None or text is None:
-            return default
-        try:
-            x, y, z = (_finite(part) for part in text.split())
-        except ValueError as error:
-            message = f"joint {joint}: {name}={text!r} must be three finite numbers{_macro(text)}"
-            raise self._fault(element, message) from error
-        return (x, y, z)
-
-    def _fault(self, element: ET.Element, message: str) -> InvalidRequest:
-        return InvalidRequest(self.place(element) + message)
-
-
-def _finite(text: str) -> float:
-    if not math.isfinite(value := float(text)):
-        raise ValueError(text)
-    return value
-
-
-def _macro(text: str) -> str:
-    return "; this is a xacro file: expand it first with `xacro`" if "$" in text else ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import io
 import stat
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import Mesh, Voxels
-from zarm_geometry import rows
+from zarm_geometry import mesh_files, rows
 from zarm_geometry.box_tree import BoxTree
 from zarm_geometry.mesh_repair import closed
 from zarm_geometry.solid import around, inside
@@ -27,6 +26,10 @@ MAX_TRIANGLES = 100_000
 MAX_BYTES = 32 * 1024 * 1024
 FARTHEST = 1e3
 """No vertex is further (m) from the mesh's origin."""
+LARGE = 10.0
+"""Beyond this size (m) a mesh is most likely in mm: a part of 10 mm would be as large as a hall."""
+SMALLEST = 1e-3
+"""Below this size (m) a mesh is most likely in km, or scaled twice: an arm would pass through what is there."""
 _SUFFIXES = (".stl", ".obj")
 
 _Known = tuple[str, tuple[float, float, float]]
@@ -146,28 +149,19 @@ class Meshes:
 
 def _held(item: Mesh, content: bytes, field: str) -> _Read:
     """The parsed content of a file. Raises InvalidRequest."""
-    import trimesh  # takes half a second, which a planner without meshes need not spend
+    from trimesh import Trimesh  # takes half a second, which a planner without meshes need not spend
 
     def refused(reason: str) -> InvalidRequest:
         return InvalidRequest(f"{item.name}: {reason}", field=f"{field}.file")
 
-    kind = Path(item.file).suffix[1:].lower()
     try:
-        # From memory and without materials, so that a file cannot cause other files to be read.
-        loaded = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
-    except ImportError as error:  # text in an unknown encoding, for which trimesh needs a further package
-        raise refused(
-            f"{item.file} holds no triangles as {kind.upper()}, nor text in UTF-8; export it again"
-        ) from error
-    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
-        raise refused(f"{item.file} cannot be read as {kind.upper()}: {error}; export it again") from error
-    faces = np.asarray(loaded.faces)
-    if not len(faces) or loaded.vertices.shape[1] != 3:
-        raise refused(f"{item.file} holds no triangles in space; export it again as {kind.upper()}")
-    if len(faces) > MAX_TRIANGLES:
-        raise refused(f"{item.file} has {len(faces)} triangles, more than {MAX_TRIANGLES}; simplify the mesh")
-    vertices = np.asarray(loaded.vertices) * item.scale
-    used = vertices[faces]
+        # From memory alone, so that a file cannot cause other files to be read.
+        read = mesh_files.read(item.file, content)
+    except mesh_files.Unreadable as error:
+        raise refused(f"{item.file} cannot be read: {error}") from error
+    if len(read.triangles) > MAX_TRIANGLES:
+        raise refused(f"{item.file} has {len(read.triangles)} triangles, more than {MAX_TRIANGLES}; simplify the mesh")
+    used = read.triangles * item.scale
     if not np.isfinite(used).all():
         raise refused(f"{item.file} has vertices that are not numbers; export it again")
     if np.abs(used).max() > FARTHEST:
@@ -175,10 +169,27 @@ def _held(item: Mesh, content: bytes, field: str) -> _Read:
             f"{item.file} reaches further than {FARTHEST:g} m from its origin; meshes are in m, so give one that is in mm "
             "the scale 0.001"
         )
+    size = float(np.ptp(used.reshape(-1, 3), axis=0).max())
     surface = rows.triangles(used)
     if not len(surface):
         raise refused(f"{item.file} holds only triangles without area; check the scale, or export it again")
-    solid, notes = closed(trimesh.Trimesh(vertices, faces, process=False))
-    if solid is None:
-        return _Read(BoxTree.over(surface), notes)
-    return _Read(BoxTree.over(np.concatenate([surface, rows.boxes(*inside(np.asarray(solid.triangles)))])), notes)
+    if size < SMALLEST:
+        raise refused(
+            f"{item.file} is {1e3 * size:.2g} mm large, too small to be an obstacle; meshes are in m, so check the unit of its "
+            "export, and its scale"
+        )
+    notes = [*read.notes, *_doubts(size, len(read.triangles) - len(surface))]
+    vertices, faces = np.unique(used.reshape(-1, 3), axis=0, return_inverse=True)
+    solid, repairs = closed(Trimesh(vertices, faces.reshape(-1, 3), process=False))
+    shapes = [surface] if solid is None else [surface, rows.boxes(*inside(np.asarray(solid.triangles)))]
+    return _Read(BoxTree.over(np.concatenate(shapes)), (*notes, *repairs))
+
+
+def _doubts(size: float, flat: int) -> list[str]:
+    """Sentences about a mesh of a size (m) that few objects beside an arm have, and about its triangles without area."""
+    doubts = []
+    if size > LARGE:
+        doubts.append(f"it is {size:.3g} m large: if its file is in mm, give it the scale 0.001")
+    if flat:
+        doubts.append(f"{flat} of its triangles have no area, so they are no obstacle")
+    return doubts

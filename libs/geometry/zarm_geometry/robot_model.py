@@ -34,7 +34,7 @@ _COVER = 12
 class RobotModel:
     """One robot in arrays; every joint vector follows the descriptor's `joints`, every pose is in its `base_link`.
 
-    `lower`, `upper` (rad, m for a prismatic joint), `velocity`, `acceleration` and `jerk` have the shape (dof,).
+    `lower`, `upper` (rad, m for a prismatic joint; infinite for a continuous one), `velocity`, `acceleration` and `jerk` have the shape (dof,).
     `bodies` are all collision bodies, in kinematic order, and `links` their names; `link_joint` (links,) is the moving
     joint that carries each, -1 for the base. `pairs` (n, 2) are the indices of those that can collide with each other:
     all except pairs that may touch, or belong to the same rigid body. `parts` are the exact shapes, each with the index
@@ -137,11 +137,25 @@ class RobotModel:
         return replace(self, arrays=self.arrays._replace(apart=apart))
 
     @cached_property
+    def continuous(self) -> NDArray[np.bool_]:
+        """Which joints (dof,) turn freely."""
+        return np.array(self.robot.continuous)
+
+    def range_about(self, q: Array) -> tuple[Array, Array]:
+        """Finite limits (dof,) to sample: those of the joints, or for a continuous one half a turn to each side of `q`
+        (dof,).
+        """
+        if not self.continuous.any():
+            return self.lower, self.upper
+        lower, upper = self.robot.range_about(q.tolist())
+        return np.array(lower), np.array(upper)
+
+    @cached_property
     def pair_room(self) -> Array:
         """The distance (n,) in m that each pair of links in `arrays.pairs` can be required to keep, see
         `self_margin.pair_room`.
         """
-        q = np.random.default_rng(0).uniform(self.lower, self.upper, (CONFIGURATIONS, self.dof))
+        q = np.random.default_rng(0).uniform(*self.range_about(np.zeros(self.dof)), (CONFIGURATIONS, self.dof))
         return pair_room(self.bodies, self.link_transforms(q), self.arrays.pairs)
 
     @cached_property

@@ -117,8 +117,9 @@ class Limits:
     def _curves(self, position: Array, steps: Array, values: _Values) -> Iterator[_Curve]:
         velocity = quintic.derivative(position) / steps[:, None]
         acceleration = quintic.derivative(velocity) / steps[:, None]
-        middle, reach = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2 + POSITION_TOLERANCE
-        none = np.zeros_like(middle)
+        reach = (self.upper - self.lower) / 2 + POSITION_TOLERANCE
+        none = np.zeros_like(reach)
+        middle = np.add(self.lower, self.upper, out=none.copy(), where=np.isfinite(reach)) / 2
         yield _Curve("position", "rad", values(position), middle, reach)
         yield _Curve("velocity", "rad/s", values(velocity), none, self.velocity * LIMIT_TOLERANCE)
         yield _Curve("acceleration", "rad/s^2", values(acceleration), none, self.acceleration * LIMIT_TOLERANCE)

@@ -42,6 +42,10 @@ def import_(
     name: Annotated[str | None, typer.Option(help="Name of the robot (default: as in the file).")] = None,
     base: Annotated[str | None, typer.Option(help="Base link of the arm (default: the root).")] = None,
     tip: Annotated[str | None, typer.Option(help="Link that goals refer to (default: the end of the arm).")] = None,
+    joints: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,C", help="The arm's joints, in order; others between them stand fixed."),
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="Folder for the files (default: the name).")] = None,
     packages: Annotated[
         list[Path] | None, typer.Option(metavar="FOLDER", help="Folder of ROS packages, for package:// and $(find).")
@@ -62,6 +66,7 @@ def import_(
         name=name,
         base=base,
         tip=tip,
+        joints=tuple(one.strip() for one in joints.split(",")) if joints else (),
         packages=packages or (),
         arguments=dict(map(_argument, arg or ())),
         fixed=dict(map(_position, fix or ())),
@@ -80,15 +85,17 @@ def import_(
             f"{len(link.primitives)}  {_millimetres(link.exact_out.mean, link.exact_out.most)}",
             f"{len(link.balls)}  {_millimetres(link.cover_out.mean, link.cover_out.most)}",
         )
+    assumed = sorted({what for limit in report.limits for what in limit.assumed})
     out.print(
         links,
         "",
         facts(
             ("robot", f"{report.name}, {len(report.chain.joints)} joints, {report.chain.base} to {report.chain.tip}"),
+            *([("gripper", f"{', '.join(report.chain.gripper)}, fixed")] if report.chain.gripper else []),
             ("spheres", str(report.spheres)),
             ("home", f"{numbers(report.home, 2)} rad"),
             *([("driver", f"{report.controller}, with strategy: joint_trajectory")] if report.controller else []),
-            ("assumed", "accelerations and jerks; see cspace in the descriptor"),
+            *([("assumed", f"{', '.join(assumed)}; see cspace in the descriptor")] if assumed else []),
             ("report", str(descriptor.with_suffix(".md"))),
             ("picture", str(descriptor.with_suffix(".png"))),
         ),
@@ -152,6 +159,8 @@ def check(
         )
     else:
         _describe(loaded)
+        for note in loaded.urdf.notes:
+            err.print(f"note: {note}", soft_wrap=True)
         for fault in found:
             err.print(f"{loaded.path}: {fault}", soft_wrap=True)
         if compared:

@@ -67,6 +67,7 @@ from zarm_planner.warm_up import warm_up
 from zarm_runtime.requester import requester
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.turns import whole_turns
 
 log = logging.getLogger(__name__)
 
@@ -153,7 +154,9 @@ class Handlers:
                 optimize_s=settings.optimize_s if request.optimize_s is None else request.optimize_s,
                 seed=request.seed,
             )
-            verified = plan(planner, context, start, request.goal, motion)
+            # Kernels work in single precision, which needs small angles.
+            turns = whole_turns(start, model.continuous)
+            verified = plan(planner, context, start - turns, request.goal, motion).shifted(turns)
             return context.scene.revision, verified, context.timer.timings()
 
         revision, verified, timings = self._scheduler.run(
@@ -205,10 +208,11 @@ class Handlers:
 
         def work(deadline: Deadline) -> IkSolutions:
             scene = self._look()
+            turns = whole_turns(near, model.continuous)
             found = batch_ik(
                 scene.model,
                 poses,
-                near,
+                near - turns,
                 world=scene.world if request.collision_free else None,
                 max_solutions=request.max_solutions,
                 seed=request.seed,
@@ -216,7 +220,7 @@ class Handlers:
                 deadline=deadline,
                 exact=scene.exact if request.collision_free else None,
             )
-            return IkSolutions(solutions=tuple(tuple(map(tuple, rows.tolist())) for rows in found))
+            return IkSolutions(solutions=tuple(tuple(map(tuple, (rows + turns).tolist())) for rows in found))
 
         return self._scheduler.run(work, requester(), _BATCH_TIMEOUT)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,10 @@ class Verified:
     waypoint_times: tuple[float, ...]
     goal_pose: int | None
     too_near: tuple[TooNear, ...]
+
+    def shifted(self, turns: Array) -> Verified:
+        """The same motion after whole turns (dof,) in rad of continuous joints."""
+        return replace(self, trajectory=self.trajectory.shifted(turns)) if turns.any() else self
 
 
 def plan(planner: Planner, context: PlanningContext, start: Array, goal: Goal, motion: Array | None = None) -> Verified:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -23,10 +22,6 @@ MOST_JOINTS = 32
 """The most that a descriptor takes."""
 _TIPS = ("tool0", "tcp", "ee_link", "tool", "flange", "end_effector")
 """Names of tips, best first."""
-_GRIPPER = re.compile("grip|finger|jaw|hand", re.IGNORECASE)
-_FINGER = re.compile("finger|jaw", re.IGNORECASE)
-"""A single joint of this name, or one that moves a finger, is not part of the arm; one that turns a whole gripper is.
-"""
 _ARM = 4
 """Number of joints after which an arm may end; an earlier branch belongs to a larger robot."""
 
@@ -59,6 +54,15 @@ class Chain:
     fixed: tuple[tuple[str, float], ...]
     free: tuple[Joint, ...]
     mimics: tuple[str, ...]
+    gripper: tuple[str, ...]
+    """The joints behind the tip's rigid part, which are taken as a gripper."""
+
+    @property
+    def reach(self) -> float:
+        """How far (m) the joints lie from one another, and slide, all together."""
+        apart = sum(float(np.linalg.norm(origin[:3, 3])) for origin in self.origins)
+        slides = [joint for joint in self.joints if joint.type == "prismatic"]
+        return apart + sum((joint.upper or 0.0) - (joint.lower or 0.0) for joint in slides)
 
     def poses(self, q: Array) -> dict[str, Array]:
         """The poses (n, 4, 4) of every link in the base frame, at joint positions (n, dof)."""
@@ -69,15 +73,21 @@ class Chain:
 
 
 def choose_chain(
-    robot: Description, base: str | None = None, tip: str | None = None, positions: Mapping[str, float] | None = None
+    robot: Description,
+    base: str | None = None,
+    tip: str | None = None,
+    positions: Mapping[str, float] | None = None,
+    names: Sequence[str] = (),
 ) -> Chain:
     """The chain from `base` (default: the root) to `tip` (default: the only sensible one).
 
-    `positions` of joints outside the chain replace 0, or the value nearest to it within their limits. Raises
+    `names` are the arm's joints in order, if they are chosen; others between them stand fixed. `positions` of joints outside the chain replace 0, or the value nearest to it within their limits. Raises
     InvalidRequest: with the choices if there are several, and for robots that cannot be planned for.
     """
     base = _known(robot, base, "--base") if base else robot.root
-    tip = _known(robot, tip, "--tip") if tip else _tip(robot, base)
+    chosen = _named(robot, names)
+    end = _end(robot, chosen[-1].child) if chosen else None
+    tip = _known(robot, tip, "--tip") if tip else end or _tip(robot, base)
     path = robot.path(base, tip)
     if path is None:
         remedy = "swap them" if robot.path(tip, base) else "choose --base and --tip on one branch"
@@ -90,7 +100,13 @@ def choose_chain(
     if base == robot.root and start is not None:
         # A floating base, as simulators define it: the arm stands on the floating link.
         base, path = start.child, path[path.index(start) + 1 :]
-    joints = tuple(joint for joint in path if joint.type != "fixed")
+    joints = tuple(joint for joint in path if joint.type != "fixed" and (not chosen or joint in chosen))
+    if chosen and joints != chosen:
+        order = ", ".join(joint.name for joint in path if joint.type != "fixed")
+        raise InvalidRequest(
+            f"{robot.source.path}: {', '.join(names)} are not joints of one chain from {base} to {tip} in their order, which is {order}",
+            field="--joints",
+        )
     for joint in joints:
         if joint.type in ("floating", "planar"):
             raise robot.source.fault(
@@ -124,6 +140,16 @@ def choose_chain(
     return _assembled(robot, base, tip, path, joints, dict(positions or {}))
 
 
+def _named(robot: Description, names: Sequence[str]) -> tuple[Joint, ...]:
+    every = {joint.name: joint for joint in robot.joint_of_child.values() if joint.type != "fixed"}
+    for name in names:
+        if name not in every:
+            close = difflib.get_close_matches(name, every, 1)
+            hint = f"did you mean {close[0]}?" if close else f"those that move are {', '.join(every)}"
+            raise InvalidRequest(f"{robot.source.path}: there is no moving joint {name}; {hint}", field="--joints")
+    return tuple(every[name] for name in names)
+
+
 def _known(robot: Description, link: str, option: str) -> str:
     if link in robot.links:
         return link
@@ -138,7 +164,13 @@ def _tip(robot: Description, base: str) -> str:
     count = 0
     while True:
         branches = _moving_below(robot, link)
-        if len(branches) == 1 and not (count and _grips(branches[0])):
+        if len(branches) == 1 and not (count and _is_gripper(robot, branches)):
+            if count >= _ARM and _may_be_jaw(robot, link, branches[0]):
+                last, jaw = _end(robot, link), _end(robot, branches[0].child)
+                raise InvalidRequest(
+                    f"{robot.source.path}: the joint {branches[0].name} may be the arm's last one or a gripper; choose one: --tip {last} "
+                    f"(a gripper), --tip {jaw} (of the arm)"
+                )
             count += 1
             link = branches[0].child
             continue
@@ -155,7 +187,15 @@ def _tip(robot: Description, base: str) -> str:
                 )
             shown = ", ".join(f"--tip {end}" for end in ends[:12])
             raise InvalidRequest(f"{robot.source.path}: several chains start at {link}; choose one: {shown}")
-        break
+        if branches and count < _ARM and not _is_gripper(robot, branches):
+            ends = [_end(robot, link), *(end for branch in branches for end in _offered(robot, branch))]
+            shown = ", ".join(f"--tip {end}" for end in ends[:12])
+            raise InvalidRequest(f"{robot.source.path}: several chains go on from {link}; choose one: {shown}")
+        return _end(robot, link)
+
+
+def _end(robot: Description, link: str) -> str:
+    """The tip on the rigid part of a link: a frame with a usual name, or the only end, or the link itself."""
     fixed = _rigid(robot, link)
     leaves = [end for end in fixed if not any(j.child in fixed for j in robot.children.get(end, ()))]
     for name in _TIPS:
@@ -173,8 +213,38 @@ def _offered(robot: Description, branch: Joint) -> list[str]:
         return _ends(robot, branch.child)
 
 
-def _grips(joint: Joint) -> bool:
-    return bool(_GRIPPER.search(joint.name) or _FINGER.search(joint.child))
+def _is_gripper(robot: Description, branches: Sequence[Joint]) -> bool:
+    """Whether moving joints on one rigid part are a gripper: one that drives joints which mimic it or mimics itself, and behind
+    which none has a drive of its own; or several alike, side by side.
+    """
+    every = robot.joint_of_child.values()
+    driven = {joint.mimic[0] for joint in every if joint.mimic}
+    if any(joint.mimic or joint.name in driven for joint in branches):
+        return not any(_drives_behind(robot, joint) for joint in branches if joint.mimic or joint.name in driven)
+    lengths = {_length(robot, joint) for joint in branches}
+    return len(branches) > 1 and len(lengths) == 1 and len({joint.type for joint in branches}) == 1
+
+
+def _drives_behind(robot: Description, joint: Joint) -> bool:
+    return any(
+        behind.type != "fixed" and not behind.mimic
+        for link in robot.below(joint.child)
+        for behind in robot.children.get(link, ())
+    )
+
+
+def _may_be_jaw(robot: Description, link: str, joint: Joint) -> bool:
+    """Whether the last joint of a chain may as well be a gripper of one jaw: a slide, or a joint beside which a frame without geometry
+    marks the tip already.
+    """
+    if _moving_below(robot, joint.child):
+        return False
+    frames = [
+        one
+        for one in _rigid(robot, link)
+        if one != link and not (robot.links[one].visual or robot.links[one].collision or robot.children.get(one))
+    ]
+    return joint.type == "prismatic" or bool(frames and len(_rigid(robot, joint.child)) == 1)
 
 
 def _moving_below(robot: Description, link: str) -> list[Joint]:
@@ -287,7 +357,9 @@ def _assembled(
         mimics.append(
             f"{name}: it mimics {copied[0]}, {why}; here it stands at {stands[name]:g}, or where --fix has it"
         )
-    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, free, tuple(mimics))
+    behind = {joint.name for link in robot.below(joints[-1].child) for joint in robot.children.get(link, ())}
+    gripper = tuple(name for name in stands if name in behind)
+    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, free, tuple(mimics), gripper)
 
 
 def _outwards(robot: Description, base: str, order: Sequence[str]) -> list[str]:

@@ -45,7 +45,7 @@ RARELY = 0.02
 def findings(robot: RobotDescription) -> list[str]:
     """What is most likely wrong, one sentence each with the key to look at and the remedy; empty if all seems well."""
     model = RobotModel.of(robot)
-    q = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, model.dof))
+    q = np.random.default_rng(0).uniform(*model.range_about(np.zeros(model.dof)), (SAMPLES, model.dof))
     return [
         *_size(model, q),
         *_joints(model),
@@ -80,9 +80,11 @@ def _joints(model: RobotModel) -> Iterator[str]:
         width = model.upper[index] - model.lower[index]
         if width < 1e-3:
             yield f"{joint}: its range is {width:g} wide in the URDF; make the joint fixed, or correct lower and upper"
-        elif width > WIDEST:
+        elif width > WIDEST and not model.continuous[index]:
             yield f"{joint}: its range is {width:g} rad wide in the URDF, most likely degrees; write lower and upper in rad"
-        elif min(home[index] - model.lower[index], model.upper[index] - home[index]) < 0.02 * width:
+        elif not model.continuous[index] and (
+            min(home[index] - model.lower[index], model.upper[index] - home[index]) < 0.02 * width
+        ):
             yield f"home: {joint} stands at its limit; choose a pose from which it can turn both ways"
         moved = home.copy()
         moved[index] += 0.1 if home[index] < model.upper[index] - 0.1 else -0.1

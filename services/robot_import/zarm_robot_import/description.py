@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from zarm_contract import urdf
+from zarm_contract.errors import InvalidRequest
+from zarm_contract.urdf_elements import account_for
 from zarm_robot_import.source import Source
 
 Array = NDArray[np.float64]
 
-_SHORTEST = 1e-9
-"""Length of an axis, at least."""
 _LONGEST = 200
 """Characters of a link's name; YAML takes no key of more than 1024."""
-TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 
 @dataclass(frozen=True)
@@ -57,22 +57,16 @@ class Link:
         return np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
 
 
-@dataclass(frozen=True)
-class Joint:
-    """One <joint>; `origin` (4, 4) in the parent, limits in rad (m if prismatic), None if not given."""
+@dataclass(frozen=True, kw_only=True)
+class Joint(urdf.Joint):
+    """One <joint>, with its element."""
 
-    name: str
-    type: str
-    parent: str
-    child: str
-    origin: Array
-    axis: Array
-    lower: float | None
-    upper: float | None
-    velocity: float | None
-    effort: float | None
-    mimic: tuple[str, float, float] | None
     element: ET.Element
+
+    @cached_property
+    def origin(self) -> Array:
+        """Its frame (4, 4) in the parent."""
+        return _pose(self.xyz, self.rpy)
 
     def moved(self, value: float) -> Array:
         """The child's pose (4, 4) in the parent at a joint position."""
@@ -82,16 +76,16 @@ class Joint:
         """The child's motions (n, 4, 4) for joint positions (n,)."""
         found = np.tile(np.eye(4), (len(values), 1, 1))
         if self.type in ("revolute", "continuous"):
-            found[:, :3, :3] = Rotation.from_rotvec(self.axis * values[:, None]).as_matrix()
+            found[:, :3, :3] = Rotation.from_rotvec(np.array(self.axis) * values[:, None]).as_matrix()
         elif self.type == "prismatic":
-            found[:, :3, 3] = self.axis * values[:, None]
+            found[:, :3, 3] = np.array(self.axis) * values[:, None]
         return found
 
 
 @dataclass(frozen=True)
 class Description:
-    """A tree of links. `joint_of_child` holds the joint that carries each link, `children` the joints on each link; links in
-    `stray` have geometry, but hang on no joint, and are left out."""
+    """A tree of links. `joint_of_child` holds the joint that carries each link, `children` the joints on each link; `notes` say
+    what in the file has no effect, is left out, or is taken in another way than it is written."""
 
     source: Source
     name: str
@@ -99,7 +93,7 @@ class Description:
     links: dict[str, Link]
     joint_of_child: dict[str, Joint]
     children: dict[str, list[Joint]] = field(default_factory=dict)
-    stray: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def path(self, base: str, tip: str) -> list[Joint] | None:
         """The joints from `base` to `tip`, None if `tip` is not below `base`."""
@@ -123,6 +117,8 @@ class Description:
 def describe(source: Source) -> Description:
     """Read a URDF's content. Raises InvalidRequest with file, line and remedy."""
     root = source.root
+    account = account_for(source)
+    notes = account.notes
     links: dict[str, Link] = {}
     for element in root.findall("link"):
         link = _link(source, element)
@@ -133,7 +129,7 @@ def describe(source: Source) -> Description:
     carried: dict[str, Joint] = {}
     children: dict[str, list[Joint]] = {}
     for element in root.findall("joint"):
-        joint = _joint(source, element)
+        joint = Joint(**vars(urdf.read_joint(source, element, notes)), element=element)
         if joint.name in joints:
             raise source.fault(element, f"two joints are named {joint.name}; rename one")
         for end in (joint.parent, joint.child):
@@ -170,15 +166,31 @@ def describe(source: Source) -> Description:
             links[roots[1]].element,
             f"{' and '.join(roots)} have no parent; a URDF has one root, so join them with a joint",
         )
+    if account.faults:
+        raise InvalidRequest("\n".join(account.faults))
     name = root.get("name") or source.path.stem
     kept = set(Description(source, name, roots[0], links, carried, children).below(roots[0]))
-    stray = tuple(link.name for link in links.values() if link.name not in kept and (link.visual or link.collision))
+    notes += [_left_out(source, link, carried) for link in links.values() if link.name not in kept]
+    notes += [
+        f"{source.place(item)}: link {link.name} has a <{item.tag}> without a shape"
+        for link in links.values()
+        for item in link.element
+        if item.tag in ("visual", "collision") and item.find("geometry/*") is None
+    ]
     links = {link: links[link] for link in links if link in kept}
-    return Description(source, name, roots[0], links, carried, children, stray)
+    return Description(source, name, roots[0], links, carried, children, tuple(notes))
+
+
+def _left_out(source: Source, link: Link, carried: dict[str, Joint]) -> str:
+    """What is said of a link in another tree than the robot's."""
+    count = len(link.visual) + len(link.collision)
+    shapes = f" with its {count} shape{'s' if count > 1 else ''}" if count else ""
+    why = "no joint connects it to the robot" if link.name not in carried else "it is not part of the robot's tree"
+    return f"{source.place(link.element)}: {link.name}: {why}, so it is left out{shapes}; add that joint"
 
 
 def _link(source: Source, element: ET.Element) -> Link:
-    name = _attribute(source, element, "name")
+    name = source.attribute(element, "name")
     if len(name) > _LONGEST:
         raise source.fault(element, f"the name of a link has {len(name)} characters, more than {_LONGEST}; shorten it")
     _check_inertial(source, element.find("inertial"), f"link {name}")
@@ -190,12 +202,12 @@ def _check_inertial(source: Source, inertial: ET.Element | None, owner: str) -> 
     if inertial is None:
         return
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is not None and (kilograms := _numbers(source, mass, "value", 1, owner)[0]) < 0.0:
+    if mass is not None and (kilograms := source.numbers(mass, "value", 1, owner)[0]) < 0.0:
         raise source.fault(
             mass, f"{owner} has a mass of {kilograms:g} kg; write a positive one, or leave <inertial> out"
         )
     for key in _INERTIA:
-        _numbers(source, inertia, key, 1, owner, (0.0,))
+        source.numbers(inertia, key, 1, owner, (0.0,))
 
 
 def _geometries(source: Source, link: ET.Element, tag: str, name: str) -> Iterator[Geometry]:
@@ -212,108 +224,27 @@ def _stated(source: Source, link: ET.Element, tag: str, name: str) -> Iterator[G
         shape = next(iter(item.findall("geometry/*")), None)
         if shape is None:
             continue
-        pose = _pose(source, item.find("origin"), f"link {name}")
+        pose = _pose(*source.origin(item.find("origin"), f"link {name}"))
         match shape.tag:
             case "mesh":
-                scale = _numbers(source, shape, "scale", 3, f"link {name}", (1.0, 1.0, 1.0))
-                file = _attribute(source, shape, "filename")
+                scale = source.numbers(shape, "scale", 3, f"link {name}", (1.0, 1.0, 1.0))
+                file = source.attribute(shape, "filename")
                 yield Geometry("mesh", pose, shape, file=file, scale=(scale[0], scale[1], scale[2]))
             case "box":
-                yield Geometry("box", pose, shape, size=_numbers(source, shape, "size", 3, f"link {name}"))
+                yield Geometry("box", pose, shape, size=source.numbers(shape, "size", 3, f"link {name}"))
             case "cylinder" | "capsule":
-                radius, length = (_numbers(source, shape, key, 1, f"link {name}")[0] for key in ("radius", "length"))
+                radius, length = (source.numbers(shape, key, 1, f"link {name}")[0] for key in ("radius", "length"))
                 yield Geometry(shape.tag, pose, shape, size=(radius, length))
             case "sphere":
-                yield Geometry("sphere", pose, shape, size=_numbers(source, shape, "radius", 1, f"link {name}"))
+                yield Geometry("sphere", pose, shape, size=source.numbers(shape, "radius", 1, f"link {name}"))
             case _:
                 raise source.fault(
                     shape, f"link {name} has the geometry <{shape.tag}>; use mesh, box, cylinder or sphere"
                 )
 
 
-def _joint(source: Source, element: ET.Element) -> Joint:
-    name = _attribute(source, element, "name")
-    kind = _attribute(source, element, "type")
-    if kind not in TYPES:
-        raise source.fault(element, f"joint {name} has the type {kind}; known are {', '.join(TYPES)}")
-    ends = []
-    for tag in ("parent", "child"):
-        end = element.find(tag)
-        if end is None:
-            raise source.fault(element, f"joint {name} has no <{tag}>; write <{tag} link=.../>")
-        ends.append(_attribute(source, end, "link"))
-    axis = np.array(_numbers(source, element.find("axis"), "xyz", 3, f"joint {name}", (1.0, 0.0, 0.0)))
-    if kind in ("revolute", "continuous", "prismatic"):
-        if (length := math.hypot(*axis)) < _SHORTEST:
-            written = " ".join(f"{value:g}" for value in axis)
-            raise source.fault(element, f"joint {name} has the axis {written}; give it a direction, such as 0 0 1")
-        axis = axis / length
-    limit = element.find("limit")
-    bounds: dict[str, float | None] = {
-        key: _numbers(source, limit, key, 1, f"joint {name}")[0] if limit is not None and limit.get(key) else None
-        for key in ("lower", "upper", "velocity", "effort")
-    }
-    if limit is not None and kind in ("revolute", "prismatic"):
-        # The specification's default for each is 0.
-        bounds |= {key: bounds[key] or 0.0 for key in ("lower", "upper")}
-    mimic = element.find("mimic")
-    copied = None
-    if mimic is not None:
-        factor, shift = (
-            _numbers(source, mimic, key, 1, f"joint {name}", (default,))[0]
-            for key, default in (("multiplier", 1.0), ("offset", 0.0))
-        )
-        copied = (_attribute(source, mimic, "joint"), factor, shift)
-    return Joint(
-        name=name,
-        type=kind,
-        parent=ends[0],
-        child=ends[1],
-        origin=_pose(source, element.find("origin"), f"joint {name}"),
-        axis=axis,
-        mimic=copied,
-        element=element,
-        lower=bounds["lower"],
-        upper=bounds["upper"],
-        velocity=bounds["velocity"],
-        effort=bounds["effort"],
-    )
-
-
-def _attribute(source: Source, element: ET.Element, name: str) -> str:
-    value = element.get(name)
-    if not value:
-        raise source.fault(element, f"a <{element.tag}> has no {name}=")
-    return value
-
-
-def _numbers(
-    source: Source,
-    element: ET.Element | None,
-    name: str,
-    count: int,
-    owner: str,
-    default: tuple[float, ...] | None = None,
-) -> tuple[float, ...]:
-    if element is None or (text := element.get(name)) is None:
-        if default is None:
-            where = source.root if element is None else element
-            raise source.fault(where, f"{owner}: its <{where.tag}> has no {name}=; write it")
-        return default
-    try:
-        values = tuple(map(float, text.split()))
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        hint = "; this is a xacro file: name it .xacro" if "$" in text else ""
-        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise source.fault(element, f"{owner}: {name}={text!r} must be {wanted}{hint}")
-    return values
-
-
-def _pose(source: Source, origin: ET.Element | None, owner: str) -> Array:
+def _pose(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Array:
     pose = np.eye(4)
-    pose[:3, 3] = _numbers(source, origin, "xyz", 3, owner, (0.0, 0.0, 0.0))
-    rpy = _numbers(source, origin, "rpy", 3, owner, (0.0, 0.0, 0.0))
+    pose[:3, 3] = xyz
     pose[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()  # about fixed axes, as in the specification
     return pose

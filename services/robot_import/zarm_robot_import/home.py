@@ -54,7 +54,9 @@ def choose_home(model: RobotModel) -> tuple[float, ...]:
 
 def _score(model: RobotModel, q: Array) -> Array:
     """A score for configurations (n, dof), the higher the better."""
-    margin = np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower)
+    lower, upper = model.range_about(np.zeros(model.dof))
+    # A continuous joint has the same room everywhere.
+    margin = np.where(model.continuous, 0.5, np.minimum(q - lower, upper - q) / (upper - lower))
     tip = model.fk_tip(q)
     columns = []
     for joint in range(model.dof):

@@ -6,7 +6,7 @@ import re
 import tempfile
 import time
 import unicodedata
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +21,7 @@ from zarm_robot_import.fitting import fit
 from zarm_robot_import.home import choose_home
 from zarm_robot_import.inertia import unphysical
 from zarm_robot_import.limits import limits_of
-from zarm_robot_import.meshes import link_surface
+from zarm_robot_import.meshes import doubted, link_surface
 from zarm_robot_import.picture import draw
 from zarm_robot_import.report import Report
 from zarm_robot_import.ros_control import trajectory_controller
@@ -39,11 +39,14 @@ class Options:
     name: str | None = None
     base: str | None = None
     tip: str | None = None
+    joints: Sequence[str] = ()
     packages: Sequence[Path] = ()
     arguments: Mapping[str, str] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
     geometry: str = "auto"
     spheres: int = BUDGET
+    right_size: Collection[str] = ()
+    """Links whose size is right, however large they are beside the arm."""
     overwrite: bool = False
 
 
@@ -86,7 +89,7 @@ def _imported(
     begun = time.process_time()
     progress("reading", 0.0)
     robot = describe(read_source(file, options.packages, options.arguments))
-    chain = choose_chain(robot, options.base, options.tip, options.fixed)
+    chain = choose_chain(robot, options.base, options.tip, options.fixed, options.joints)
     limits = limits_of(robot, chain.joints)
     controller = trajectory_controller(robot, [joint.name for joint in chain.joints])
     name = _checked(options.name) if options.name else _name(robot.name)
@@ -98,7 +101,7 @@ def _imported(
             "--name"
         )
     surfaces = []
-    left_out = [f"{link}: no joint connects it to the robot, so it is left out; add that joint" for link in robot.stray]
+    left_out: list[str] = []
     suspect: list[str] = []
     for index, mounted in enumerate(chain.mounted):
         progress(f"meshes of {mounted.link}", 0.2 * index / len(chain.mounted))
@@ -106,6 +109,8 @@ def _imported(
         if unphysical(link.inertia):
             suspect.append(f"{link.name}: no body has the inertia that its <inertial> states; correct it in the URDF")
         if surface := link_surface(robot.source, link, options.geometry):
+            if mounted.link not in options.right_size and (doubt := doubted(surface, chain.reach, mounted.body > 0)):
+                raise robot.source.fault(link.element, doubt)
             surfaces.append(surface)
         elif link.collision or link.visual:
             left_out.append(
@@ -155,7 +160,7 @@ def _imported(
         limits,
         pairs,
         home,
-        [*left_out, *suspect],
+        [*left_out, *suspect, *robot.notes],
         time.process_time() - begun,
         controller,
     )

@@ -58,11 +58,6 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
             joint.element,
             f'joint {joint.name} has both its limits at {lower:g}, so it cannot move; correct them, or give it type="fixed"',
         )
-    elif lower is not None and upper is not None and lower > upper:
-        raise robot.source.fault(
-            joint.element,
-            f"joint {joint.name} has its lower limit {lower:g} above its upper limit {upper:g}; swap them",
-        )
     elif lower is None or upper is None or lower == upper:
         if joint.type == "prismatic":
             raise robot.source.fault(
@@ -70,17 +65,17 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
             )
         lower, upper = -math.pi, math.pi
         assumed.append("range")
-    for what in ("velocity", "effort"):
-        if (most := getattr(joint, what)) is not None and most < 0.0:
-            raise robot.source.fault(
-                joint.element, f"joint {joint.name} has a limit of {most:g} for its {what}; write it positive"
-            )
     velocity = joint.velocity
     if not velocity:
         velocity = VELOCITY[joint.type]
         assumed.append("velocity")
-    acceleration = min(velocity / RAMP, MOST_ACCELERATION)
-    velocity, acceleration, jerk = (
-        float(f"{value:.6g}") for value in (velocity, acceleration, acceleration / JERK_RAMP)
-    )
-    return JointLimits(joint.name, lower, upper, velocity, acceleration, jerk, (*assumed, "acceleration", "jerk"))
+    acceleration = joint.acceleration
+    if acceleration is None:
+        acceleration = min(velocity / RAMP, MOST_ACCELERATION)
+        assumed.append("acceleration")
+    jerk = joint.jerk
+    if jerk is None:
+        jerk = acceleration / JERK_RAMP
+        assumed.append("jerk")
+    velocity, acceleration, jerk = (float(f"{value:.6g}") for value in (velocity, acceleration, jerk))
+    return JointLimits(joint.name, lower, upper, velocity, acceleration, jerk, tuple(assumed))

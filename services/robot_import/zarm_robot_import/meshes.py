@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -12,7 +11,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.errors import InvalidRequest
+from zarm_geometry import mesh_files
 from zarm_robot_import.chain import LARGEST
 from zarm_robot_import.description import Geometry, Link
 from zarm_robot_import.source import Source
@@ -28,10 +28,12 @@ SMALLEST = 1e-3
 """A link smaller than this (m) in all directions is ignored."""
 _FLATTEST = 1e-9
 """A smaller scale collapses a mesh."""
+_LARGEST_MOVED, _LARGEST_BASE, _LEAST_REACH = 4.0, 10.0, 0.5
+"""How many times as large as the arm's reach a link may be, and the least reach (m) that counts."""
 CONTAINED = 0.001
 """Collision geometry counts as containing the visual one if that protrudes by at most this (m)."""
-_POINTER = b"version https://git-lfs"
-SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
+THIN = 1e-3
+"""Geometry that is flat becomes a solid of this thickness (m): there is no sphere or box inside a plane."""
 
 
 @dataclass
@@ -89,12 +91,13 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
         parts = []
         for geometry in geometries:
             try:
-                triangles, file = _triangles(source, geometry, link.name)
+                triangles, file, notes = _triangles(source, geometry, link.name)
             except _Missing as error:
                 missing[kind] = str(error)
                 continue
             if file:
                 files.append(file)
+            warnings += [note for note in notes if note not in warnings]
             parts.append(triangles @ geometry.pose[:3, :3].T + geometry.pose[:3, 3])
         if parts:
             found[kind], lost = _cleaned(np.concatenate(parts))
@@ -109,9 +112,12 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
             raise InvalidRequest(text)
         found.pop(kind, None)
         warnings.append(f"{text.split(';')[0]}; the {other} geometry is taken")
-    found = {kind: triangles for kind, triangles in found.items() if _size(triangles) > SMALLEST}
-    if not found:
+    small = [kind for kind, triangles in found.items() if _size(triangles) <= SMALLEST]
+    if len(small) == len(found):
         return None
+    for kind in small:
+        del found[kind]
+        warnings.append(f"its {kind} geometry is smaller than 1 mm, so it is left out; check its size and scale")
     for kind, triangles in found.items():
         if (size := _size(triangles)) > LARGEST:
             raise InvalidRequest(
@@ -137,6 +143,22 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
     return surface
 
 
+def doubted(surface: Surface, reach: float, moves: bool) -> str | None:
+    """The question whether a link has the right unit, None if it is neither far larger nor far smaller than its arm, whose
+    joints together reach so far (m).
+
+    Of 56 arms of other people's, no link that moves is larger than 0.9 times the reach, and no base than 2.4 times; a base
+    may be a table or a cell. What is exported in mm and read in m is a thousand times too large.
+    """
+    size, reach = max(map(_size, surface.shells.values())), max(reach, _LEAST_REACH)
+    if size <= (_LARGEST_MOVED if moves else _LARGEST_BASE) * reach:
+        return None
+    return (
+        f"link {surface.link} is {size:.3g} m large on an arm that reaches {reach:.2g} m: is its mesh in mm? Then write "
+        f'scale="0.001 0.001 0.001" into its <mesh>; if its size is right, say --right-size {surface.link}'
+    )
+
+
 def _chosen(link: Link, found: dict[str, Array], prefer: str) -> Surface:
     """Which of the kinds of geometry found is used, and why."""
     if len(found) == 1:
@@ -154,6 +176,18 @@ class _Missing(Exception):
     pass
 
 
+def _needed(geometry: Geometry) -> tuple[float, ...]:
+    """The sizes without which a primitive is flat: a capsule without length is a ball."""
+    return geometry.size[:1] if geometry.kind == "capsule" else geometry.size
+
+
+def _of_no_size(geometry: Geometry) -> str:
+    sizes = " x ".join(f"{1e3 * size:g}" for size in geometry.size)
+    if not any(geometry.size):
+        return f"a {geometry.kind} has the size 0, so it is left out; write its size"
+    return f"a {geometry.kind} of {sizes} mm is flat, so it is taken as {1e3 * THIN:g} mm thick"
+
+
 def _size(triangles: Array) -> float:
     return float(np.ptp(triangles.reshape(-1, 3), axis=0).max()) if len(triangles) else 0.0
 
@@ -164,13 +198,11 @@ def _cleaned(triangles: Array) -> tuple[Array, int]:
     return kept, len(triangles) - len(kept)
 
 
-def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Path | None]:
-    """The triangles of a geometry in its own frame, and its file."""
+def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Path | None, list[str]]:
+    """The triangles of a geometry in its own frame, its file, and sentences about it."""
     place = source.place(geometry.element)
     if geometry.kind != "mesh":
-        if any(size <= 0.0 for size in geometry.size):
-            return np.empty((0, 3, 3)), None
-        return _primitive(geometry), None
+        return _solid(geometry), None, [] if all(_needed(geometry)) else [_of_no_size(geometry)]
     file = source.file(geometry.file)
     if file is None:
         scheme = geometry.file.rpartition("://")[0]
@@ -181,17 +213,31 @@ def _triangles(source: Source, geometry: Geometry, link: str) -> tuple[Array, Pa
             "model": "name the folder that holds its package with --packages",
         }.get(scheme, "zarm fetches nothing: download it, and write its path")
         raise _Missing(f"{place}: link {link}: there is no file {geometry.file}; {remedy}")
-    if file.suffix.lower() not in SUFFIXES:
-        raise InvalidRequest(f"{place}: link {link}: {file.name} is of no known format; convert it to STL, OBJ or DAE")
     if any(abs(factor) < _FLATTEST for factor in geometry.scale):
         raise InvalidRequest(f"{place}: link {link}: the scale {geometry.scale} collapses the mesh; write 1 1 1")
     try:
-        triangles = _load(file)
+        read = _load(file)
     except _Unreadable as error:
         raise InvalidRequest(f"{place}: link {link}: {error}") from error
-    if math.prod(geometry.scale) < 0.0:
-        triangles = triangles[:, ::-1]  # mirrored: keep the orientation outwards
-    return triangles * geometry.scale, file
+    notes = [f"{file.name}: {note}" for note in read.notes]
+    triangles = (
+        read.triangles[:, ::-1] if math.prod(geometry.scale) < 0.0 else read.triangles
+    )  # mirrored: still outwards
+    triangles, flat = _thickened(triangles * geometry.scale)
+    if flat:
+        notes.append(f"{file.name} is flat, so it is taken as {1e3 * THIN:g} mm thick")
+    return triangles, file, notes
+
+
+def _thickened(triangles: Array) -> tuple[Array, bool]:
+    """Triangles that all lie in a plane as the two sides of a thin solid, and whether they do."""
+    points = triangles[np.isfinite(triangles).all(axis=(1, 2))].reshape(-1, 3)
+    points = points - points.mean(axis=0)
+    spread, axes = np.linalg.eigh(points.T @ points)
+    if np.ptp(points @ axes[:, 0]) > _FLATTEST + 1e-7 * math.sqrt(max(spread[2], 0.0) / len(points)):
+        return triangles, False
+    side = axes[:, 0] * THIN / 2
+    return np.concatenate([triangles + side, triangles[:, ::-1] - side]), True
 
 
 class _Unreadable(Exception):
@@ -199,53 +245,36 @@ class _Unreadable(Exception):
 
 
 @lru_cache(maxsize=64)
-def _load(file: Path) -> Array:
-    """The triangles of a file, in m if the file states its unit."""
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+def _load(file: Path) -> mesh_files.MeshFile:
+    """The content of a file, in m if its format or the file states the unit."""
     try:
-        with file.open("rb") as opened:
-            start = opened.read(len(_POINTER))
+        read = mesh_files.read(file.name, file.read_bytes(), lambda name: (file.parent / name).read_bytes())
     except OSError as error:
         raise _Unreadable(f"{file} cannot be read: {error.strerror}; check its permissions") from error
-    if start == _POINTER:
-        raise _Unreadable(f"{file} is not the mesh but a pointer of Git LFS; run `git lfs pull` where it was cloned")
-    try:
-        loaded = trimesh.load_scene(file, process=False, skip_materials=True)
-        meshes = loaded.dump()
-    except ImportError as error:
-        if file.suffix.lower() == ".dae":
-            raise Unavailable(f"{file} needs the package pycollada; `pip install zarm[import]`") from error
-        raise _Unreadable(f"{file} cannot be read: {error}; export it again") from error
-    except Exception as error:  # parsers of broken files raise all kinds of errors
-        raise _Unreadable(f"{file} cannot be read: {' '.join(str(error).split())[:200]}; export it again") from error
-    parts = [np.asarray(mesh.triangles, np.float64) for mesh in meshes if hasattr(mesh, "triangles")]
-    if not parts or not sum(map(len, parts)):
-        raise _Unreadable(f"{file} holds no triangles; export it again")
-    count = sum(map(len, parts))
-    if not any(np.isfinite(part).all(axis=(1, 2)).any() for part in parts):
+    except mesh_files.Unreadable as error:
+        raise _Unreadable(f"{file} cannot be read: {error}") from error
+    if not np.isfinite(read.triangles).all(axis=(1, 2)).any():
         raise _Unreadable(f"{file} has only NaN or infinite coordinates; export it again")
-    if count > MOST_TRIANGLES:
-        raise _Unreadable(f"{file} has {count} triangles, more than {MOST_TRIANGLES}; simplify it")
-    triangles = np.concatenate(parts)
-    return triangles * _unit(file) if file.suffix.lower() == ".dae" else triangles
+    if len(read.triangles) > MOST_TRIANGLES:
+        raise _Unreadable(f"{file} has {len(read.triangles)} triangles, more than {MOST_TRIANGLES}; simplify it")
+    return read
 
 
-def _unit(file: Path) -> float:
-    """Metres per unit of a COLLADA file, as RViz interprets it."""
-    import collada
-
-    unit = collada.Collada(str(file), ignore=[collada.common.DaeError]).assetInfo.unitmeter
-    return float(unit) if unit else 1.0
-
-
-def _primitive(geometry: Geometry) -> Array:
+def _solid(geometry: Geometry) -> Array:
+    """The triangles of a primitive; those of a flat one are those of a thin solid."""
+    if not any(geometry.size):
+        return np.empty((0, 3, 3))
+    if geometry.kind == "box":
+        size = [one or THIN for one in geometry.size]
+    else:  # the radius, and a length
+        size = [geometry.size[0] or THIN / 2, *(one or THIN for one in geometry.size[1:])]
     match geometry.kind:
         case "box":
-            mesh = trimesh.creation.box(geometry.size)
+            mesh = trimesh.creation.box(size)
         case "cylinder":
-            mesh = trimesh.creation.cylinder(geometry.size[0], geometry.size[1], sections=48)
+            mesh = trimesh.creation.cylinder(size[0], size[1], sections=48)
         case "capsule":
-            mesh = trimesh.creation.capsule(geometry.size[1], geometry.size[0])
+            mesh = trimesh.creation.capsule(geometry.size[1], size[0])
         case _:
-            mesh = trimesh.creation.icosphere(subdivisions=3, radius=geometry.size[0])
+            mesh = trimesh.creation.icosphere(subdivisions=3, radius=size[0])
     return np.asarray(mesh.triangles, np.float64)

@@ -71,7 +71,12 @@ class Report:
             "",
             f"The chain leads from `{chain.base}` to `{chain.tip}` over {len(chain.joints)} joints. Home: "
             f"{', '.join(f'{value:.2f}' for value in self.home)} rad.",
+            "",
+            f"The arm's joints: {', '.join(f'`{joint.name}`' for joint in chain.joints)}. They are the moving joints in a row from the base on, up "
+            "to the end or to joints side by side or that mimic one another, unless `--tip` or `--joints` chose them.",
         ]
+        if chain.gripper:
+            lines += ["", f"Taken as a gripper: {', '.join(f'`{name}`' for name in chain.gripper)}."]
         if chain.fixed:
             lines += [
                 "",

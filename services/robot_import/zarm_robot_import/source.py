@@ -13,9 +13,9 @@ from functools import cache
 from io import StringIO
 from pathlib import Path
 from urllib.parse import unquote
-from xml.parsers import expat
 
 from zarm_contract.errors import InvalidRequest, Unavailable
+from zarm_contract.urdf_document import UrdfDocument, parse_urdf
 
 _ABOVE = 6
 """Number of folders above the source in which packages are searched."""
@@ -24,26 +24,43 @@ _ALIKE = 4
 _PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 _MARKS = codecs.BOM_UTF8 + codecs.BOM_UTF16 + b"\0 \t\r\n"
 """What may stand before the first element, in any encoding."""
+_ARGUMENT = re.compile(r"""<xacro:arg\s[^>]*?name\s*=\s*["']([^"']+)|\$\(arg\s+([^)\s]+)\s*\)""")
+"""A xacro's argument, where it is declared or used."""
 _NO_VALUE = re.compile(r"Undefined substitution argument (\w+)")
 
 
 @dataclass(frozen=True)
-class Source:
-    """A robot's XML. `lines` are those of the elements; for an expanded xacro they count in the expanded text."""
+class Source(UrdfDocument):
+    """A robot's XML. For an expanded xacro the `lines` count in the expanded text, which nobody has, so that its `files` are searched
+    for the name of what is at fault.
+    """
 
-    path: Path
-    root: ET.Element
-    lines: dict[ET.Element, int]
+    files: tuple[Path, ...]
     expanded: bool
     packages: tuple[Path, ...]
 
-    def fault(self, element: ET.Element, message: str) -> InvalidRequest:
-        """An error with file, line and remedy."""
-        return InvalidRequest(f"{self.place(element)}: {message}")
-
     def place(self, element: ET.Element) -> str:
-        """`file:line`."""
-        return f"{self.path}:{self.lines[element]}{' (of the expanded xacro)' if self.expanded else ''}"
+        """`file:line`; for an expanded xacro the line that names the element, or what it is part of, if there is one."""
+        if not self.expanded:
+            return super().place(element)
+        named = next((one for one in reversed(self._above(element)) if one.get("name")), None)
+        if named is None:
+            return f"{self.path}"
+        text = f'name="{named.get("name")}"'
+        for file in self.files:
+            lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+            for number, line in enumerate(lines, 1):
+                if f"<{named.tag}" in line and text in line:
+                    return f"{file}:{number}"
+        return f"{self.path} (in the expanded <{named.tag} {text}>)"
+
+    def _above(self, element: ET.Element) -> list[ET.Element]:
+        """The element and those around it, the outermost first."""
+        parents = {child: parent for parent in self.root.iter() for child in parent}
+        found = [element]
+        while found[0] in parents:
+            found.insert(0, parents[found[0]])
+        return found[1:]
 
     def file(self, name: str) -> Path | None:
         """The file that a URI in the XML names, None if there is none."""
@@ -78,34 +95,14 @@ def read_source(path: Path, packages: Sequence[Path] = (), arguments: Mapping[st
         raise InvalidRequest(f"{path} is empty; name a URDF or xacro")
     if not text.lstrip(_MARKS).startswith(b"<"):
         raise InvalidRequest(f"{path} is no XML; name a URDF or xacro")
+    files: tuple[Path, ...] = (path,)
     expanded = b"xacro:" in text or b"${" in text or path.suffix == ".xacro"
     if expanded:
-        text = _expanded(path, packages, arguments or {})
+        text, files = _expanded(path, packages, arguments or {})
     elif arguments:
         raise InvalidRequest(f"{path} is no xacro file, so it takes no arguments", field="--arg")
-    lines: dict[ET.Element, int] = {}
-    builder = ET.TreeBuilder()
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(text, True)
-    except (LookupError, ValueError) as error:  # of an encoding that Python does not know
-        raise InvalidRequest(f"{path}: {error}; save the file as UTF-8") from error
-    except expat.ExpatError as error:
-        raise InvalidRequest(
-            f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}; correct this line"
-        ) from error
-    root = builder.close()
-    source = Source(path, root, lines, expanded, packages)
-    if root.tag != "robot":
-        raise source.fault(root, f"a URDF starts with <robot>; this file starts with <{root.tag}>")
-    return source
+    document = parse_urdf(path, text)
+    return Source(document.path, document.root, document.lines, files, expanded, packages)
 
 
 def fingerprint(path: Path) -> bytes:
@@ -161,8 +158,10 @@ def _named(folder: Path) -> str | None:
         return None
 
 
-def _expanded(path: Path, packages: Sequence[Path], arguments: Mapping[str, str]) -> bytes:
+def _expanded(path: Path, packages: Sequence[Path], arguments: Mapping[str, str]) -> tuple[bytes, tuple[Path, ...]]:
+    """The expanded text, and the files that it is made of."""
     try:
+        import xacro
         from xacro import init_stacks
         from xacrodoc import XacroDoc
         from xacrodoc import packages as finder
@@ -176,13 +175,19 @@ def _expanded(path: Path, packages: Sequence[Path], arguments: Mapping[str, str]
     finder.reset()
     finder.look_in([str(folder) for folder in packages])
     while True:
+        xacro.all_includes.clear()
         init_stacks(None)  # after a failure xacro would still search beside the previous file
         try:
             # xacro resolves an include without a folder in the working directory.
             with redirect_stdout(StringIO()), redirect_stderr(StringIO()), chdir(path.parent):
                 expanded = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
                 text: str = expanded.to_urdf_string()
-            return text.encode()
+                included = (Path(name).resolve() for name in xacro.all_includes)
+                files = tuple(dict.fromkeys((path, *(file for file in included if file.is_file()))))
+            _check_arguments(path, files, arguments)
+            return text.encode(), files
+        except InvalidRequest:
+            raise
         except Exception as error:  # xacro raises whatever its expressions raise
             missing = getattr(error, "exc", error)  # the error in an xacro expression
             if isinstance(missing, finder.PackageNotFoundError):
@@ -200,3 +205,13 @@ def _expanded(path: Path, packages: Sequence[Path], arguments: Mapping[str, str]
                 else "correct it there"
             )
             raise InvalidRequest(f"{path}: xacro cannot expand it: {reason}; {remedy}") from error
+
+
+def _check_arguments(path: Path, files: Sequence[Path], arguments: Mapping[str, str]) -> None:
+    """Raise InvalidRequest for an argument that no file of a xacro has: xacro itself ignores it."""
+    texts = [file.read_text(encoding="utf-8", errors="replace") for file in files]
+    known = {declared or used for text in texts for declared, used in _ARGUMENT.findall(text)}
+    for name in arguments:
+        if name not in known:
+            there = f"there are {', '.join(sorted(known))}" if known else "it takes none"
+            raise InvalidRequest(f"{path} has no argument {name}; {there}", field="--arg")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import os
 import re
 import warnings
@@ -31,7 +30,7 @@ _WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], folder: Path) -> str:
     """The arm as a URDF for a file in `folder`: its links as in the source, and only its joints move."""
     root = ET.Element("robot", name=robot.name)
-    root.append(ET.Comment(f" Made by zarm robot import from {robot.source.path.name}. "))
+    root.append(ET.Comment(f" Made by zarm robot import from {_shown(robot.source.path)}. "))
     for mounted in chain.mounted:
         link = copy.deepcopy(robot.links[mounted.link].element)
         for mesh in link.iter("mesh"):
@@ -50,10 +49,15 @@ def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], f
         bounds = {} if joint.type == "continuous" else {"lower": f"{limit.lower:.9g}", "upper": f"{limit.upper:.9g}"}
         ET.SubElement(element, "limit", bounds | {"velocity": f"{limit.velocity:.9g}", "effort": effort})
         root.append(element)
+    names = {joint.name for joint in chain.joints}
     for mounted in chain.mounted:
         carrier = chain.carriers[mounted.body]
         if mounted.link != carrier:
-            root.append(_joint(f"{mounted.link}_fixed", "fixed", carrier, mounted.link, mounted.pose))
+            joint = f"{mounted.link}_fixed"
+            while joint in names:
+                joint += "_"
+            names.add(joint)
+            root.append(_joint(joint, "fixed", carrier, mounted.link, mounted.pose))
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -98,7 +102,9 @@ def descriptor_text(
         "# Free, far from joint limits and singularities.",
         f"home: {_list(home)}",
         "",
-        f"# Assumed, because the URDF does not say it: {', '.join(assumed)}. Replace it by what the arm's manual says.",
+        f"# Assumed, because the URDF does not say it: {', '.join(assumed)}. Replace it by what the arm's manual says."
+        if assumed
+        else "# As the URDF says.",
         "cspace:",
         *(
             f"  {key}: {_list([getattr(limit, key) for limit in limits])}"
@@ -138,7 +144,21 @@ def _driver(controller: str) -> list[str]:
 
 def plain(text: str) -> str:
     """A name that YAML reads as text."""
-    return text if _PLAIN.fullmatch(text) and text.lower() not in _WORDS else json.dumps(text)
+    if _PLAIN.fullmatch(text) and text.lower() not in _WORDS:
+        return text
+    return f'"{"".join(map(_escaped, text))}"'
+
+
+def _escaped(character: str) -> str:
+    """As YAML writes it in quotes. JSON would write an emoji as two surrogates, which are no characters to YAML."""
+    if character in '"\\':
+        return f"\\{character}"
+    return character if character.isprintable() else f"\\U{ord(character):08x}"
+
+
+def _shown(file: Path) -> str:
+    """A file's name in a comment, which ends at a line break in YAML, and at `--` in XML."""
+    return "".join(one if one.isprintable() else " " for one in file.name).replace("--", "- -").replace("--", "- -")
 
 
 def _list(values: Sequence[float]) -> str:

@@ -166,7 +166,7 @@ class LocalGoal:
 
     def _errors(self, wanted: PoseTarget | JointTarget, position: Array) -> tuple[float, float, float]:
         if isinstance(wanted, JointTarget):
-            return 0.0, 0.0, float(np.abs(wanted.position - position).max())
+            return 0.0, 0.0, float(np.abs(wanted.distance(self._model, position)).max())
         return (*_between(wanted.pose, self._model.fk_tip(position)), 0.0)
 
     def _ahead(self, plan: GlobalPlan, position: Array) -> Array:

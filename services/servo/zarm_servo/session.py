@@ -251,7 +251,7 @@ class Session:
     def _errors(self, snapshot: Snapshot, position: Array) -> dict[str, float]:
         target = snapshot.target
         if isinstance(target, JointTarget):
-            return {"joint_error": float(np.abs(target.position - position).max())}
+            return {"joint_error": float(np.abs(target.distance(self._model, position)).max())}
         if not isinstance(target, PoseTarget):
             return {}
         tip, pose = self._model.fk_tip(position), target.after(snapshot.age or 0.0)

@@ -10,6 +10,7 @@ import numpy as np
 
 from zarm_geometry.robot_model import RobotModel
 from zarm_trajectory.quintic import Array
+from zarm_trajectory.turns import whole_turns
 
 GAIN = 8.0
 """Joint speed per distance, 1/s: a small distance halves every 0.09 s."""
@@ -72,9 +73,14 @@ class JointSpeedTarget:
 
 @dataclass(frozen=True)
 class JointTarget:
-    """Bring the joints to `position` (J,) in rad."""
+    """Bring the joints to `position` (J,) in rad, continuous ones the short way."""
 
     position: Array
+
+    def distance(self, model: RobotModel, position: Array) -> Array:
+        """How far (J,) in rad the joints at `position` (J,) have to go."""
+        distance = self.position - position
+        return distance - whole_turns(distance, model.continuous)
 
 
 Target = PoseTarget | TwistTarget | JointSpeedTarget | JointTarget
@@ -100,7 +106,7 @@ def wish(model: RobotModel, target: Target, age: float, position: Array, speed: 
     if isinstance(target, JointSpeedTarget):
         return Wish(within_speed(target.velocity, speed), np.eye(model.dof), (math.inf, np.zeros(model.dof)))
     if isinstance(target, JointTarget):
-        velocity = within_speed(_approach(target.position - position, acceleration), speed)
+        velocity = within_speed(_approach(target.distance(model, position), acceleration), speed)
         return Wish(velocity, np.eye(model.dof), (math.inf, np.zeros(model.dof)))
     jacobian = model.tip_jacobian(position)
     u, values, v = np.linalg.svd(jacobian, full_matrices=False)

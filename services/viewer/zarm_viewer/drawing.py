@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-import collada
 import numpy as np
 import trimesh
 import viser
@@ -17,6 +16,7 @@ from viser.transforms import SE3
 
 from zarm_contract.messages import Capsule, Cuboid, Cylinder, Mesh, SceneObject, Sphere, Voxels
 from zarm_contract.robot import CollisionCapsule, CollisionCuboid, CollisionCylinder, CollisionPrimitive
+from zarm_geometry import mesh_files
 from zarm_viewer.kinematics import pose_of
 
 Colour = tuple[int, int, int]
@@ -84,22 +84,11 @@ def link_mesh(primitives: Sequence[CollisionPrimitive]) -> trimesh.Trimesh:
 def file_mesh(file: Path, scale: tuple[float, float, float]) -> trimesh.Trimesh:
     """The triangles of a file in m, times `scale`. Raises ValueError and OSError if it cannot be read."""
     try:
-        mesh: Any = trimesh.load_mesh(file, process=False, skip_materials=True)
-        unit = _metres(file) if file.suffix.lower() == ".dae" else 1.0
-    except (ValueError, OSError):
-        raise
-    except Exception as error:  # parsers of broken files raise all kinds of errors
+        read = mesh_files.read(file.name, file.read_bytes(), lambda name: (file.parent / name).read_bytes())
+    except mesh_files.Unreadable as error:
         raise ValueError(f"{file} cannot be read: {error}") from error
-    if not len(mesh.faces):
-        raise ValueError(f"{file} cannot be read: it holds no triangles")
-    mesh.apply_scale(unit * np.array(scale))
-    return _edged(mesh)
-
-
-def _metres(file: Path) -> float:
-    """Metres per unit of a COLLADA file, as RViz interprets it; trimesh ignores it."""
-    unit = collada.Collada(str(file), ignore=[collada.common.DaeError]).assetInfo.unitmeter
-    return float(unit) if unit else 1.0
+    points = read.triangles.reshape(-1, 3) * scale
+    return _edged(trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3), process=False))
 
 
 def draw_object(brush: Brush, name: str, item: SceneObject, meshes: tuple[Path, ...]) -> SceneNodeHandle | None:

@@ -201,7 +201,8 @@ class _Home:
         self._before = descriptor.home
         self._sliders = []
         server.gui.add_markdown("The joints at home (rad, m):")
-        for joint, low, high, at in zip(descriptor.joints, robot.lower, robot.upper, descriptor.home, strict=True):
+        limits = robot.range_about(descriptor.home)
+        for joint, low, high, at in zip(descriptor.joints, *limits, descriptor.home, strict=True):
             slider = server.gui.add_slider(joint, min=low, max=high, step=STEP, initial_value=at)
             slider.on_update(lambda _: self._show(arm))
             self._sliders.append(slider)

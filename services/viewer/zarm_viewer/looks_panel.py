@@ -52,6 +52,8 @@ class LooksPanel:
             for joint, at, low, high in zip(
                 robot.descriptor.joints, self._desk.joints, robot.lower, robot.upper, strict=True
             ):
+                if np.isinf(low):
+                    continue
                 room = f"{np.degrees(at - low):.0f}° down, {np.degrees(high - at):.0f}° up"
                 lines.append(f"{joint}: " + (f"**{room}**" if min(at - low, high - at) < NEAR else room))
         put(self._text, "  \n".join(lines), "content")

@@ -119,11 +119,10 @@ class MotionPanel:
 
     def _add_joints(self) -> None:
         robot, gui = self._desk.description, self._desk.server.gui
+        lower, upper = robot.range_about(self._desk.joints)
         self._sliders = [
             gui.add_slider(joint, *_degrees(low, high), 0.1, float(np.degrees(at)))
-            for joint, low, high, at in zip(
-                robot.descriptor.joints, robot.lower, robot.upper, self._desk.joints, strict=True
-            )
+            for joint, low, high, at in zip(robot.descriptor.joints, lower, upper, self._desk.joints, strict=True)
         ]
 
         def slide() -> None:

@@ -53,7 +53,7 @@ class PlotsPanel:
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         cspace = desk.description.descriptor.cspace
-        lower, upper = np.array(desk.description.lower), np.array(desk.description.upper)
+        lower, upper = map(np.array, desk.description.range_about(desk.description.descriptor.home))
         self._middle, half = (upper + lower) / 2, (upper - lower) / 2
         self._limits = (half, np.array(cspace.velocity), np.array(cspace.acceleration), np.array(cspace.jerk))
         self._plan: Plan | None = None

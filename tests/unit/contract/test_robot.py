@@ -32,11 +32,13 @@ def test_a_descriptor_and_its_urdf_make_a_robot(pendulum: Path) -> None:
     assert robot.urdf_path == pendulum.with_name("pendulum.urdf")
 
 
-def test_a_continuous_joint_gets_one_turn_either_way(pendulum: Path) -> None:
+def test_a_continuous_joint_has_no_limits_and_is_shown_in_one_turn(pendulum: Path) -> None:
     urdf = pendulum.with_name("pendulum.urdf")
     replace(urdf, 'type="revolute"', 'type="continuous"')
     robot = load_robot(str(pendulum))
-    assert (robot.lower, robot.upper) == ((-math.tau,), (math.tau,))
+    assert (robot.lower, robot.upper) == ((-math.inf,), (math.inf,))
+    lower, upper = robot.range_about((15.0,))
+    assert (*lower, *upper) == pytest.approx((15.0 - math.pi, 15.0 + math.pi), abs=1e-5)
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".urdf"])

@@ -98,11 +98,11 @@ def test_a_robot_that_takes_whole_trajectories_alone_may_have_any_control_rate(a
     [
         ('  <link name="link_6"/>', '  <link name="link_6">', "not well-formed XML: mismatched tag"),
         ('<origin xyz="0 0 0.1525"', '<mimic joint="joint_2"/><origin xyz="0 0 0.1525"', "joint joint_1 mimics another; make it fixed at the position it is used in"),
-        ('xyz="0 -0.121 0"', 'xyz="0 -0.121"', "joint joint_6: xyz='0 -0.121' must be three finite numbers"),
-        ('xyz="0 -0.121 0"', 'xyz="0 ${d6} 0"', "joint joint_6: xyz='0 ${d6} 0' must be three finite numbers; this is a xacro file: expand it first with `xacro`"),
-        ('lower="-2.7925"', 'lower="2.8"', "joint joint_3 has its lower limit 2.8 above its upper limit 2.7925"),
+        ('xyz="0 -0.121 0"', 'xyz="0 -0.121"', "joint joint_6: xyz='0 -0.121' must be 3 finite numbers"),
+        ('xyz="0 -0.121 0"', 'xyz="0 ${d6} 0"', "joint joint_6: xyz='0 ${d6} 0' must be 3 finite numbers; this is a xacro file: expand it first with `xacro`"),
+        ('lower="-2.7925"', 'lower="2.8"', "joint joint_3 has its lower limit 2.8 above its upper limit 2.7925; swap them"),
         ('lower="-2.7925" upper="2.7925"', "", "joint joint_3 cannot move: both limits are 0.0; give a range or make it fixed"),
-        ('name="joint_6" type="revolute"', 'name="joint_6" type="hinge"', "joint joint_6 has the type hinge; known are revolute, continuous, prismatic, fixed"),
+        ('name="joint_6" type="revolute"', 'name="joint_6" type="hinge"', "joint joint_6 has the type hinge; known are revolute, continuous, prismatic, fixed, floating, planar"),
         ('<robot name="doosan_m1013">', "<sdf>", "not well-formed XML: mismatched tag"),
     ],
 )  # fmt: skip

@@ -28,7 +28,7 @@ JOINTS = ROBOT.descriptor.joints
 def link(endpoint: str) -> Iterator[DriverLink]:
     assert ROBOT.descriptor.strategy_params is not None
     with Bus(endpoint) as bus:
-        yield DriverLink(bus, KEYS, ROBOT.descriptor, ROBOT.descriptor.strategy_params)
+        yield DriverLink(bus, KEYS, ROBOT, ROBOT.descriptor.strategy_params)
 
 
 def state(names: tuple[str, ...], values: tuple[float, ...]) -> JointState:

@@ -38,11 +38,11 @@ def finger(name: str, palm: str, count: int) -> list[Row]:
     ("more", "expected"),
     [
         ([], "link_5"),
-        ([("wrist_roll", "link_5", "gripper_link"), ("gripper", "gripper_link", "moving_jaw")], "gripper_link"),
-        ([("gripper", "link_5", "moving_jaw")], "link_5"),
+        ([("wrist_roll", "link_5", "gripper_link"), ("gripper", "gripper_link", "moving_jaw")], "moving_jaw"),
+        ([("gripper", "link_5", "moving_jaw")], "moving_jaw"),
         ([*finger("thumb", "link_5", 4), *finger("index", "link_5", 4)], "link_5"),
     ],
-    ids=["the last link", "a turning gripper", "a jaw", "a hand with long fingers"],
+    ids=["the last link", "a turning gripper in a row", "names that mean nothing", "a hand with long fingers"],
 )
 def test_an_arm_ends_where_what_grips_begins(tmp_path: Path, more: list[Row], expected: str) -> None:
     assert tip(tmp_path, [*ARM, *more]) == expected

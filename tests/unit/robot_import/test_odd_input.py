@@ -172,8 +172,12 @@ XACRO = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot
         ),
         (two_joints(more=weighed("-1", "1 0 0 1 0 1")), {}, "link lump has a mass of -1 kg; write a positive one"),
         (two_joints(more=weighed("1", "1 0 0 nan 0 1")), {}, "link lump: iyy='nan' must be a finite number"),
-        (two_joints(more=FINGER), {"fixed": {"slide": 4.0}}, "outside of the joint's limits, 0 to 0.04"),
-        (two_joints(more=FINGER), {"fixed": {"slide": math.nan}}, "outside of the joint's limits, 0 to 0.04"),
+        (two_joints(more=FINGER), {"tip": "l2", "fixed": {"slide": 4.0}}, "outside of the joint's limits, 0 to 0.04"),
+        (
+            two_joints(more=FINGER),
+            {"tip": "l2", "fixed": {"slide": math.nan}},
+            "outside of the joint's limits, 0 to 0.04",
+        ),
     ],
 )
 def test_what_cannot_be_imported_is_said_in_one_sentence_and_leaves_nothing(

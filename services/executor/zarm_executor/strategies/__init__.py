@@ -27,7 +27,7 @@ def build_strategies(robot: RobotDescription, folder: Path, bus: Bus, keys: Keys
     registry.add(Emulator(emulated, RateLimits.of(descriptor)))
     registry.add(GhostOnly(emulated))
     params = descriptor.strategy_params
-    link = None if params is None else DriverLink(bus, keys, descriptor, params)
+    link = None if params is None else DriverLink(bus, keys, robot, params)
     for name in DRIVER_STRATEGIES:
         if params is None or link is None:
             registry.rule_out(

@@ -10,12 +10,13 @@ import numpy as np
 from zarm_contract.errors import Unavailable
 from zarm_contract.keys import Keys
 from zarm_contract.messages import DriverCommand, DriverProgress, JointState
-from zarm_contract.robot import RobotDescriptor, StrategyParams
+from zarm_contract.robot import RobotDescription, StrategyParams
 from zarm_executor.strategies.base import Measured
 from zarm_runtime.bus import Bus
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.rate_bounds import RateLimits
 from zarm_trajectory.trajectory import TimedTrajectory
+from zarm_trajectory.turns import whole_turns
 
 log = logging.getLogger(__name__)
 
@@ -33,11 +34,17 @@ _CLOCK_PATIENCE = 1.0
 class DriverLink:
     """Speaks to the driver that `params` describes. `joints` are in the executor's order; the driver has its own.
 
+    A driver may report a continuous joint within one turn, and begin another turn at its limit. So `measured` goes on
+    counting turns from the joints before, while what is sent goes on from the turn that the driver reports at `begin`.
+
     `bus` should carry little else: a slow reader of other keys must not hold up the robot.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, descriptor: RobotDescriptor, params: StrategyParams) -> None:
+    def __init__(self, bus: Bus, keys: Keys, robot: RobotDescription, params: StrategyParams) -> None:
+        descriptor = robot.descriptor
         self.params = params
+        self._continuous = robot.continuous
+        self._turns = self._begun_at = np.zeros(len(descriptor.joints))
         self.execution = descriptor.execution
         self.joints = descriptor.joints
         self.limits = RateLimits.of(descriptor)
@@ -58,6 +65,13 @@ class DriverLink:
 
     # -- to the driver --
 
+    def begin(self) -> None:
+        """A motion begins from rest: what is sent from now on is in the turns that the driver reports now, as a driver
+        that is started again may count anew.
+        """
+        self.measured()
+        self._begun_at = self._turns
+
     def send(self, points: TimedTrajectory, *, positions_only: bool = False) -> int:
         """Make the driver play these points from now on; returns the command's sequence number.
 
@@ -69,7 +83,7 @@ class DriverLink:
             raise Unavailable(f"no driver publishes the robot's joints on {self._key}")
         position, velocity, acceleration = (
             tuple(zip(*rows.T[self._columns].tolist(), strict=True))
-            for rows in (points.position, points.velocity, points.acceleration)
+            for rows in (points.position - self._begun_at, points.velocity, points.acceleration)
         )
         return self._put(
             DriverCommand(
@@ -109,6 +123,9 @@ class DriverLink:
         if order is not None and state.stamp != self._stamp and not self._held_up(state.stamp, at):
             self._stamp = state.stamp
             position, velocity = np.array((state.position, state.velocity))[:, order]
+            if self._measured is not None:
+                self._turns = whole_turns(self._measured.position - position, self._continuous)
+                position = position + self._turns
             self._measured = Measured(position, velocity, at, state.stamp)
             if self._stood is None or np.any(np.abs(self._measured.position - self._stood.position) > _STILL):
                 self._stood = self._measured

@@ -69,6 +69,7 @@ class JointTrajectory(DriverStrategy):
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Play the whole of `trajectory` from the next tick on."""
+        self.link.begin()
         self._trajectory, self._speed = trajectory, speed
         self._braking = self._stopping = self._resuming = False
         self._lost_at = None

@@ -77,6 +77,7 @@ class Streaming(DriverStrategy, Steerable):
 
     def start(self, trajectory: TimedTrajectory, speed: float) -> None:
         """Begin at the start of `trajectory`."""
+        self.link.begin()
         begin = trajectory.begin
         self._follower = Follower(trajectory, self.link.limits, time=begin, speed=speed, target=speed)
         self._reference = Reference(self._memory)

@@ -25,6 +25,7 @@ from zarm_planner.goals.contact import clear_pose, edge_is_free, points, way_out
 from zarm_planner.goals.joints import within_range
 from zarm_planner.kernels.inverse import DISTINCT
 from zarm_planner.kinematics.ik import IkResult, solve_ik
+from zarm_trajectory.turns import TURN, whole_turns
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,10 @@ class End(NamedTuple):
     free: Array
     way: Array
     pose: int | None = None
+
+    def turned(self, turns: Array) -> Self:
+        """The same end after whole turns (dof,) in rad of continuous joints."""
+        return self._replace(asked=self.asked + turns, free=self.free + turns, way=self.way + turns)
 
     @classmethod
     def at(cls, q: Array) -> Self:
@@ -113,11 +118,13 @@ def goal_ends(
 ) -> tuple[End, ...]:
     """The configurations that reach a goal, which is the request's `field`; the one nearest to `start` first.
 
-    For a goal set, those that reach any of its poses. Raises PlanningFailed (`unreachable`, `goal_in_collision`),
+    For a goal set, those that reach any of its poses. Continuous joints turn the short way from `start`; with
+    `thorough_ik`, one of them also the long way. Raises PlanningFailed (`unreachable`, `goal_in_collision`),
     InvalidRequest for joints out of range and for a goal that breaks the constraint, and the deadline's error.
     """
     if isinstance(goal, JointGoal):
         q = within_range(context.model, goal.position, f"{field}.position")
+        q = q + whole_turns(start - q, context.model.continuous)
         if is_free(context.model, context.world, q):
             end: End | None = End.at(q)
             context.assumptions.append(partial(_check_goal, context, q, field))
@@ -128,7 +135,7 @@ def goal_ends(
             raise _blocked(context, [(0.0, q)]).of_goal(field)
         if constraint is not None and (fault := _broken(constraint, context.model.fk_tip(q))):
             raise fault.of_goal(field)
-        return (end,)
+        return _with_long_ways(context, start, [end])
     ends: list[End] = []
     faults: list[_Fault] = []
     poses = goal.poses
@@ -143,7 +150,19 @@ def goal_ends(
         raise faults[0].of_goal(field) if len(faults) == 1 else _of_all(faults, field)
     if goal.alternatives:
         ends.sort(key=lambda end: float(np.sum((end.asked - start) ** 2)))
-    return tuple(ends)
+    return _with_long_ways(context, start, ends)
+
+
+def _with_long_ways(context: PlanningContext, start: Array, ends: list[End]) -> tuple[End, ...]:
+    """These ends; with `thorough_ik` then also those that turn one continuous joint the long way from `start` (dof,),
+    since something may be in the short way.
+    """
+    longer: list[End] = []
+    if context.thorough_ik:
+        for joint in np.flatnonzero(context.model.continuous):
+            turn = TURN * np.eye(context.model.dof)[joint]
+            longer += [end.turned(turn if end.asked[joint] < start[joint] else -turn) for end in ends]
+    return (*ends, *longer)
 
 
 def _check_goal(context: PlanningContext, q: Array, field: str) -> None:

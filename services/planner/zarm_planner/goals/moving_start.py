@@ -6,7 +6,7 @@ The path of a plan begins where the braking comes to rest; smoothing in time the
 from __future__ import annotations
 
 from functools import partial
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,8 @@ def state_of(model: RobotModel, limits: Limits, start: StartState) -> Array:
     """The state (3, dof) of a request. Raises InvalidRequest if it is outside the joint ranges or `limits`."""
     rows = ("position", "velocity", "acceleration")
     state = np.stack([checked(model, getattr(start, row), f"start_state.{row}") for row in rows])
-    middle, reach = (model.lower + model.upper) / 2, (model.upper - model.lower) / 2 + RANGE
-    least = np.stack((middle - reach, -limits.velocity * LOAD, -limits.acceleration * LOAD**2))
-    most = np.stack((middle + reach, limits.velocity * LOAD, limits.acceleration * LOAD**2))
+    least = np.stack((model.lower - RANGE, -limits.velocity * LOAD, -limits.acceleration * LOAD**2))
+    most = np.stack((model.upper + RANGE, limits.velocity * LOAD, limits.acceleration * LOAD**2))
     for k, j in np.argwhere((state < least) | (state > most)).tolist():
         joint = model.robot.descriptor.joints[j]
         raise InvalidRequest(
@@ -58,7 +57,7 @@ def moving_start(context: PlanningContext, state: Array, *, vias: bool) -> tuple
     ways = partial(
         ways_to_rest, context.model, context.world, state, context.limits, context.dt, vias=vias, seed=context.seed
     )
-    for lead_in in chain.from_iterable(ways(share=share) for share in _SHARES):
+    for lead_in in chain.from_iterable(ways(share=share, soon=soon) for soon, share in product((False, True), _SHARES)):
         context.deadline.check()
         trajectory = brake_to_rest(context.model, context.world, lead_in, context.limits, context.dt)
         try:

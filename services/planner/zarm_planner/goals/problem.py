@@ -65,14 +65,14 @@ class PlanningProblem:
         return cls(begin, tuple(targets), goal, constraint, lead_in)
 
     def with_thorough_ik(self, context: PlanningContext) -> PlanningProblem:
-        """The same problem with all solutions for poses that are free in exact geometry, and no others; raises as `of`
-        does.
+        """The same problem with all solutions for poses that are free in exact geometry, and no others, and with the long
+        ways round of continuous joints; raises as `of` does.
 
         Spheres may miss a collision: of pairs of links that the descriptor leaves to the exact check, or where they do
         not contain a link. And there may be no path to those few solutions that are considered at first where there is
         little room.
         """
-        if all(end.pose is None for ends in self.targets for end in ends):
+        if all(end.pose is None for ends in self.targets for end in ends) and not context.model.continuous.any():
             return self
         start, motion = self.beginning
         return self.of(replace(context, thorough_ik=True), start, self.goal, motion)

@@ -134,7 +134,7 @@ def _in_step(
         if not lacking:
             break
         deadline.check()
-        starts = random.uniform(model.lower, model.upper, (_STARTS * max_solutions, model.dof))
+        starts = random.uniform(*model.range_about(near), (_STARTS * max_solutions, model.dof))
         if len(lacking) == len(poses):
             starts[0] = np.clip(near, model.lower, model.upper)
         solver = pk.PseudoInverseIK(
@@ -235,15 +235,16 @@ def _urdf(model: RobotModel) -> str:
     demands.
     """
     robot = model.robot
-    ranges = dict(zip(robot.descriptor.joints, zip(model.lower, model.upper, strict=True), strict=True))
+    lower, upper = robot.range_about([0.0] * model.dof)
+    ranges = dict(zip(robot.descriptor.joints, zip(lower, upper, strict=True), strict=True))
     parts = [f"<link name={quoteattr(robot.descriptor.base_link)}/>"]
     for joint in robot.urdf.chain(robot.descriptor.base_link, robot.descriptor.tip_link):
         xyz, rpy, axis = (" ".join(map(repr, values)) for values in (joint.xyz, joint.rpy, joint.axis))
         kind, motion = joint.type, ""
         if joint.name in ranges:
             kind = "prismatic" if joint.type == "prismatic" else "revolute"
-            lower, upper = ranges[joint.name]
-            motion = f'<axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
+            low, high = ranges[joint.name]
+            motion = f'<axis xyz="{axis}"/><limit lower="{low}" upper="{high}" effort="1" velocity="1"/>'
         parts.append(
             f'<link name={quoteattr(joint.child)}/><joint name={quoteattr(joint.name)} type="{kind}">'
             f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"

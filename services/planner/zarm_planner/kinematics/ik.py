@@ -45,14 +45,16 @@ def solve_ik(
 ) -> IkResult:
     """Solve for a pose (4, 4) of the tip in the base frame, to 1e-6 m and 1e-6 rad, starting at `near` (dof,).
 
-    Solutions differ by more than 0.1 rad in some joint; a joint with a range of several turns gives one for each turn.
+    Solutions differ by more than 0.1 rad in some joint; a joint with a range of several turns gives one for each turn,
+    a continuous joint only the one nearest to `near`.
     With a `world`, solutions collide in spheres neither with it nor with the robot itself. With `max_solutions` 1, the
     first one found is returned: the one that `near` leads to, unless that collides.
     """
     free = np.empty((max_solutions, model.dof))
     colliding = np.empty((_COLLIDING, model.dof))
+    lower, upper = model.range_about(near)
     found = solve(
-        chain_of(model),
+        chain_of(model)._replace(lower=lower, upper=upper),
         model.arrays,
         (world or _NOTHING).arrays,
         working_memory(model.arrays),
@@ -87,7 +89,7 @@ def with_turns(model: RobotModel, solutions: Array, near: Array, most: int) -> A
     rows = _nearest_first(solutions, near)
     if most == 1:
         return rows
-    for k in np.flatnonzero(model.revolute & (model.upper - model.lower >= TURN)):
+    for k in np.flatnonzero(model.revolute & (model.upper - model.lower >= TURN) & ~model.continuous):
         # A row that is not among the nearest after turning one joint will not be after turning another one away too.
         turns = np.arange(-((model.upper[k] - model.lower[k]) // TURN), (model.upper[k] - model.lower[k]) // TURN + 1)
         turned = np.repeat(rows, len(turns), axis=0)

@@ -91,17 +91,20 @@ class _Grid:
     """The ranges of the first joints in cells; `blocked` says whether one is proven to hold nothing free."""
 
     def __init__(self, model: RobotModel, shapes: Array, balls: _Balls, count: int) -> None:
-        span = (model.upper - model.lower)[:count]
+        # A continuous joint has the cells of one turn, and its last one is beside its first.
+        self._turning = model.continuous[:count]
+        lower, upper = np.where(model.continuous, ((-np.pi,), (np.pi,)), (model.lower, model.upper))[:, :count]
+        span = upper - lower
         # Cells have about the same edge length in every joint.
         edge = (np.prod(span) / _CELLS[count - 1]) ** (1 / count)
         self._shape = np.maximum(1, np.floor(span / edge)).astype(np.int64)
-        self._lower, self._size = model.lower[:count], span / self._shape
+        self._lower, self._size = lower, span / self._shape
         self._model, self._shapes, self._balls, self._count = model, shapes, balls, count
 
     def cells(self, q: Array) -> Cells:
         """The cells (n,) that contain joints (n, dof)."""
         at = np.floor((q[:, : self._count] - self._lower) / self._size).astype(np.int64)
-        return self._number(np.clip(at, 0, self._shape - 1))
+        return self._number(np.where(self._turning, at % self._shape, np.clip(at, 0, self._shape - 1)))
 
     def part(self, starts: Cells, goals: Cells, deadline: Deadline) -> NDArray[np.intp] | None:
         """The shapes that separate the starts from the goals; None if they are connected, or at the deadline.
@@ -144,6 +147,7 @@ class _Grid:
         """The cells that share a face with one of the given cells, each once."""
         step = np.eye(self._count, dtype=np.int64)
         at = (self._at(cells)[:, None] + np.concatenate([step, -step])).reshape(-1, self._count)
+        at = np.where(self._turning, at % self._shape, at)
         return np.unique(self._number(at[np.all((at >= 0) & (at < self._shape), axis=1)]))
 
     def blocked_by(self, cells: Cells) -> NDArray[np.intp]:

@@ -19,7 +19,7 @@ from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.kernels.lead_in import brake
 from zarm_planner.kernels.ramps import Ramps, make_ramps
-from zarm_planner.timing.averaging import averaging_window, gentle_acceleration
+from zarm_planner.timing.averaging import DEVIATION, SHORTEST, of_rates
 from zarm_planner.timing.sampling import TOLERANCE
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -56,17 +56,27 @@ def ways_to_rest(
     vias: bool,
     seed: int,
     share: float = 1.0,
+    soon: bool = False,
 ) -> Iterator[LeadIn]:
     """Ways to brake from `state` (3, dof) inside the joint ranges: first one that is free in spheres, if any, then
     others.
 
-    They accelerate by at most a `share` of the limits; with `vias` of an acceleration as gentle as `smooth_path` makes
-    it in that case.
+    They accelerate by at most a `share` of the limits; with `vias` as gently as `smooth_path` does in that case. Averaging
+    is chosen for a motion through the joint ranges, or for coming to rest `soon`.
     """
     q, velocity, acceleration = state
-    strongest = share * (gentle_acceleration(limits, dt) if vias else limits.acceleration)
+    # A motion from one end of the range to the other, or once around.
+    ways = np.zeros(model.dof) if soon else np.minimum(model.upper - model.lower, 2 * np.pi)
+    used = of_rates(
+        ways,
+        np.stack((limits.velocity, share * limits.acceleration, limits.jerk)),
+        SHORTEST * dt,
+        deviation=DEVIATION if vias else np.inf,
+        begun=acceleration,
+        velocity=velocity,
+    )
+    strongest, window = used.acceleration, used.window
     strength = np.maximum(strongest, np.abs(acceleration))
-    window = averaging_window(0.5 * (strongest + strength), limits, dt)
     change = window * np.abs(acceleration) / strength
     begun = velocity + acceleration * 0.5 * change
     ramps = make_ramps(2, model.dof)
@@ -84,7 +94,7 @@ def ways_to_rest(
     )
     ramps.position[1] = ramps.position[0] + window * velocity
     ramps.velocity[1] = begun
-    fastest = np.maximum(limits.velocity, np.minimum(np.abs(begun), (1 + TOLERANCE) * limits.velocity))
+    fastest = np.maximum(used.velocity, np.minimum(np.abs(begun), (1 + TOLERANCE) * limits.velocity))
     bounds = np.stack((np.minimum(model.lower, q), np.maximum(model.upper, q), fastest, strongest))
     random = np.array([seed], np.uint64)
 

@@ -20,7 +20,7 @@ from zarm_planner.deadline import Deadline
 from zarm_planner.kernels.ramps import along, make_ramps, ramps_from
 from zarm_planner.kernels.sampling import knots, sample_average
 from zarm_planner.kernels.smoothing import smooth
-from zarm_planner.timing.averaging import DEVIATION, averaging_window, gentle_acceleration
+from zarm_planner.timing.averaging import DEVIATION, SHORTEST, Averaging, total_ways
 from zarm_planner.timing.lead_in import LeadIn
 from zarm_planner.timing.sampling import TOLERANCE, load, sample_times, within
 from zarm_trajectory.limits import Limits
@@ -65,15 +65,18 @@ class Smoothing:
         passed[list(vias)] = True
         self._ramps = make_ramps(len(path) + _ROOM, model.dof)
         if lead_in is None:
-            strongest = gentle_acceleration(limits, dt, deviation) if len(vias) else limits.acceleration
-            self._window, self._begin, led, fastest = averaging_window(strongest, limits, dt), 0.0, 0, limits.velocity
+            used = Averaging.of(total_ways(path), limits, SHORTEST * dt, deviation=deviation if len(vias) else np.inf)
+            self._window, self._begin, led = used.window, 0.0, 0
+            fastest, strongest = used.velocity, used.acceleration
         else:
             strongest, fastest, led = lead_in.strongest, lead_in.fastest, len(lead_in.ramps.duration)
             self._window = self._begin = lead_in.window
             for column, given in zip(self._ramps, lead_in.ramps, strict=True):
                 column[:led] = given
         self._bounds = np.array((model.lower, model.upper, fastest, strongest))
-        self._count = led + along(path, passed, limits.velocity, strongest, ramps_from(self._ramps, led))
+        self._count = led + along(
+            path, passed, np.minimum(fastest, limits.velocity), strongest, ramps_from(self._ramps, led)
+        )
         self._stretches = 1 + len(vias)
 
     @property
@@ -166,7 +169,4 @@ def least_duration(start: Array, goals: Array, limits: Limits, dt: float) -> flo
     """Lower bound (s) on the duration of `smooth_path` from `start` (dof,) to any of `goals` (n, dof), without
     obstacles.
     """
-    way = np.abs(goals - start)
-    ramp = limits.velocity**2 / limits.acceleration  # distance of a joint that accelerates fully and brakes again
-    time = np.where(way < ramp, 2 * np.sqrt(way / limits.acceleration), (way + ramp) / limits.velocity)
-    return float(time.max(axis=1).min()) + averaging_window(limits.acceleration, limits, dt)
+    return min(Averaging.of(way, limits, SHORTEST * dt).duration for way in np.abs(goals - start))

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
+from zarm_planner.timing.averaging import Averaging, of_rates
 from zarm_planner.timing.sampling import sample_times, within
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -30,6 +31,8 @@ from zarm_trajectory.trajectory import TimedTrajectory
 
 _SAMPLING = 0.01
 """Longest interval (s) between samples. Steps of acceleration are averaged over at least two, which prolongs the motion."""
+_SHORTEST = 2.0
+"""Least averaging time, in samples: a quintic between two samples cannot follow a step."""
 _STEP = 0.05
 """Length of path (rad) between points at which TOPPRA decides on a velocity."""
 _STEPS = 8
@@ -153,28 +156,23 @@ class _Profile:
         return area[i] + x * (s + x * (sd / 2 + x * sdd / 6)) + after_end, s + x * (sd + x * sdd / 2), sd + x * sdd
 
 
-def _window(acceleration: Array, limits: Limits, dt: float) -> float:
-    """The averaging time (s): from full acceleration to the opposite within the jerk limits.
-
-    At least two samples, because a quintic between two samples cannot follow a step.
-    """
-    return max(2 * dt, float(np.max(2 * acceleration / limits.jerk)))
-
-
 def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
     """From `a` to `b`: accelerate, keep the speed if there is room for it, brake."""
     edge = np.abs(b - a)
     length = float(np.linalg.norm(edge))
     with np.errstate(divide="ignore"):
-        top, rate = float(np.min(limits.velocity / edge)) * length, float(np.min(limits.acceleration / edge)) * length
-    top = min(top, math.sqrt(rate * length))
+        rates = (limits.rates / edge).min(
+            axis=1, keepdims=True
+        ) * length  # along the edge: the slowest joint determines each
+    used = of_rates(np.array((length,)), rates, _SHORTEST * dt)
+    rate = float(used.acceleration[0])
+    top = min(float(rates[0, 0]), math.sqrt(rate * length))
     ramp, keep = top * top / rate / 2, length - top * top / rate
     steps = np.array([ramp, keep, ramp] if keep > 1e-9 * length else [ramp, ramp])
     sd = np.array([0.0, *[top] * (len(steps) - 1), 0.0])
     t = np.cumsum(steps * 2 / (sd[1:] + sd[:-1]))
     curve = round_corners(np.stack([a, b]), 0.0)
-    window = _window(edge / length * rate, limits, dt)
-    return _Profile(curve, np.insert(np.cumsum(steps), 0, 0.0), sd, np.insert(t, 0, 0.0), window)
+    return _Profile(curve, np.insert(np.cumsum(steps), 0, 0.0), sd, np.insert(t, 0, 0.0), used.window)
 
 
 class _ToppraPath:
@@ -197,22 +195,28 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
 
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
-    toppra = TOPPRA(_constraints(limits), _ToppraPath(curve), gridpoints=s, solver_wrapper="seidel")
+    ways = np.abs(np.diff(curve.position, axis=0)).sum(axis=0)
+    used = Averaging.of(ways, limits, _SHORTEST * dt)
+    toppra = TOPPRA(
+        _constraints(tuple(used.velocity), tuple(used.acceleration)),
+        _ToppraPath(curve),
+        gridpoints=s,
+        solver_wrapper="seidel",
+    )
     toppra.compute_parameterization(0.0, 0.0)
     sd = toppra.problem_data.sd_vec
     if sd is None or not np.all(np.isfinite(sd)) or np.any(sd[1:] + sd[:-1] <= 0.0):
         return None
     t = np.insert(np.cumsum(2 * np.diff(s) / (sd[1:] + sd[:-1])), 0, 0.0)
-    moving = np.ptp(curve.position, axis=0) > 0.0
-    return _Profile(curve, s, sd, t, _window(limits.acceleration * moving, limits, dt))
+    return _Profile(curve, s, sd, t, used.window)
 
 
 @lru_cache(maxsize=16)
-def _constraints(limits: Limits) -> list[Any]:
+def _constraints(velocity: tuple[float, ...], acceleration: tuple[float, ...]) -> list[Any]:
     """The limits on velocity and acceleration for TOPPRA, which needs 0.5 ms to make them."""
     from zarm_planner.timing.toppra_without_plots import JointAccelerationConstraint, JointVelocityConstraint
 
-    return [JointVelocityConstraint(limits.velocity), JointAccelerationConstraint(limits.acceleration)]
+    return [JointVelocityConstraint(velocity), JointAccelerationConstraint(acceleration)]
 
 
 def joined(trajectories: Sequence[TimedTrajectory]) -> TimedTrajectory:
