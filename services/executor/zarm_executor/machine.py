@@ -13,7 +13,7 @@ mode      idle -> running -> idle                      a goal that succeeds, or 
 The machine knows neither bus nor clock nor files: commands come from any thread, `tick` from the control loop, and changes
 wait in `changes` until they are published.
 
-Several threads carry out commands, so each has an `arrival`; `arrivals.py` says which commands win over which.
+Several threads carry out commands, so each has an `arrival`; `command_order.py` says which commands win over which.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from collections import deque
 
 from zarm_contract.errors import Busy, Cancelled, ExecutionFailed, ExecutionRefused, Problem, Unavailable
 from zarm_contract.messages import Authority, ExecutorState, GoalState, RobotMode, SceneRevision
-from zarm_executor.arrivals import ArrivalOrder
+from zarm_executor.command_order import CommandOrder
 from zarm_executor.goal import Chunk, Goal, Outcome
 from zarm_executor.goal_execution import GoalExecution
 from zarm_executor.guard import Guard
@@ -53,7 +53,7 @@ class Machine:
     def __init__(self, strategy: Strategy, period: float, guard: Guard, *, speed_scale: float = 1.0) -> None:
         self._active = ActiveStrategy(strategy)
         self._clock = TickClock(period)
-        self._arrivals = ArrivalOrder()
+        self._order = CommandOrder()
         self._withdrawals = Withdrawals()
         self._guard, self._guarded = guard, False
         self._speed_scale = speed_scale
@@ -138,13 +138,13 @@ class Machine:
         """Raise Cancelled if a stop, a pause or a cancel of this goal arrived after the request to start it."""
         if goal_id in self._withdrawals:
             raise Cancelled(f"{goal_id} was cancelled before it started; the robot has not moved")
-        if self._arrivals.before_hold(arrival):
+        if self._order.before_hold(arrival):
             raise Cancelled("a stop or a pause came after this request; this motion has not started")
 
     def stop(self, why: str, arrival: float) -> None:
         """Cancel any motion. Nothing that arrived earlier is carried out any more."""
         with self._lock:
-            self._arrivals.stop(arrival)
+            self._order.stop(arrival)
             self.cancel(None, why, arrival)
 
     def cancel(self, goal_id: str | None, why: str, arrival: float) -> None:
@@ -153,7 +153,7 @@ class Machine:
             if goal_id is not None and self._motion_of(goal_id) is None:
                 self._withdrawals.withdraw(goal_id)
             if goal_id in (None, self._withdrawals.successor):
-                self._arrivals.end(arrival)
+                self._order.end(arrival)
             self._end(goal_id, _cancelled(why))
 
     def steer(self, goal_id: str, chunk: Chunk, limits: Limits) -> Goal | None:
@@ -249,7 +249,7 @@ class Machine:
     def pause(self, arrival: float) -> None:
         """Bring the running goal to rest and hold it."""
         with self._lock:
-            self._arrivals.pause(arrival)
+            self._order.pause(arrival)
             if self._motion is not None:
                 self._motion.pause()
 
@@ -259,7 +259,7 @@ class Machine:
         Raises what `GoalExecution.resume` raises.
         """
         with self._lock:
-            if self._motion is not None and not self._arrivals.before_hold(arrival):
+            if self._motion is not None and not self._order.before_hold(arrival):
                 self._motion.resume(self._speed_scale, scene, self._clock.now)
 
     def set_speed(self, speed_scale: float) -> None:
@@ -275,7 +275,7 @@ class Machine:
         If a switch left no strategy open, opens it again; if that raises its ZarmError, the fault stays.
         """
         with self._lock:
-            if self._arrivals.before_stop(arrival):
+            if self._order.before_stop(arrival):
                 return
             self._active.open()
             self._leave_fault()
@@ -311,7 +311,7 @@ class Machine:
             self._switching = False
 
     def _demand_no_stop_since(self, arrival: float) -> None:
-        if self._arrivals.before_stop(arrival):
+        if self._order.before_stop(arrival):
             raise Busy("a stop came after the request to switch; send it again")
 
     def end(self, patience: float) -> bool:

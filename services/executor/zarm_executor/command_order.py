@@ -7,7 +7,7 @@ late, however long it waited.
 from __future__ import annotations
 
 
-class ArrivalOrder:
+class CommandOrder:
     """The arrivals of the latest commands that win over earlier ones."""
 
     def __init__(self) -> None:
