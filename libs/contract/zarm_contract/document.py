@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import yaml
 
@@ -27,7 +27,7 @@ _TAGS = {_CORE + name for name in ("map", "seq", "str", "int", "float", "bool", 
 
 
 class _Loader(yaml.CSafeLoader):  # ten times as fast as SafeLoader, at the start of every service
-    yaml_implicit_resolvers: ClassVar[dict[str, list[tuple[str, re.Pattern[str]]]]] = {}
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML declares it so
 
 
 # https://yaml.org/spec/1.2.2/#103-core-schema, but with texts for decimal integers that begin with 0: octal in YAML 1.1.

@@ -53,11 +53,11 @@ def urdf_text(robot: Description, chain: Chain, limits: Sequence[JointLimits], f
     for mounted in chain.mounted:
         carrier = chain.carriers[mounted.body]
         if mounted.link != carrier:
-            joint = f"{mounted.link}_fixed"
-            while joint in names:
-                joint += "_"
-            names.add(joint)
-            root.append(_joint(joint, "fixed", carrier, mounted.link, mounted.pose))
+            name = f"{mounted.link}_fixed"
+            while name in names:
+                name += "_"
+            names.add(name)
+            root.append(_joint(name, "fixed", carrier, mounted.link, mounted.pose))
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -73,7 +73,7 @@ def _joint(name: str, kind: str, parent: str, child: str, origin: Array) -> ET.E
     return element
 
 
-def _numbers(values: Array) -> str:
+def _numbers(values: Array | tuple[float, ...]) -> str:
     return " ".join(f"{value:.12g}" for value in np.where(np.abs(values) < 1e-12, 0.0, values))
 
 

@@ -119,7 +119,7 @@ class MotionPanel:
 
     def _add_joints(self) -> None:
         robot, gui = self._desk.description, self._desk.server.gui
-        lower, upper = robot.range_about(self._desk.joints)
+        lower, upper = robot.range_about(self._desk.joints.tolist())
         self._sliders = [
             gui.add_slider(joint, *_degrees(low, high), 0.1, float(np.degrees(at)))
             for joint, low, high, at in zip(robot.descriptor.joints, lower, upper, self._desk.joints, strict=True)

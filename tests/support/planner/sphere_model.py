@@ -39,8 +39,8 @@ def random_objects(count: int, size: float, rng: np.random.Generator, farthest: 
 
 
 def random_joints(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
-    """Configurations (count, dof) within the limits."""
-    return rng.uniform(model.lower, model.upper, (count, model.dof))
+    """Configurations (count, dof) within the limits, those of continuous joints within a turn."""
+    return rng.uniform(*model.range_about(np.zeros(model.dof)), (count, model.dof))
 
 
 def distance(item: SceneObject, points: Array) -> Array:

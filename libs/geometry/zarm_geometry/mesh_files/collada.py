@@ -250,7 +250,7 @@ def _rotation(axis: Array, angle: float) -> Array:
         return np.eye(3)
     x, y, z = axis / length
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
 
 
 def _looking(document: _Document, element: Element) -> Array:
@@ -384,7 +384,7 @@ def _primitive(document: _Document, mesh: Element, element: Element) -> Array:
                 raise document.fault(element, f"it announces {count} and has {len(parts)}")
             cut = strip if tag == "tristrips" else fan
             found = np.concatenate([np.empty((0, 3), np.int64), *(cut(part) for part in parts if len(part) > 2)])
-    return points[found]
+    return np.asarray(points[found])
 
 
 def _positions(document: _Document, vertices: Element) -> Array:

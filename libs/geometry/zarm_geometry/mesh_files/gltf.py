@@ -63,7 +63,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes | None, list[str]]:
             )
         if length < len(content):
             notes.append(f"the {many(len(content) - length, 'byte')} after its end are not read")
-        at, chunks = 12, {}
+        at, chunks = 12, dict[bytes, bytes]()
         while at + 8 <= length:
             size, kind = struct.unpack_from("<I4s", content, at)
             if at + 8 + size > length:

@@ -50,10 +50,10 @@ def read(content: bytes) -> MeshFile:
                 face = [int(word.partition(b"/")[0]) for word in words[1:]]
             except ValueError:
                 raise _fault(numbers[at], f"{shown(line)} does not name vertices by their numbers") from None
-            for index in face:
-                if index == 0 or index < -count:
-                    raise _fault(numbers[at], f"a face names the vertex {index}, and {count} stand before it")
-            corners += [index - 1 if index > 0 else count + index for index in face]
+            for named in face:
+                if named == 0 or named < -count:
+                    raise _fault(numbers[at], f"a face names the vertex {named}, and {count} stand before it")
+            corners += [named - 1 if named > 0 else count + named for named in face]
             sizes.append(len(face))
             origins.append(at)
         elif kind in _SURFACES:
@@ -72,8 +72,8 @@ def read(content: bytes) -> MeshFile:
         raise _not_numbers(lines, numbers) from None
     index, size = np.array(corners, np.int64), np.array(sizes, np.int64)
     if len(index) and index.max() >= count:
-        face = int(np.searchsorted(np.cumsum(size), np.argmax(index >= count), side="right"))
-        raise _fault(numbers[origins[face]], f"a face names the vertex {index.max() + 1}, and there are {count}")
+        first = int(np.searchsorted(np.cumsum(size), np.argmax(index >= count), side="right"))
+        raise _fault(numbers[origins[first]], f"a face names the vertex {index.max() + 1}, and there are {count}")
     triangles = triangulated(points, size, index)
     accounted("faces", len(_FACE.findall(b"\n".join(lines))), len(sizes))
     accounted("triangles", int(np.maximum(size - 2, 0).sum()), len(triangles))

@@ -83,7 +83,7 @@ def of_rates(
         """The accelerations (n, dof) with each of the windows (n,)."""
         w = window[:, None]
         most = np.minimum(np.minimum(0.5 * jerk * w, jerk * w - before), strongest)
-        return np.minimum(most, 24.0 * deviation / (w * w)) if deviation < np.inf else most
+        return np.asarray(np.minimum(most, 24.0 * deviation / (w * w)) if deviation < np.inf else most)
 
     def ramps(a: Array) -> Array:
         """The least time (n,) with accelerations (n, dof), before averaging."""
