@@ -113,27 +113,20 @@ class Scene:
         self.connection.publisher(self.connection.keys.object_pose(known), ObjectPose).put(message)
 
     def load(self, file: str | Path) -> SceneEdited:
-        """Replace every object by those of a YAML file as `save` writes it: a list `objects` with the fields of each."""
-        from yaml import YAMLError, safe_load
+        """Replace every object by those of a YAML file as `save` writes it: a list `objects` with the fields of each.
 
-        try:
-            data = safe_load(Path(file).read_bytes())
-        except OSError as error:
-            raise InvalidRequest(f"cannot read {file}: {error.strerror}") from error
-        except YAMLError as error:
-            mark = getattr(error, "problem_mark", None)
-            place = f"{file}:{mark.line + 1}" if mark else str(file)
-            reason = " ".join(str(getattr(error, "problem", None) or error).split())
-            raise InvalidRequest(f"{place}: not valid YAML: {reason}") from error
-        if not isinstance(data, dict) or set(data) != {"objects"}:
+        Raises InvalidRequest that names the file, the line and the field at fault.
+        """
+        from zarm_contract.document import read_document
+
+        document = read_document(Path(file), "a scene")
+        if set(document.data) != {"objects"}:
             raise InvalidRequest(f"{file}: a scene is a mapping with the one key `objects`, a list")
         try:
-            edit = decode(SceneEdit, json.dumps({"edit": {"op": "load", **data}}, default=str).encode())
+            edit = decode(SceneEdit, json.dumps({"edit": {"op": "load", **document.data}}).encode())
         except InvalidRequest as error:
-            field = error.problem.field
-            raise InvalidRequest(
-                f"{file}: {error.problem.message}", field=field and field.removeprefix("edit.")
-            ) from error
+            field = (error.problem.field or "").removeprefix("edit.")
+            raise InvalidRequest(f"{document.place(field)}: {error.problem.message}", field=field or None) from error
         return self.apply(edit)
 
     def save(self, file: str | Path) -> int:

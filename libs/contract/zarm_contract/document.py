@@ -82,6 +82,10 @@ class Document:
             line = named.start_mark.line
         return line + 1
 
+    def place(self, field: str) -> str:
+        """`file:line` of the field of a problem, such as `objects.0.radius`."""
+        return f"{self.path}:{self.line(tuple(int(part) if part.isdecimal() else part for part in field.split('.')))}"
+
     def fault(self, key: KeyPath, message: str) -> str:
         """`file:line: key: message`."""
         dotted = ".".join(map(str, key))

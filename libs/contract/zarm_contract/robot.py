@@ -24,7 +24,7 @@ ROBOTS = Path(__file__).parent / "robots"
 
 
 class _Section(BaseModel):
-    # Not strict: a descriptor is written by hand, and to YAML `1` is no float, `1e-3` a text and `[...]` no tuple.
+    # Not strict: a descriptor is written by hand, and to YAML `1` is no float and `[...]` no tuple.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 

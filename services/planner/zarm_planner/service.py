@@ -60,7 +60,7 @@ cloud. At Python's 700 it looks at it again and again, which takes as long as th
 def start(service: Service) -> Iterator[None]:
     """Run the planner, from warm-up until the last pending plan is answered."""
     with owned(service.options.state / service.keys.robot, service.name) as folder:
-        store = SceneStore(folder, Meshes(service.options.meshes))
+        store = SceneStore(folder, Meshes(service.options.meshes), service.robot.urdf.links)
         with _serving(service, store):
             yield
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-import yaml
-
+from zarm_contract.document import read_document
 from zarm_contract.errors import InvalidRequest
 from zarm_robot_import.description import Description
 
@@ -47,11 +46,9 @@ def _configured(robot: Description, joints: Sequence[str]) -> Iterator[str]:
             if file is None:
                 continue
             try:
-                found = yaml.safe_load(file.read_text(encoding="utf-8"))
-            except (yaml.YAMLError, UnicodeDecodeError) as error:
-                raise InvalidRequest(
-                    f"{robot.source.place(element)}: {file} is no YAML: {' '.join(str(error).split())}; correct it"
-                ) from error
+                found = read_document(file, "a ROS 2 parameter file").data
+            except InvalidRequest as error:
+                raise InvalidRequest(f"{robot.source.place(element)}: {error}; correct it") from error
             namespace = (plugin.findtext("ros/namespace") or "").strip().strip("/")
             for name, parameters in _controllers(found):
                 if sorted(map(str, _listed(parameters.get("joints")))) == sorted(joints):

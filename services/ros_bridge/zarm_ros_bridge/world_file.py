@@ -7,15 +7,22 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from zarm_contract.codec import decode
+from zarm_contract.document import Document, read_document
 from zarm_contract.errors import InvalidRequest, ZarmError, from_problem
 from zarm_contract.messages import SceneEdit
 from zarm_ros_bridge.engine import Engine
 from zarm_ros_bridge.parameters import Parameters
 
-_KINDS = ("cuboid", "sphere", "cylinder", "mesh")
+_KEYS = {
+    "cuboid": {"pose", "dims"},
+    "sphere": {"pose", "position", "radius"},
+    "cylinder": {"pose", "radius", "height"},
+    "mesh": {"pose", "file_path", "scale"},
+}
+"""The kinds of obstacle that are read, and the keys of each."""
+_LOOKS = {"name", "color", "material", "texture", "texture_id", "tensor_args"}
+"""Keys of cuRobo's obstacles that change neither place nor shape."""
 
 
 class WorldFile:
@@ -28,58 +35,52 @@ class WorldFile:
     def _load(self, name: str) -> None:
         if not name:
             return
-        path = Path(name)
+        document = read_document(Path(name), "a scene, or a world of cuRobo,")
         try:
-            load = {"edit": {"op": "load", "objects": list(_objects(_read(path)))}}
-            request = decode(SceneEdit, json.dumps(load, default=str).encode())
+            load = {"edit": {"op": "load", "objects": list(_objects(document))}}
+            request = decode(SceneEdit, json.dumps(load).encode())
             self._engine.client.scene.apply(request)
         except ZarmError as error:
             problem = error.problem
             field = problem.field and problem.field.removeprefix("edit.")
             raise from_problem(
-                problem.model_copy(update={"message": f"{path}: {problem.message}", "field": field})
+                problem.model_copy(update={"message": f"{document.path}: {problem.message}", "field": field})
             ) from error
 
 
-def _read(path: Path) -> Mapping[str, Any]:
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # also for a null character in the path
-        raise InvalidRequest(f"cannot be read: {error}") from error
-    except yaml.YAMLError as error:
-        raise InvalidRequest(f"is not valid YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(data, dict):
-        raise InvalidRequest(
-            "is not a mapping; a scene has the key objects, a world of cuRobo the kinds of its obstacles"
-        )
-    return data
-
-
-def _objects(data: Mapping[str, Any]) -> Iterator[Any]:
+def _objects(document: Document) -> Iterator[Any]:
     """The objects of a scene saved by `zarm scene save`, or of a cuRobo world."""
+    data = document.data
     if set(data) == {"objects"}:
         if not isinstance(data["objects"], list):
             raise InvalidRequest("is no list", field="objects")
         yield from data["objects"]
         return
     for kind, named in data.items():
-        if kind not in _KINDS:
+        if kind not in _KEYS:
             raise InvalidRequest(
-                f"{kind} is not a kind of obstacle that is read from a file; those are {', '.join(_KINDS)}"
+                f"line {document.line((kind,))}: {kind} is not a kind of obstacle that is read from a file; those are "
+                f"{', '.join(_KEYS)}"
             )
         if not isinstance(named, dict):
-            raise InvalidRequest("is not a mapping of names to obstacles", field=str(kind))
+            raise InvalidRequest("is not a mapping of names to obstacles", field=kind)
         for name, obstacle in named.items():
             try:
                 yield {"kind": kind, "name": name, **_obstacle(kind, obstacle)}
             except (KeyError, TypeError, ValueError) as error:
                 raise InvalidRequest(
-                    f"the {kind} {name} is not as in a world of cuRobo: {error}; see docs/reference/ros.md"
+                    f"line {document.line((kind, name))}: the {kind} {name} is not as in a world of cuRobo: {error}; see "
+                    "docs/reference/ros.md"
                 ) from error
 
 
 def _obstacle(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """cuRobo's fields in zarm's names; a cuRobo pose is x, y, z and then the quaternion w, x, y, z."""
+    """cuRobo's fields in zarm's names; a cuRobo pose is x, y, z and then the quaternion w, x, y, z.
+
+    Raises KeyError, TypeError or ValueError for what is missing or unknown.
+    """
+    if unknown := sorted(set(given) - _KEYS[kind] - _LOOKS):
+        raise ValueError(f"{', '.join(unknown)} is not read here")
     if kind == "sphere":
         return {"position": (given.get("pose") or given["position"])[:3], "radius": given["radius"]}
     x, y, z, qw, qx, qy, qz = given["pose"]

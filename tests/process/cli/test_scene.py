@@ -58,12 +58,27 @@ def test_a_saved_scene_loads_as_it_was(up: Up, empty_scene: None, tmp_path: Path
     assert data(up, "scene", "list")["objects"] == before
 
 
+def test_numbers_of_a_scene_file_are_those_of_yaml(up: Up, empty_scene: None, tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text("objects:\n- {kind: sphere, name: on, position: [1, 0, 2e0], radius: 4e-1}\n")
+    done(up, "scene", "load", str(file))
+    (ball,) = data(up, "scene", "list")["objects"]
+    assert (ball["name"], ball["position"], ball["radius"]) == ("on", [1.0, 0.0, 2.0], 0.4)
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     sampled(
         ("objects: [a, b\n", "scene.yaml:2"),
-        ("- a\n", "objects"),
+        ("- a\n", "a scene is a mapping"),
         (yaml.safe_dump({"objects": [{"kind": "sphere", "name": "s", "position": [0, 0, 1]}]}), "objects.0.radius"),
+        ("objects:\n- {kind: sphere, name: s, position: [0, 0, 1], radius: 1}\nobjects: []\n", "scene.yaml:3: objects"),
+        (
+            "objects:\n- {kind: sphere, name: s, position: [0, 0, 1], radius: 1, radius: 2}\n",
+            "scene.yaml:2: objects.0.radius",
+        ),
+        ("objects:\n- kind: sphere\n  name: s\n  position: [0, 0, 1]\n  radius: 1\n  colour: red\n", "scene.yaml:6"),
+        ("objects: []\n---\nobjects: []\n", "second document"),
     ),
 )
 def test_a_scene_file_that_is_wrong_changes_nothing(
@@ -76,6 +91,12 @@ def test_a_scene_file_that_is_wrong_changes_nothing(
     assert str(file) in line
     assert said in line
     assert data(up, "scene", "list") == before
+
+
+def test_an_object_with_the_name_of_a_link_is_refused(up: Up, empty_scene: None) -> None:
+    line = refused(up, "scene", "add", "sphere", "link_3", "--at", "0,-1,0.2", "--radius", "0.1")
+    assert "link_3 is a link of the robot" in line
+    assert data(up, "scene", "list")["objects"] == []
 
 
 def test_an_object_without_its_dimensions_is_refused_by_field(up: Up) -> None:

@@ -242,7 +242,7 @@ def test_a_world_file_of_curobo_becomes_the_scene(running: Stack, parameters: No
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("- 1", "not a mapping"),
+        ("- 1", "is a mapping of keys to values"),
         ("a: [", "not valid YAML"),
         ("blox: {}", "not a kind of obstacle"),
         ("cuboid: {table: {dims: [1, 1, 1]}}", "the cuboid table"),
@@ -250,6 +250,11 @@ def test_a_world_file_of_curobo_becomes_the_scene(running: Stack, parameters: No
         ("objects: [{kind: sphere, name: ball, position: [0, 0, 9], radius: .nan}]", "world.yml"),
         ("objects: 3", "world.yml"),
         ("cuboid: 3", "world.yml"),
+        ("cuboid: {a: {dims: [1, 1, 1], pose: [0, 0, 0, 1, 0, 0, 0], inflate: 0.1}}", "inflate is not read here"),
+        (
+            "sphere:\n  a: {radius: 1, pose: [0, 0, 9]}\nsphere:\n  b: {radius: 1, pose: [0, 0, 9]}",
+            "also appears in line 1",
+        ),
     ],
 )
 def test_a_world_file_that_cannot_be_read_is_refused_and_the_scene_stays(

@@ -56,5 +56,5 @@ def test_there_is_none_where_none_is_named_or_other_joints_are_moved(tmp_path: P
 
 def test_parameters_that_are_no_yaml_are_refused_with_the_place(tmp_path: Path) -> None:
     (tmp_path / "controllers.yaml").write_text("a: [")
-    with pytest.raises(InvalidRequest, match=r"arm\.urdf:1: .*controllers\.yaml is no YAML"):
+    with pytest.raises(InvalidRequest, match=r"arm\.urdf:1: .*controllers\.yaml:2: .*not valid YAML"):
         controller(tmp_path, PLUGIN)

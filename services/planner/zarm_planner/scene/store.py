@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, assert_never
 
@@ -70,7 +70,7 @@ def _next(revision: SceneRevision) -> SceneRevision:
 
 
 class SceneStore:
-    """The scene of one robot, in `<folder>/scene.json`, with the shapes of its meshes. Thread-safe.
+    """The scene of a robot with these `links`, in `<folder>/scene.json`, with the shapes of its meshes. Thread-safe.
 
     Each edit draws a new revision, which is kept in the file: the revision of a scene read from the file is valid
     again, and that of a missing or lost file is never reused. A copy of the file that is edited elsewhere becomes
@@ -78,10 +78,11 @@ class SceneStore:
     first edit, because the objects in it may still stand around the robot.
     """
 
-    def __init__(self, folder: Path, meshes: Meshes | None = None) -> None:
+    def __init__(self, folder: Path, meshes: Meshes | None = None, links: Collection[str] = ()) -> None:
         """Raises Unavailable if the folder cannot be used, or holds the scene of a newer zarm."""
         self._file = StateFile(folder / "scene.json", Scene, migrations=(_named, _identified), flushed=True)
         self._lock = threading.Lock()
+        self._links = frozenset(links)
         self.meshes = meshes or Meshes()
         self.lost: str | None = None
         self._scene = self._read()
@@ -105,6 +106,8 @@ class SceneStore:
         with self._lock:
             if self.lost is not None and isinstance(request.edit, SetLinkCollision):
                 raise Unavailable(self.lost)  # such an edit says nothing about the objects around the robot
+            if isinstance(request.edit, AddObjects | LoadScene):
+                _refuse_links(request.edit.objects, self._links)
             scene = _edited(self._scene, request, tip, self.meshes)
             scene = scene.model_copy(update={"revision": _next(self._scene.revision)})
             content = encode(scene)
@@ -179,6 +182,16 @@ def _edited(scene: Scene, request: SceneEdit, tip: Array, meshes: Meshes) -> Sce
         case unknown:
             assert_never(unknown)
     return scene.model_copy(update={"objects": tuple(objects.values())})
+
+
+def _refuse_links(items: Sequence[SceneObject | PointCloud], links: Collection[str]) -> None:
+    """Raise InvalidRequest for an object with the name of a link: messages name what is too near by these names."""
+    for index, item in enumerate(items):
+        if item.name in links:
+            raise InvalidRequest(
+                f"{item.name} is a link of the robot, and messages could not tell the two apart; choose another name",
+                field=f"edit.objects.{index}.name",
+            )
 
 
 def _added(
