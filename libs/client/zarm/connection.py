@@ -57,11 +57,15 @@ class Connection:
         def subscribe(tell: Callable[[M], None]) -> Callable[[], None]:
             return self.interrupts.attend(lambda: self.bus.watch(key, model, lambda _, value: tell(value)))
 
-        return live(subscribe, self.interrupts)
+        return live(subscribe, self.interrupts, self.bus.check_open)
 
     def published(self, key: str, model: type[M]) -> Generator[M]:
         """Each value published on a key from now on."""
-        return live(lambda tell: self.bus.subscribe(key, model, lambda _, value: tell(value)), self.interrupts)
+        return live(
+            lambda tell: self.bus.subscribe(key, model, lambda _, value: tell(value)),
+            self.interrupts,
+            self.bus.check_open,
+        )
 
     def next(self, key: str, model: type[M], seconds: float) -> M | None:
         """The next value published on a key, or None if none comes within `seconds`."""

@@ -35,6 +35,7 @@ class Goals:
 
     def listen(self) -> None:
         """From now on miss no state; states of goals that have not ended are read first."""
+        self._bus.check_open()
         with self._listening:
             if not self._heard:
                 self._bus.watch(self._keys.goal("*"), GoalState, lambda _, state: self._note(state))
@@ -57,6 +58,7 @@ class Goals:
         began = heard = asked = time.monotonic()
         while seen is None or not seen.done:
             interrupts.check()
+            self._bus.check_open()
             state = self._next(goal_id, seen)
             now = time.monotonic()
             if state is not seen:

@@ -33,13 +33,19 @@ class Newest(Generic[M]):
             return value
 
 
-def live(subscribe: Callable[[Callable[[M], None]], Callable[[], None]], interrupts: Interrupts) -> Generator[M]:
-    """Each value passed to the callback subscribed here; a slower loop gets the newest. Its end ends the subscription."""
+def live(
+    subscribe: Callable[[Callable[[M], None]], Callable[[], None]], interrupts: Interrupts, check: Callable[[], None]
+) -> Generator[M]:
+    """Each value passed to the callback subscribed here; a slower loop gets the newest. Its end ends the subscription.
+
+    `check` is called ten times a second and more, and may raise.
+    """
     newest: Newest[M] = Newest()
     end = subscribe(newest.put)
     try:
         while True:
             interrupts.check()
+            check()
             if (value := newest.take(SLICE)) is not None:
                 yield value
     finally:

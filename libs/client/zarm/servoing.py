@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from zarm.connection import Connection
 from zarm.values import invalid, numbers
-from zarm_contract.errors import DeadlineExceeded, InvalidRequest, from_problem
+from zarm_contract.errors import DeadlineExceeded, InvalidRequest, Unavailable, from_problem
 from zarm_contract.messages import (
     Accepted,
     GoalState,
@@ -76,6 +76,8 @@ class _Session:
 
     def _send(self, make: Callable[[], PoseTarget | TwistTarget | JointSpeedTarget | JointTarget]) -> None:
         self._raise()
+        if not self.running:
+            raise Unavailable("the session has ended; start another one, and use it inside its `with`")
         self._sequence += 1
         try:
             target = ServoTarget(goal_id=self.goal_id, sequence=self._sequence, stamp=time.monotonic(), target=make())
@@ -105,7 +107,7 @@ class Tracking(_Session):
 
         Call it repeatedly, at least 20 times a second: the robot brakes if the target is older than 0.1 s. `linear`
         (m/s) and `angular` (rad/s) are the velocity of a pose in the base frame, by default estimated from successive
-        poses. Raises the problem with which the session has ended.
+        poses. Raises the problem with which the session has ended, and Unavailable if it has ended without one.
         """
         if isinstance(goal, Pose):
             self._send(
@@ -163,7 +165,7 @@ class Jogging(_Session):
         """Move the tip at these velocities (m/s, rad/s) along the axes of the base or of the tool, for the next 0.1 s
         at most.
 
-        Raises the problem with which the session has ended.
+        Raises the problem with which the session has ended, and Unavailable if it has ended without one.
         """
         self._send(
             lambda: TwistTarget(

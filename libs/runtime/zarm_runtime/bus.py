@@ -27,6 +27,7 @@ from zarm_runtime.publications import (
     Latest,
     Observer,
     Publisher,
+    closed,
     deliver,
     encoding_of,
     understood,
@@ -53,7 +54,8 @@ second later.
 
 
 class Bus:
-    """One session. Use it in `with`; leaving closes every entity and waits for handlers that still run.
+    """One session. Use it in `with`; leaving closes every entity and waits for handlers that still run. After that every
+    method raises Unavailable.
 
     With ZARM_SECURITY on it has the rights of its `role` (default: ZARM_ROLE): what the role may not do raises
     InvalidRequest at once instead of getting no answer from the router.
@@ -66,7 +68,7 @@ class Bus:
         """Whether messages served or subscribed to in order must be noticed within 2 ms now, or within 10 ms, which
         saves CPU.
         """
-        self._session = open_client(endpoint, timeout, self.role)
+        self._opened = open_client(endpoint, timeout, self.role)
         self._pools: list[ThreadPoolExecutor] = []
         self._client = str(self._session.info.zid())
         self._entities: list[Any] = [self._session.liveliness().declare_token(client_token(self._client))]
@@ -94,7 +96,17 @@ class Bus:
             self._entities.pop().undeclare()
         while self._pools:
             self._pools.pop().shutdown(wait=True, cancel_futures=True)
-        self._session.close()
+        self._opened.close()
+
+    def check_open(self) -> None:
+        """Raise Unavailable after `close`."""
+        if self._opened.is_closed():
+            raise closed()
+
+    @property
+    def _session(self) -> zenoh.Session:
+        self.check_open()
+        return self._opened
 
     @property
     def connected(self) -> bool:
@@ -350,7 +362,8 @@ class Bus:
         following.read()
 
         def end() -> None:
-            self._followed.remove(following)
+            with suppress(ValueError):  # ended before
+                self._followed.remove(following)
             unlisten()
 
         return end

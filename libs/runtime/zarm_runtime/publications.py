@@ -12,7 +12,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import zenoh
 
 from zarm_contract.codec import CONTRACT, decode, encode, other_contract, schema
-from zarm_contract.errors import InvalidRequest
+from zarm_contract.errors import InvalidRequest, Unavailable
 from zarm_contract.messages import Message
 
 log = logging.getLogger(__name__)
@@ -41,6 +41,13 @@ class Encoded(NamedTuple):
         return cls(encode(message), encoding_of(type(message)))
 
 
+def closed() -> Unavailable:
+    """The error for whatever uses a session that has been closed."""
+    return Unavailable(
+        "the connection is closed, since its `with` has ended; connect again, and use it inside the `with`"
+    )
+
+
 class Publisher(Generic[M]):
     """Publishes messages of one class on one key."""
 
@@ -50,9 +57,12 @@ class Publisher(Generic[M]):
         self._observe = observe
 
     def put(self, message: M) -> None:
-        """Publish."""
+        """Publish. Raises Unavailable after the bus is closed."""
         payload = encode(message)
-        self._entity.put(payload)
+        try:
+            self._entity.put(payload)
+        except zenoh.ZError as error:
+            raise closed() from error
         self._observe(self._key, payload)
 
     def heard(self) -> bool:

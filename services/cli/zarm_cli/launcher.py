@@ -184,6 +184,7 @@ def _refuse_second(bus: Bus, keys: Keys, endpoint: str) -> None:
 
 
 def up(
+    context: typer.Context,
     robot: Annotated[
         str,
         typer.Option(
@@ -229,6 +230,11 @@ def up(
     ] = VIEW,
 ) -> None:
     """Start router, planner, servo and executor of one robot; Ctrl-C stops them, the robot first."""
+    typed = {name for name in ("connect", "listen") if _typed(context, name)}
+    if typed == {"listen"}:  # an option beats the environment
+        connect = None
+    if typed == {"connect"}:
+        listen = None
     if connect is not None and listen is not None:
         raise typer.BadParameter(
             "one joins a router, the other runs one (ZARM_CONNECT and ZARM_LISTEN count)",
@@ -253,6 +259,12 @@ def up(
         stack.wait_ready(lambda _: None)  # the services' own log lines report it
         _say_ready(stack)
         stack.wait()
+
+
+def _typed(context: typer.Context, name: str) -> bool:
+    """Whether an option stands in the command line, not in the environment."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _say_ready(stack: Stack) -> None:

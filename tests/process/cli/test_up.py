@@ -133,3 +133,12 @@ def test_listening_and_connecting_at_once_is_a_usage_error() -> None:
     refused = zarm("up", "--listen", free_endpoint(), "--connect", free_endpoint())
     assert refused.returncode == 2
     assert "--listen" in the_one_line(refused.stderr)
+
+
+def test_an_option_beats_the_environment(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listens = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        refused = zarm("up", "--listen", listens, "--state", str(tmp_path), ZARM_CONNECT=free_endpoint())
+    assert (refused.returncode, "--listen" in the_one_line(refused.stderr)) == (3, True)
+    refused = zarm("up", "--connect", free_endpoint(), "--state", str(tmp_path), ZARM_LISTEN=free_endpoint())
+    assert (refused.returncode, "no Zenoh router" in refused.stderr) == (3, True)

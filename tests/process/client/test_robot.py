@@ -334,3 +334,46 @@ def test_an_asynchronous_stream_is_played_to_its_end(robot: zarm.Robot, place: s
     asyncio.run(main())
     assert robot.joint_state().position[0] == pytest.approx(0.2, abs=0.01)
     assert any("succeeded" in event.what for event in zarm.story(file).events)
+
+
+# -- after the with --
+
+
+def test_a_client_that_is_used_after_its_with_says_that_it_is_closed(place: str, robot: zarm.Robot) -> None:
+    with zarm.connect(place) as left:
+        scene, states, joints = left.scene, left.states(), left.joint_states()
+        goal_id = left.start(left.plan(HOME))
+        left.follow(goal_id)
+        next(states)
+        next(joints)
+    calls = {
+        "plan": lambda: left.plan(HOME),
+        "execute": lambda: left.execute("plan-1"),
+        "follow": lambda: left.follow(goal_id),
+        "stop": left.stop,
+        "state": left.state,
+        "states": lambda: next(left.states()),
+        "states from before": lambda: next(states),
+        "joint states from before": lambda: next(joints),
+        "tip": left.tip,
+        "scene": scene.objects,
+        "add": lambda: scene.add(zarm.Sphere("ball", position=(0, 0, 9), radius=0.1)),
+        "track": lambda: left.track().__enter__(),
+        "stream": lambda: left.stream().__enter__(),
+    }
+    for name, call in calls.items():
+        try:
+            refused = f"not refused: {call()}"
+        except zarm.Unavailable as error:
+            refused = str(error)
+        assert "the connection is closed" in refused, name
+
+
+def test_a_client_for_asyncio_that_is_used_after_its_with_says_so_too(place: str, robot: zarm.Robot) -> None:
+    async def use() -> None:
+        async with zarm.aio.connect(place) as left:
+            await left.state()
+        with pytest.raises(zarm.Unavailable, match="the connection is closed"):
+            await left.state()
+
+    asyncio.run(use())
