@@ -397,3 +397,15 @@ def test_a_command_leads_the_robot_to_joint_positions_without_a_plan(cell: Cell)
     assert led.stdout.startswith("reached to")
     np.testing.assert_allclose(cell.client.position(), goal, atol=0.003)
     cell.assert_sound()
+
+
+def test_a_robot_in_collision_is_led_out_by_the_command_that_the_refusal_names(cell: Cell) -> None:
+    x, y, z = (TIP + (0.085, 0.0, 0.0)).tolist()
+    load(cell.bus, Sphere(kind="sphere", name="ball", position=(x, y, z), radius=0.08))
+    goal = ",".join(map(str, (1.0, *HOME[1:])))
+    refused = run_zarm("plan", "--joints", goal, "--connect", cell.endpoint)
+    assert "start_in_collision" in refused.stderr
+    assert "`zarm track`" in refused.stderr
+    led = run_zarm("track", "--joints", goal, "--connect", cell.endpoint)
+    assert led.returncode == 0, led.stderr
+    np.testing.assert_allclose(cell.client.position()[0], 1.0, atol=0.003)

@@ -81,7 +81,7 @@ def check_start(context: PlanningContext, q: Array, field: str = "start") -> Non
     if not context.exact.is_free(q):
         overlap = _overlap(context.exact.nearest(q))
         raise PlanningFailed(
-            f"the start is in collision: {overlap}; move the robot away by hand, or correct the scene",
+            f"the start is in collision: {overlap}; move the robot away, with `zarm track` or by hand, or correct the scene",
             code="start_in_collision",
             field=field,
         )
@@ -96,7 +96,7 @@ def start_end(context: PlanningContext, q: Array, constraint: ConstraintManifold
     if (end := _end(context, q, constraint, _ALONE)) is None:
         nearest = context.exact.nearest(q, context.deadline.check)
         raise PlanningFailed(
-            f"there is no way out of the start, where {_gap(nearest)}; move the robot away by hand, or "
+            f"there is no way out of the start, where {_gap(nearest)}; move the robot away, with `zarm track` or by hand, or "
             f"lower {_margin_of(context, nearest)}",
             code="start_in_collision",
             field="start",
