@@ -33,7 +33,7 @@ from zarm_planner.search.rrt_connect import search
 from zarm_planner.search.shortcut import quickest_of, shortcut
 from zarm_planner.timing.lead_in import ways_to_rest
 from zarm_planner.timing.rounding import rounded
-from zarm_planner.timing.smoothing import brake_to_rest, smooth_path
+from zarm_planner.timing.smoothing import brake_to_rest, least_duration, smooth_path
 from zarm_planner.verification.verify import VerificationFailed, verify
 from zarm_trajectory.limits import Limits
 
@@ -64,6 +64,7 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     limits = Limits.of(model.robot)
     straight_times(home[None], home[None], limits.velocity, limits.acceleration, 2)
     path_time(home[None], limits.velocity, limits.acceleration, 2)
+    least_duration(home, home[None], limits, 0.01)
     begin("the shortcuts of paths")
     shortcut(model, world, np.array((home, home)), seed=0, deadline=deadline)
     quickest_of(model, world, home, home, model.velocity, math.inf, seeds=(0,), deadline=deadline, most=1)

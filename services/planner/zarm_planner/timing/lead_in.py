@@ -19,7 +19,7 @@ from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.kernels.lead_in import brake
 from zarm_planner.kernels.ramps import Ramps, make_ramps
-from zarm_planner.timing.averaging import DEVIATION, SHORTEST, of_rates
+from zarm_planner.timing.averaging import DEVIATION, SHORTEST, Averaging
 from zarm_planner.timing.sampling import TOLERANCE
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -67,7 +67,7 @@ def ways_to_rest(
     q, velocity, acceleration = state
     # A motion from one end of the range to the other, or once around.
     ways = np.zeros(model.dof) if soon else np.minimum(model.upper - model.lower, 2 * np.pi)
-    used = of_rates(
+    used = Averaging.of(
         ways,
         np.stack((limits.velocity, share * limits.acceleration, limits.jerk)),
         SHORTEST * dt,

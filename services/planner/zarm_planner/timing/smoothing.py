@@ -17,6 +17,7 @@ from zarm_geometry.robot_model import RobotModel
 from zarm_geometry.working_memory import working_memory
 from zarm_geometry.world import World
 from zarm_planner.deadline import Deadline
+from zarm_planner.kernels import averaging as kernel
 from zarm_planner.kernels.ramps import along, make_ramps, ramps_from
 from zarm_planner.kernels.sampling import knots, sample_average
 from zarm_planner.kernels.smoothing import smooth
@@ -65,7 +66,9 @@ class Smoothing:
         passed[list(vias)] = True
         self._ramps = make_ramps(len(path) + _ROOM, model.dof)
         if lead_in is None:
-            used = Averaging.of(total_ways(path), limits, SHORTEST * dt, deviation=deviation if len(vias) else np.inf)
+            used = Averaging.of(
+                total_ways(path), limits.rates, SHORTEST * dt, deviation=deviation if len(vias) else np.inf
+            )
             self._window, self._begin, led = used.window, 0.0, 0
             fastest, strongest = used.velocity, used.acceleration
         else:
@@ -169,4 +172,4 @@ def least_duration(start: Array, goals: Array, limits: Limits, dt: float) -> flo
     """Lower bound (s) on the duration of `smooth_path` from `start` (dof,) to any of `goals` (n, dof), without
     obstacles.
     """
-    return min(Averaging.of(way, limits, SHORTEST * dt).duration for way in np.abs(goals - start))
+    return kernel.least_duration(start, goals, limits.rates, SHORTEST * dt)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zarm_contract.errors import InvalidRequest
-from zarm_planner.timing.averaging import Averaging, of_rates
+from zarm_planner.timing.averaging import Averaging, total_ways
 from zarm_planner.timing.sampling import sample_times, within
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
@@ -161,10 +161,8 @@ def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
     edge = np.abs(b - a)
     length = float(np.linalg.norm(edge))
     with np.errstate(divide="ignore"):
-        rates = (limits.rates / edge).min(
-            axis=1, keepdims=True
-        ) * length  # along the edge: the slowest joint determines each
-    used = of_rates(np.array((length,)), rates, _SHORTEST * dt)
+        rates = (limits.rates / edge).min(axis=1, keepdims=True) * length  # the slowest joint determines each
+    used = Averaging.of(np.array((length,)), rates, _SHORTEST * dt)
     rate = float(used.acceleration[0])
     top = min(float(rates[0, 0]), math.sqrt(rate * length))
     ramp, keep = top * top / rate / 2, length - top * top / rate
@@ -195,8 +193,7 @@ def _fastest(curve: TimedTrajectory, limits: Limits, dt: float, step: float, lea
 
     pieces = np.maximum(least, np.ceil(np.diff(curve.time) / step)).astype(int)
     s = np.interp(np.arange(pieces.sum() + 1), np.insert(np.cumsum(pieces), 0, 0), curve.time)
-    ways = np.abs(np.diff(curve.position, axis=0)).sum(axis=0)
-    used = Averaging.of(ways, limits, _SHORTEST * dt)
+    used = Averaging.of(total_ways(curve.position), limits.rates, _SHORTEST * dt)
     toppra = TOPPRA(
         _constraints(tuple(used.velocity), tuple(used.acceleration)),
         _ToppraPath(curve),
