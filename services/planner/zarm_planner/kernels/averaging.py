@@ -17,6 +17,10 @@ _ROUNDS = 5
 """... each time between the neighbours of the best: after this many the window is known to 0.01 %, and the duration to the
 square of it.
 """
+_LEAST_SHARE = 1e-3
+"""Least averaging time as a share of the motion: samples are differences of integrals over the whole motion, which lose as
+many digits as the window is shorter.
+"""
 _STEP = 1e-6
 """Share of a window that shows whether a shorter one is better."""
 
@@ -26,6 +30,14 @@ def _allowed(window: float, strongest: float, jerk: float, begun: float, deviati
     """The acceleration of a joint with this window."""
     most = min(0.5 * jerk * window, jerk * window - begun, strongest)
     return min(most, 24.0 * deviation / (window * window))
+
+
+@inlined
+def _of_use(strongest: float, fastest: float, way: float, shortest: float) -> float:
+    """As much of an acceleration limit as a joint from rest to rest can use in ramps of at least the `shortest` window: in
+    shorter ones samples do not follow it.
+    """
+    return min(strongest, fastest / shortest, way / (shortest * shortest))
 
 
 @inlined
@@ -53,6 +65,12 @@ def best_window(
     `rates` (3, dof) are the limits of velocity, acceleration and jerk.
     """
     joints = ways.shape[0]
+    rates = rates.copy()
+    for j in range(joints):
+        shortest = max(shortest, _LEAST_SHARE * ways[j] / rates[0, j])
+    for j in range(joints):
+        if ways[j] > 0.0 and speed[j] == 0.0 and begun[j] == 0.0:
+            rates[1, j] = _of_use(rates[1, j], rates[0, j], ways[j], shortest)
     full = shortest  # the acceleration limits allow no use of a longer one
     for j in range(joints):
         if ways[j] > 0.0 or speed[j] > 0.0 or begun[j] > 0.0:

@@ -160,7 +160,7 @@ def _straight(a: Array, b: Array, limits: Limits, dt: float) -> _Profile:
     """From `a` to `b`: accelerate, keep the speed if there is room for it, brake."""
     edge = np.abs(b - a)
     length = float(np.linalg.norm(edge))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         rates = (limits.rates / edge).min(axis=1, keepdims=True) * length  # the slowest joint determines each
     used = Averaging.of(np.array((length,)), rates, _SHORTEST * dt)
     rate = float(used.acceleration[0])
