@@ -29,6 +29,7 @@ from zarm_trajectory.blending import blended
 from zarm_trajectory.limits import Limits
 from zarm_trajectory.quintic import Array
 from zarm_trajectory.trajectory import TimedTrajectory
+from zarm_trajectory.turns import whole_turns
 
 JOINTS = ROBOT.descriptor.joints
 TOLD = tuple(JOINTS[index] for index in (0, 1, 3, 4, 2, 5))
@@ -109,18 +110,28 @@ class DriverBench:
     """A machine with the strategy of a case, and an arm behind a driver that tests can make misbehave.
 
     The machine ticks at `rate` Hz; the driver reports the arm's joints at 100 Hz and plays a point every 20 ms,
-    whatever the rate, initially `phase` s after the ticks.
+    whatever the rate, initially `phase` s after the ticks. Where the driver `wraps`, the last joint is continuous and
+    reported within half a turn to each side, as many drivers do.
     """
 
     def __init__(
-        self, case: Case, folder: Folder, rate: float = 100.0, phase: float = 0.003, ceiling: float = CEILING
+        self,
+        case: Case,
+        folder: Folder,
+        rate: float = 100.0,
+        phase: float = 0.003,
+        ceiling: float = CEILING,
+        *,
+        wraps: bool = False,
+        start: Array = HOME,
     ) -> None:
         params = dict(case.params)
+        self._wraps = np.array([False] * 5 + [wraps])
         self.period = 1.0 / rate
         self.case = case
         self.now = START
         self._arm_at = START + phase
-        self.arm = Player(HOME, plays=case.plays, ceiling=ceiling)
+        self.arm = Player(start, plays=case.plays, ceiling=ceiling)
         self.silent = False
         self.stalled = False
         self.commands: list[tuple[float, DriverCommand]] = []
@@ -135,6 +146,9 @@ class DriverBench:
         self._told: deque[tuple[float, JointState, DriverProgress | None]] = deque()
         self._sequence = 0
         self.robot = robot_with(control_rate=rate, **params)
+        if wraps:
+            lower, upper = (*self.robot.lower[:5], -np.inf), (*self.robot.upper[:5], np.inf)
+            self.robot = dataclasses.replace(self.robot, lower=lower, upper=upper)
         self.registry = build_strategies(self.robot, folder, Wire(self), KEYS)  # type: ignore[arg-type]
         self._pass(2 * STEP)
         self.machine = Machine(self.registry.find(case.strategy), self.period, Guard(self.robot.descriptor))
@@ -156,7 +170,10 @@ class DriverBench:
                 self._taken += 1
                 self.late += 1
                 continue
-            self.arm.play(np.array(command.position).reshape(-1, 6), np.array(command.velocity).reshape(-1, 6))
+            position = np.array(command.position).reshape(-1, 6)
+            if len(position):  # in the driver's own turn, in which it reports
+                position += whole_turns(self.arm.position - position[0], self._wraps)
+            self.arm.play(position, np.array(command.velocity).reshape(-1, 6))
             self._sequence = command.sequence
             self._taken += 1
         self.arm.step(stalled=self.stalled)
@@ -165,11 +182,12 @@ class DriverBench:
         self._expiry.told(now, now)
         if not self.silent and passing:
             order = [JOINTS.index(name) for name in TOLD]
+            reported = self.arm.position - whole_turns(self.arm.position, self._wraps)
             self.joint_states.newest = (
                 JointState(
                     stamp=now,
                     joint_names=TOLD,
-                    position=tuple(self.arm.position[order].tolist()),
+                    position=tuple(reported[order].tolist()),
                     velocity=tuple(self.arm.velocity[order].tolist()),
                 ),
                 now,

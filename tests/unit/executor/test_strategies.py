@@ -473,3 +473,35 @@ def test_a_new_strategy_is_a_module_and_a_line_in_the_list(tmp_path: Folder, mon
     bench.until("idle")
     assert bench.last().status == "succeeded"
     assert bench.last().elapsed > 1.9 * path.duration
+
+
+# -- continuous joints --
+
+
+@pytest.mark.parametrize("case", MOVING[1:], ids=str)
+def test_a_driver_whose_joint_states_wrap_is_followed_over_the_wrap_and_back(case: Case, tmp_path: Folder) -> None:
+    bench = DriverBench(case, tmp_path, wraps=True)
+    beyond = np.array([*HOME[:5], 4.0])
+    bench.execute(beyond)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert bench.arm.position[5] == pytest.approx(4.0, abs=0.01)
+    assert bench.positions[-1][5] == pytest.approx(4.0, abs=0.01)
+    assert np.abs(np.diff(np.array(bench.positions)[:, 5])).max() < 0.1
+    bench.execute(HOME, beyond)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert bench.positions[-1][5] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("case", MOVING[1:], ids=str)
+def test_an_executor_that_starts_beyond_the_wrap_moves_on_from_what_the_driver_reports(
+    case: Case, tmp_path: Folder
+) -> None:
+    bench = DriverBench(case, tmp_path, wraps=True, start=np.array([*HOME[:5], 15.0]))
+    bench.run(0.1)
+    here = bench.positions[-1]
+    bench.execute(here + 1.5 * np.eye(6)[5], here)
+    bench.until("idle")
+    assert bench.last().status == "succeeded"
+    assert bench.arm.position[5] == pytest.approx(16.5, abs=0.01)
