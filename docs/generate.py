@@ -378,7 +378,7 @@ def robot() -> Iterator[str]:
         "",
         f"{inspect.getdoc(RobotDescriptor)} [Add a robot](../how-to/add-a-robot.md) shows how to write",
         "one. Every list with one value per joint follows `joints`. Joint limits of position come from the URDF; a `continuous`",
-        "joint gets ±2π.",
+        "joint has none: it turns freely, angles that differ by whole turns are the same, and goals are reached the short way.",
         "",
     )
     parts = (

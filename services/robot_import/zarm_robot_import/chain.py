@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ MOST_JOINTS = 32
 """The most that a descriptor takes."""
 _TIPS = ("tool0", "tcp", "ee_link", "tool", "flange", "end_effector")
 """Names of tips, best first."""
+_CLOSED = 0.2
+"""How near to one of its limits a jaw is closed, as a share of its range."""
 _ARM = 4
 """Number of joints after which an arm may end; an earlier branch belongs to a larger robot."""
 
@@ -56,6 +59,20 @@ class Chain:
     mimics: tuple[str, ...]
     gripper: tuple[str, ...]
     """The joints behind the tip's rigid part, which are taken as a gripper."""
+    chosen: str | None = None
+    """The option that chose the joints."""
+
+    @property
+    def reason(self) -> str:
+        """Why these joints are the arm."""
+        if self.chosen:
+            return f"`{self.chosen}` chose them."
+        row = f"They are the moving joints in a row from `{self.base}` on"
+        if self.gripper:
+            return (
+                f"{row}; behind `{self.tip}` joints stand side by side, or mimic one another, as those of a gripper do."
+            )
+        return f"{row}, up to the last one."
 
     @property
     def reach(self) -> float:
@@ -81,9 +98,11 @@ def choose_chain(
 ) -> Chain:
     """The chain from `base` (default: the root) to `tip` (default: the only sensible one).
 
-    `names` are the arm's joints in order, if they are chosen; others between them stand fixed. `positions` of joints outside the chain replace 0, or the value nearest to it within their limits. Raises
-    InvalidRequest: with the choices if there are several, and for robots that cannot be planned for.
+    `names` are the arm's joints in order, if they are chosen; others between them stand fixed. `positions` of joints outside
+    the chain replace 0, or the value nearest to it within their limits. Raises InvalidRequest: with the choices if there
+    are several, and for robots that cannot be planned for.
     """
+    asked = tip is not None
     base = _known(robot, base, "--base") if base else robot.root
     chosen = _named(robot, names)
     end = _end(robot, chosen[-1].child) if chosen else None
@@ -137,7 +156,8 @@ def choose_chain(
             f"{robot.source.path}: {len(joints)} joints move between {base} and {tip}, more than {MOST_JOINTS}; choose a --base "
             "further out"
         )
-    return _assembled(robot, base, tip, path, joints, dict(positions or {}))
+    chain = _assembled(robot, base, tip, path, joints, dict(positions or {}))
+    return replace(chain, chosen="--joints" if names else "--tip" if asked else None)
 
 
 def _named(robot: Description, names: Sequence[str]) -> tuple[Joint, ...]:
@@ -234,8 +254,8 @@ def _drives_behind(robot: Description, joint: Joint) -> bool:
 
 
 def _may_be_jaw(robot: Description, link: str, joint: Joint) -> bool:
-    """Whether the last joint of a chain may as well be a gripper of one jaw: a slide, or a joint beside which a frame without geometry
-    marks the tip already.
+    """Whether the last joint of a chain may as well be a gripper of one jaw: a slide, a joint that opens to one side only, by less than
+    half a turn, or one beside which a frame without geometry marks the tip already.
     """
     if _moving_below(robot, joint.child):
         return False
@@ -244,7 +264,14 @@ def _may_be_jaw(robot: Description, link: str, joint: Joint) -> bool:
         for one in _rigid(robot, link)
         if one != link and not (robot.links[one].visual or robot.links[one].collision or robot.children.get(one))
     ]
-    return joint.type == "prismatic" or bool(frames and len(_rigid(robot, joint.child)) == 1)
+    return joint.type == "prismatic" or _opens(joint) or bool(frames and len(_rigid(robot, joint.child)) == 1)
+
+
+def _opens(joint: Joint) -> bool:
+    if joint.lower is None or joint.upper is None:
+        return False
+    width = joint.upper - joint.lower
+    return 0.0 < width < math.pi and min(abs(joint.lower), abs(joint.upper)) < _CLOSED * width
 
 
 def _moving_below(robot: Description, link: str) -> list[Joint]:
@@ -291,7 +318,7 @@ def _assembled(
         if name not in every or name in moving:
             why = "moves with the arm" if name in moving else "is not in the file"
             raise InvalidRequest(
-                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints beside the chain", field="--fix"
+                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints outside the chain", field="--fix"
             )
         low, high = every[name].lower, every[name].upper
         if low is None or high is None or low >= high:

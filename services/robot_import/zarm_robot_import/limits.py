@@ -29,7 +29,9 @@ degrees or mm.
 
 @dataclass(frozen=True)
 class JointLimits:
-    """The limits of one joint in rad or m, and s; `assumed` names those missing in the URDF."""
+    """The limits of one joint in rad or m, and s, without positions if it is continuous; `assumed` names those missing in
+    the URDF.
+    """
 
     joint: str
     lower: float
@@ -49,7 +51,7 @@ def _limits(robot: Description, joint: Joint) -> JointLimits:
     assumed = []
     lower, upper = joint.lower, joint.upper
     if joint.type == "continuous":
-        lower, upper = -2 * math.pi, 2 * math.pi
+        lower, upper = -math.inf, math.inf
     elif lower is not None and upper is not None and max(-lower, upper) >= UNLIMITED and joint.type == "revolute":
         lower, upper = -2 * math.pi, 2 * math.pi
         assumed.append("range")

@@ -43,10 +43,12 @@ class Report:
                     found.append(
                         f"{limit.joint}: the URDF gives no {what}, so it is assumed; correct it in the descriptor or URDF"
                     )
+            turns = joint.type == "continuous"
             stated = (
-                f"{limit.joint}: a range from {limit.lower:g} to {limit.upper:g} at a velocity of {limit.velocity:g}"
+                f"{limit.joint}: {f'a range from {limit.lower:g} to {limit.upper:g}' if not turns else 'a joint that turns freely'} "
+                f"at a velocity of {limit.velocity:g}"
             )
-            if max(-limit.lower, limit.upper, limit.upper - limit.lower) > WIDEST or limit.velocity > FASTEST:
+            if (not turns and max(-limit.lower, limit.upper) > WIDEST) or limit.velocity > FASTEST:
                 wrong, unit = ("mm", "m") if joint.type == "prismatic" else ("degrees", "rad")
                 found.append(f"{stated} is most likely in {wrong}; write {unit} and {unit}/s into the URDF")
             elif min(limit.upper - limit.lower, limit.velocity) < SMALLEST:
@@ -72,15 +74,14 @@ class Report:
             f"The chain leads from `{chain.base}` to `{chain.tip}` over {len(chain.joints)} joints. Home: "
             f"{', '.join(f'{value:.2f}' for value in self.home)} rad.",
             "",
-            f"The arm's joints: {', '.join(f'`{joint.name}`' for joint in chain.joints)}. They are the moving joints in a row from the base on, up "
-            "to the end or to joints side by side or that mimic one another, unless `--tip` or `--joints` chose them.",
+            f"The arm's joints: {', '.join(f'`{joint.name}`' for joint in chain.joints)}. {chain.reason}",
         ]
         if chain.gripper:
             lines += ["", f"Taken as a gripper: {', '.join(f'`{name}`' for name in chain.gripper)}."]
         if chain.fixed:
             lines += [
                 "",
-                "Joints beside the chain, fixed: "
+                "Joints outside the chain, fixed: "
                 + ", ".join(f"`{name}` at {value:g}" for name, value in chain.fixed)
                 + ".",
             ]

@@ -48,6 +48,25 @@ def test_an_arm_ends_where_what_grips_begins(tmp_path: Path, more: list[Row], ex
     assert tip(tmp_path, [*ARM, *more]) == expected
 
 
+@pytest.mark.parametrize("limits", [(-0.17, 1.75), (-1.57, 0.0)])
+def test_a_last_joint_that_opens_to_one_side_may_be_a_jaw_so_it_is_asked(
+    tmp_path: Path, limits: tuple[float, float]
+) -> None:
+    last = JOINT.replace('lower="-1" upper="1"', 'lower="{}" upper="{}"'.format(*limits))
+    text = "".join([*(LINK.format(f"link_{k}") for k in range(7)), *(JOINT.format(*row) for row in ARM)])
+    file = tmp_path / "arm.urdf"
+    file.write_text(f'<robot name="arm">{text}{last.format("anything", "link_5", "link_6")}</robot>')
+    robot = describe(read_source(file, ()))
+    with pytest.raises(
+        InvalidRequest, match=r"anything may be .* --tip link_5 \(a gripper\), --tip link_6 \(of the arm\)"
+    ):
+        choose_chain(robot)
+    assert len(choose_chain(robot, tip="link_6").joints) == 6
+    assert choose_chain(robot, tip="link_5").reason == "`--tip` chose them."
+    names = [name for name, _, _ in ARM[:4]]
+    assert [joint.name for joint in choose_chain(robot, names=names).joints] == names
+
+
 def test_of_two_arms_with_hands_the_tips_of_the_arms_are_offered_and_not_their_fingers(tmp_path: Path) -> None:
     arms = [(f"{side}_{name}", f"{side}_{parent}", f"{side}_{child}") for side in "lr" for name, parent, child in ARM]
     mounts = [(f"{side}_mount", "torso", f"{side}_link_0") for side in "lr"]

@@ -171,6 +171,14 @@ def test_a_mimic_that_leads_nowhere_or_to_the_arm_is_named(tmp_path: Path) -> No
     assert dict(chain.fixed) == {"lost": 0.0, "gear": 0.0, "finger": 0.1}
 
 
+def test_a_continuous_joint_is_imported_without_limits(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf(joint("one", "a", "b", "continuous"), links="ab"))
+    robot = describe(read_source(file))
+    (limits,) = limits_of(robot, choose_chain(robot).joints)
+    assert (limits.lower, limits.upper) == (-math.inf, math.inf)
+
+
 @pytest.mark.parametrize("limit", [1e6, 1e300])
 def test_a_range_so_wide_that_it_means_none_is_assumed(tmp_path: Path, limit: float) -> None:
     file = tmp_path / "arm.urdf"
