@@ -59,6 +59,9 @@ def import_(
         Geometry, typer.Option(help="auto: collision meshes, plus visual meshes that stick out of them.")
     ] = Geometry.auto,
     spheres: Annotated[int, typer.Option(min=10, max=400, help="Spheres in the cover of the whole robot.")] = 80,
+    right_size: Annotated[
+        list[str] | None, typer.Option(metavar="LINK", help="A link whose size is right, however large beside the arm.")
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a descriptor that is there already.")] = False,
 ) -> None:
     """Make a descriptor, a URDF of the arm alone, a report and a picture from any URDF or xacro."""
@@ -72,6 +75,7 @@ def import_(
         fixed=dict(map(_position, fix or ())),
         geometry=str(geometry),
         spheres=spheres,
+        right_size=right_size or (),
         overwrite=overwrite,
     )
     descriptor, report = imported.run_import(file, output or Path(name or file.name.split(".")[0]), chosen)
