@@ -60,7 +60,8 @@ class Piece:
     def triangles(self) -> Array:
         """Cut into fans; concave ones overlap, which changes neither the sum of area vectors nor the volume."""
         fans = [(face[0], face[k], face[k + 1]) for face in self.faces for k in range(1, len(face) - 1)]
-        return self.vertices[np.array(fans)]
+        triangles: Array = self.vertices[np.array(fans)]
+        return triangles
 
     @property
     def cut(self) -> Piece:
@@ -273,7 +274,9 @@ def collada(rng: random.Random) -> tuple[bytes, Surface]:
 
 def glb(rng: random.Random) -> tuple[bytes, Surface]:
     found = [piece.cut for piece in pieces(rng)]
-    binary, views, accessors, meshes, nodes, placed = b"", [], [], [], [], []
+    binary, views, accessors, meshes, placed = b"", [], [], [], []
+    nodes: list[dict[str, object]] = []
+    primitives: list[dict[str, object]]
 
     def put(data: bytes, kind: int, count: int, shape: str, **more: object) -> int:
         nonlocal binary

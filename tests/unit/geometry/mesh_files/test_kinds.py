@@ -60,7 +60,7 @@ def read(name: str, content: bytes | str) -> mesh_files.MeshFile:
 def test_blocks_with_negative_indices_are_those_with_positive_ones() -> None:
     both = [read("cubes.obj", obj((-0.2, negative), (0.2, negative))).triangles for negative in (True, False)]
     assert len(both[0]) == 24
-    np.testing.assert_array_equal(*both)
+    np.testing.assert_array_equal(both[0], both[1])
 
 
 @pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
@@ -68,7 +68,7 @@ def test_blocks_with_negative_indices_are_those_with_positive_ones() -> None:
 def test_two_ways_to_write_the_same_are_read_alike(one: str, other: str) -> None:
     found = [mesh_files.read(name, (CASES / name).read_bytes()).triangles for name in (one, other)]
     assert len(found[0]) == 24
-    np.testing.assert_allclose(*found)
+    np.testing.assert_allclose(found[0], found[1])
 
 
 @pytest.mark.parametrize(
