@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from enum import StrEnum
@@ -223,7 +224,7 @@ def _describe(robot: RobotDescription) -> None:
         descriptor.cspace.jerk,
     )
     for joint, *row in zip(descriptor.joints, *columns, strict=True):
-        limits.add_row(joint, *(numbers((value,)) for value in row))
+        limits.add_row(joint, *(numbers((value,)) if math.isfinite(value) else "none" for value in row))
     links = Table("link", "spheres", "exact primitives", box=None)
     for link, spheres in descriptor.spheres.items():
         links.add_row(link, str(len(spheres)), _counted(one.kind for one in descriptor.collision[link]))

@@ -24,7 +24,9 @@ class Contacts:
 
     def __init__(self, chain: Chain, limits: Sequence[JointLimits], surfaces: Sequence[Surface]) -> None:
         self.chain = chain
-        self.lower, self.upper = np.array([(limit.lower, limit.upper) for limit in limits]).T
+        lower, upper = np.array([(limit.lower, limit.upper) for limit in limits]).T
+        # One turn of a joint that turns freely.
+        self.lower, self.upper = np.where(np.isinf(lower), -np.pi, lower), np.where(np.isinf(upper), np.pi, upper)
         self.q = np.random.default_rng(0).uniform(self.lower, self.upper, (SAMPLES, len(limits)))
         self.poses = chain.poses(self.q)
         self.body = {mounted.link: mounted.body for mounted in chain.mounted}
