@@ -69,12 +69,13 @@ _CLOUD = m.PointCloud(
     resolution=0.05,
     points=((0.01, 0.02, 0.03), (0.5, -0.5, 0.25)),
 )
+_PACKED = m.PointCloud(kind="cloud", name="far", points="AAAAAAAA8D8AAAAAAAAAQAAAAAAAAAhA")
 _OBJECTS = (_CUBOID, _SPHERE, _CAPSULE, _CYLINDER, _MESH, _VOXELS)
 _ATTACHED = m.Attached(object=_CUBOID, touch_links=("finger_left",), parts=(_CUBOID,))
 _ATTACH = m.AttachObject(op="attach", name="table", touch_links=("finger_left",), joints=(0.1, 0.2))
 _DETACH = m.DetachObject(op="detach", name="table", joints=(0.1, 0.2))
 _LINKS = m.SetLinkCollision(op="links", names=("link_5",), enabled=False)
-_ADD = m.AddObjects(op="add", objects=(*_OBJECTS, _CLOUD), replace=True)
+_ADD = m.AddObjects(op="add", objects=(*_OBJECTS, _CLOUD, _PACKED), replace=True)
 _REMOVE = m.RemoveObjects(op="remove", names=("table", "ball.1"))
 _REVISION = "12-5be0c1d2f3a4"
 _CLEAR = m.ClearScene(op="clear")

@@ -6,7 +6,11 @@ unit quaternions (x, y, z, w). An invalid value raises `zarm.InvalidRequest`, wh
 
 from __future__ import annotations
 
+import sys
+from array import array
+from base64 import b64encode
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
@@ -239,6 +243,20 @@ class Voxels(_Checked, messages.Voxels):
         super().__init__(**_placed("voxels", name, position, orientation), resolution=resolution, cells=whole)
 
 
+_LISTED = 10_000
+"""Most points of a cloud that are sent as a list, which people can read."""
+
+
+def _packed(points: Sequence[Sequence[float]]) -> str:
+    """Points as `messages.PointCloud` packs them. Raises InvalidRequest for rows of other lengths than 3."""
+    if any(len(point) != 3 for point in points):
+        raise InvalidRequest("each point has three coordinates", field="points")
+    found = array("d", chain.from_iterable(points))
+    if sys.byteorder == "big":
+        found.byteswap()
+    return b64encode(found).decode()
+
+
 class PointCloud(_Checked, messages.PointCloud):
     """Points (n, 3) in m that are obstacles; the scene keeps the voxels of `resolution` m that they lie in.
 
@@ -254,9 +272,9 @@ class PointCloud(_Checked, messages.PointCloud):
         position: Numbers = (0.0, 0.0, 0.0),
         orientation: Numbers = IDENTITY,
     ) -> None:
-        super().__init__(
-            **_placed("cloud", name, position, orientation), resolution=resolution, points=rows(points, "points")
-        )
+        listed = rows(points, "points")
+        content = listed if len(listed) <= _LISTED else _packed(listed)
+        super().__init__(**_placed("cloud", name, position, orientation), resolution=resolution, points=content)
 
 
 class Trajectory(_Checked, messages.Trajectory):

@@ -11,6 +11,8 @@ from pydantic import BaseModel
 
 TAGS = ("kind", "op")
 """The fields that distinguish the members of a union, in every model of zarm."""
+SHAPES = ("listed", "packed")
+"""The tags of unions whose members are told apart by what they are, a list or a text."""
 
 _LONGEST = 100
 """So much of an unknown field's name is compared with known ones: a payload of megabytes may be one name."""
@@ -24,6 +26,8 @@ def field_path(location: Sequence[int | str], data: object) -> tuple[int | str, 
     """
     path: list[int | str] = []
     for part in location:
+        if part in SHAPES:
+            continue
         if isinstance(data, dict):
             if part not in data and part in (data.get(tag) for tag in TAGS):
                 continue

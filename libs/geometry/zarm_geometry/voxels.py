@@ -28,7 +28,7 @@ FARTHEST = 1e3
 
 def voxels_of(cloud: PointCloud, field: str) -> Voxels:
     """The voxels that contain a cloud's points. Raises InvalidRequest for points that are too far away."""
-    points = _rows(cloud.points, np.float64)
+    points = np.frombuffer(cloud.coordinates()).reshape(-1, 3)
     check_reach(points, f"{field}.points")
     cells = tuple(zip(*occupied(points, cloud.resolution).T.tolist(), strict=True))
     return Voxels.model_construct(  # from the fields of a valid cloud

@@ -19,7 +19,7 @@ import zarm
 import zarm.aio
 from support.command_line import HOME, ROBOT, pid
 from support.harness import PATIENCE, eventually, free_endpoint
-from zarm_contract.messages import GoalState
+from zarm_contract.messages import MAX_POINTS, GoalState
 from zarm_runtime.bus import Bus
 
 ELSEWHERE = (1.2, *HOME[1:])
@@ -377,3 +377,12 @@ def test_a_client_for_asyncio_that_is_used_after_its_with_says_so_too(place: str
             await left.state()
 
     asyncio.run(use())
+
+
+def test_the_largest_cloud_goes_through_with_every_digit(robot: zarm.Robot) -> None:
+    points = np.random.default_rng(0).uniform((5.0, -1.0, 0.0), (6.0, 1.0, 2.0), (MAX_POINTS, 3))
+    assert robot.scene.add(zarm.PointCloud("seen", points, resolution=0.05)).count == 1
+    cells = np.unique(np.rint(points / 0.05).astype(int), axis=0)
+    found = robot.scene.objects()["seen"]
+    assert isinstance(found, zarm.Voxels)
+    assert {tuple(cell) for cell in found.cells} == {tuple(cell) for cell in cells.tolist()}

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from zarm_contract.codec import decode, encode
 from zarm_contract.errors import InvalidRequest
 from zarm_contract.messages import AddObjects, PointCloud, SceneEdit, Voxels
-from zarm_geometry.voxels import FARTHEST_CELL, distinct, edges, merged, occupied
+from zarm_geometry.voxels import FARTHEST_CELL, distinct, edges, merged, occupied, voxels_of
 from zarm_geometry.world import World
 from zarm_planner.scene.store import SceneStore
 
@@ -124,3 +127,27 @@ def test_a_cloud_becomes_voxels_in_its_own_frame(tmp_path: Path) -> None:
     assert world.names == ("seen",)
     box = world.arrays.boxes[0]
     np.testing.assert_allclose(box, (1.0, 0.5, 0.0, 0.05, 0.05, 0.05), atol=1e-6)
+
+
+def test_a_packed_cloud_is_the_listed_one() -> None:
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    packed = b64encode(points.astype("<f8").tobytes()).decode()
+    listed = PointCloud(kind="cloud", name="seen", points=tuple(map(tuple, points.tolist())))
+    cloud = PointCloud(kind="cloud", name="seen", points=packed)
+    assert voxels_of(cloud, "") == voxels_of(listed, "")
+    assert decode(PointCloud, encode(cloud)) == cloud
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"points": ()}, "at least 1 item"),
+        ({"points": "not base64!"}, "not base64"),
+        ({"points": b64encode(b"12345678" * 4).decode()}, "4 numbers are not"),
+        ({"points": b64encode(np.full(3, np.nan).tobytes()).decode()}, "not a finite number"),
+    ],
+)
+def test_a_cloud_without_whole_points_is_refused(fields: dict[str, object], says: str) -> None:
+    payload = json.dumps({"kind": "cloud", "name": "seen"} | fields).encode()
+    with pytest.raises(InvalidRequest, match=says):
+        decode(PointCloud, payload)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import sys
+from array import array
+from base64 import b64decode
+from itertools import chain
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from zarm_contract._model import Message, ShortMessage
 from zarm_contract.messages.motion import Joints, Name, NonNegative, Positive, Quaternion, Vector3
@@ -91,15 +96,47 @@ class Voxels(Message):
     cells: tuple[tuple[Index, Index, Index], ...] = Field(min_length=1, max_length=MAX_CELLS)
 
 
+def _unpacked(packed: str) -> array[float]:
+    found = array("d", b64decode(packed, validate=True))
+    if sys.byteorder == "big":
+        found.byteswap()
+    return found
+
+
+def _checked(packed: str) -> str:
+    try:
+        found = _unpacked(packed)
+    except ValueError as error:
+        raise ValueError("not base64 of 64-bit floats") from error
+    if not found or len(found) % 3:
+        raise ValueError(f"{len(found)} numbers are not x, y and z of points")
+    if not math.isfinite(sum(map(abs, found))):
+        raise ValueError("a coordinate is not a finite number")
+    return packed
+
+
+_Listed = Annotated[tuple[Vector3, ...], Field(min_length=1, max_length=MAX_POINTS), Tag("listed")]
+_Packed = Annotated[str, Field(max_length=32 * MAX_POINTS), AfterValidator(_checked), Tag("packed")]
+Points = Annotated[_Listed | _Packed, Discriminator(lambda points: "packed" if isinstance(points, str) else "listed")]
+
+
 class PointCloud(Message):
-    """Points (m) that are obstacles. The scene keeps the voxels of `resolution` (m) that contain them."""
+    """Points (m) that are obstacles, up to 200,000. The scene keeps the voxels of `resolution` (m) that contain them.
+
+    `points` are a list or, for a large cloud, packed into a text: x, y, z of each point as little-endian 64-bit floats, in
+    base64. So the largest has 6.4 MB.
+    """
 
     kind: Literal["cloud"]
     name: Name
     position: Vector3 = (0.0, 0.0, 0.0)
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     resolution: Resolution = 0.02
-    points: tuple[Vector3, ...] = Field(min_length=1, max_length=MAX_POINTS)
+    points: Points
+
+    def coordinates(self) -> array[float]:
+        """x, y, z of each point, one after the other."""
+        return _unpacked(self.points) if isinstance(self.points, str) else array("d", chain.from_iterable(self.points))
 
 
 Primitive = Annotated[Cuboid | Sphere | Capsule | Cylinder, Field(discriminator="kind")]
