@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,7 +62,8 @@ def warm_up(model: RobotModel, report: Callable[[str], None]) -> None:
     solve_ik(model, pose, home, world=world, max_solutions=1, seed=0, deadline=deadline)
     begin("the search")
     search(model, world, home, home, seed=0, deadline=deadline)
-    limits = Limits.of(model.robot)
+    every = np.ones(model.dof)  # the robot's own may be too low for a motion that fits into a message
+    limits = replace(Limits.of(model.robot), velocity=every, acceleration=5.0 * every, jerk=50.0 * every)
     straight_times(home[None], home[None], limits.velocity, limits.acceleration, 2)
     path_time(home[None], limits.velocity, limits.acceleration, 2)
     least_duration(home, home[None], limits, 0.01)

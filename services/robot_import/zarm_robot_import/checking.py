@@ -42,6 +42,12 @@ RARELY = 0.02
 """If a smaller share of all configurations is free, something is nearly always in contact."""
 
 
+_USUAL = {"velocity": (0.005, 50.0), "acceleration": (0.02, 500.0), "jerk": (0.2, 1e5)}
+"""Limits of arms (rad or m, and s): those of twenty makers are ten times inside."""
+_BEYOND = 1.5
+"""A limit that exceeds what can be reached by this factor is most likely a mistake, or another one is."""
+
+
 def findings(robot: RobotDescription) -> list[str]:
     """What is most likely wrong, one sentence each with the key to look at and the remedy; empty if all seems well."""
     model = RobotModel.of(robot)
@@ -49,6 +55,7 @@ def findings(robot: RobotDescription) -> list[str]:
     return [
         *_size(model, q),
         *_joints(model),
+        *_rates(model),
         *_meshes(robot),
         *_covers(robot),
         *_neighbours(model, q),
@@ -90,6 +97,39 @@ def _joints(model: RobotModel) -> Iterator[str]:
         moved[index] += 0.1 if home[index] < model.upper[index] - 0.1 else -0.1
         if np.allclose(model.fk_tip(moved), still, atol=1e-9):
             yield f"tip_link: {joint} does not move {descriptor.tip_link}; check its axis in the URDF"
+
+
+def _rates(model: RobotModel) -> Iterator[str]:
+    """Limits that no arm has, and limits that no motion can reach under the others."""
+    cspace = model.robot.descriptor.cspace
+    ways = np.minimum(model.upper - model.lower, 2 * np.pi)
+    for k, joint in enumerate(model.robot.descriptor.joints):
+        values = (cspace.velocity[k], cspace.acceleration[k], cspace.jerk[k])
+        unlikely = False
+        for name, value, (least, most), unit in zip(_USUAL, values, _USUAL.values(), ("/s", "/s²", "/s³"), strict=True):
+            if not least <= value <= most:
+                unlikely = True
+                yield (
+                    f"cspace.{name}[{k}]: {joint} with {value:g} rad{unit} is unlikely: arms have {least:g} to {most:g}; look it up in the "
+                    "data sheet, and at its unit"
+                )
+        if unlikely:
+            continue
+        velocity, acceleration, jerk = values
+        # Rest to rest over the range: with jerk j the acceleration peaks at (d j^2 / 2)^(1/3), and on the way to a velocity v at
+        # sqrt(v j); with acceleration a the velocity peaks at sqrt(a d).
+        reached = min(float(ways[k] * jerk**2 / 2) ** (1 / 3), (velocity * jerk) ** 0.5)
+        if acceleration > _BEYOND * reached:
+            yield (
+                f"cspace.acceleration[{k}]: {joint} cannot reach {acceleration:g} rad/s²: with a jerk of {jerk:g} rad/s³ no motion uses more "
+                f"than {reached:.2g}; correct the one that is wrong"
+            )
+        reached = float(min(acceleration, reached) * ways[k]) ** 0.5
+        if velocity > _BEYOND * reached:
+            yield (
+                f"cspace.velocity[{k}]: {joint} cannot reach {velocity:g} rad/s: within its range, with an acceleration of {acceleration:g} "
+                f"rad/s² and a jerk of {jerk:g} rad/s³, no motion is faster than {reached:.2g}; correct the one that is wrong"
+            )
 
 
 def _meshes(robot: RobotDescription) -> Iterator[str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from support.planner.small_arm import small_arm
 from support.planner.sphere_model import random_joints
@@ -219,3 +220,35 @@ def test_nothing_is_solved_after_a_cancel(ur5e: RobotModel) -> None:
     assert (
         len(solve_ik(ur5e, ur5e.fk_tip(home), home, world=None, max_solutions=1, seed=0, deadline=stop).solutions) == 0
     )
+
+
+@pytest.mark.parametrize("degrees", [30.0, 90.0, 150.0, 180.0])
+def test_how_near_a_pose_comes_is_an_angle(tmp_path: Path, degrees: float) -> None:
+    """A flat arm cannot tilt its tip."""
+    (tmp_path / "flat.urdf").write_text(FLAT_URDF)
+    (tmp_path / "flat.yaml").write_text(FLAT)
+    flat = RobotModel.of(load_robot(str(tmp_path / "flat.yaml")))
+    q = np.array([0.5, 1.0])
+    pose = flat.fk_tip(q)
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_euler("x", degrees, degrees=True).as_matrix()
+    found = solve_ik(flat, pose, q, world=None, max_solutions=4, seed=0, deadline=Deadline(60.0))
+    assert len(found.solutions) == 0
+    assert np.rad2deg(found.angle) == pytest.approx(degrees, abs=0.5)
+    assert found.distance < 0.01
+
+
+FLAT_URDF = """<robot name="flat"><link name="base"/><link name="upper"/><link name="fore"/>
+<joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/><limit lower="-3" upper="3"/></joint>
+<joint name="b" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3"/></joint></robot>"""
+FLAT = """
+name: flat
+urdf: flat.urdf
+base_link: base
+tip_link: fore
+joints: [a, b]
+home: [0.5, 1.0]
+cspace: {velocity: [1, 1], acceleration: [2, 2], jerk: [50, 50]}
+collision: {base: [{kind: sphere, center: [0, 0, 0], radius: 0.02}], upper: [{kind: sphere, center: [0.15, 0, 0], radius: 0.02}], fore: [{kind: sphere, center: [0, 0, 0], radius: 0.02}]}
+spheres: {base: [{center: [0, 0, 0], radius: 0.03}], upper: [{center: [0.15, 0, 0], radius: 0.03}], fore: [{center: [0, 0, 0], radius: 0.03}]}
+"""

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from zarm_contract.robot import ROBOTS, load_robot
-from zarm_robot_import.checking import findings
+from support.examples import examples
+from zarm_contract.robot import ROBOTS, RobotDescription, load_robot
+from zarm_geometry.robot_model import RobotModel
+from zarm_geometry.world import World
+from zarm_planner.deadline import Deadline
+from zarm_planner.timing.smoothing import smooth_path
+from zarm_robot_import.checking import _rates, findings
+from zarm_trajectory.limits import Limits
 
 Change = Callable[[str], str]
 
@@ -105,3 +115,51 @@ def test_a_mesh_that_is_not_there(tmp_path: Path) -> None:
     )
     found = changed(tmp_path, urdf=lambda text: text.replace('<link name="forearm_link"/>', mesh))
     assert any("ur5e.urdf:" in fault and "there is no mesh package://ur/a.stl" in fault for fault in found)
+
+
+def limited(robot: RobotDescription, **values: float) -> RobotDescription:
+    """The robot with these limits in its second joint."""
+    cspace = robot.descriptor.cspace
+    changed = {
+        name: tuple(value if k == 1 else one for k, one in enumerate(getattr(cspace, name)))
+        for name, value in values.items()
+    }
+    return dataclasses.replace(
+        robot, descriptor=robot.descriptor.model_copy(update={"cspace": cspace.model_copy(update=changed)})
+    )
+
+
+@pytest.mark.lengthy
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"acceleration": 1e5}, r"cspace.acceleration\[1\]: shoulder_lift_joint with 100000 rad/s² is unlikely"),
+        (
+            {"jerk": 0.001},
+            r"cspace.jerk\[1\]: shoulder_lift_joint with 0.001 rad/s³ is unlikely: arms have 0.2 to 100000",
+        ),
+        ({"velocity": 180.0}, r"cspace.velocity\[1\]: shoulder_lift_joint with 180 rad/s is unlikely"),
+        (
+            {"acceleration": 100.0, "jerk": 50.0},
+            r"cspace.acceleration\[1\]: .* cannot reach 100 rad/s²: with a jerk of 50 rad/s³",
+        ),
+        ({"acceleration": 0.05}, r"cspace.velocity\[1\]: .* cannot reach 3.1415 rad/s: within its range"),
+    ],
+)
+def test_limits_that_no_arm_has_or_no_motion_reaches_are_named(values: dict[str, float], says: str) -> None:
+    found = findings(limited(load_robot("ur5e"), **values))
+    assert any(re.match(says, fault) for fault in found), found
+
+
+@pytest.mark.lengthy
+@examples(0.5)
+@given(velocity=st.floats(-3, 3), acceleration=st.floats(-3, 4), jerk=st.floats(-4, 6))
+def test_a_robot_in_which_nothing_is_found_moves(velocity: float, acceleration: float, jerk: float) -> None:
+    robot = limited(load_robot("ur5e"), velocity=10**velocity, acceleration=10**acceleration, jerk=10**jerk)
+    model = RobotModel.of(robot)
+    if list(_rates(model)):
+        return
+    home = np.array(robot.descriptor.home)
+    path = np.stack((home, home + 0.1))
+    motion = smooth_path(model, World((), 0.0), path, Limits.of(robot), 0.02, seed=0, deadline=Deadline(60.0))
+    assert motion.duration < 60.0

@@ -338,16 +338,17 @@ def solve(
     while seed < SEEDS and not complete(solutions) and not passed(deadline, now):
         descend_once(robot, tip, aim, lower, upper, DAMPING, descents)
         for lane in range(LANES):
-            distance, angle = math.sqrt(descents.left[0, lane]), math.sqrt(descents.left[1, lane])
+            # In place of the angle, twice the sine of half of it.
+            distance, chord = math.sqrt(descents.left[0, lane]), math.sqrt(descents.left[1, lane])
             steps[lane] += 1
-            near_by = distance + angle < CLOSE
+            near_by = distance + chord < CLOSE
             if not near_by:
                 if steps[lane] % 3 != 0:
                     continue
-                if distance + angle <= STALL * before[lane] and steps[lane] < ITERATIONS:
-                    before[lane] = distance + angle
+                if distance + chord <= STALL * before[lane] and steps[lane] < ITERATIONS:
+                    before[lane] = distance + chord
                     continue
-                note_error(solutions, distance, angle)
+                note_error(solutions, distance, 2.0 * math.asin(min(1.0, 0.5 * chord)))
             else:
                 for k in range(dof):
                     q[k] = descents.joints[k, lane]
