@@ -249,6 +249,7 @@ tip_link: fore
 joints: [a, b]
 home: [0.5, 1.0]
 cspace: {velocity: [1, 1], acceleration: [2, 2], jerk: [50, 50]}
+self_collision_ignore: [[base, upper], [upper, fore], [base, fore]]
 collision: {base: [{kind: sphere, center: [0, 0, 0], radius: 0.02}], upper: [{kind: sphere, center: [0.15, 0, 0], radius: 0.02}], fore: [{kind: sphere, center: [0, 0, 0], radius: 0.02}]}
 spheres: {base: [{center: [0, 0, 0], radius: 0.03}], upper: [{center: [0.15, 0, 0], radius: 0.03}], fore: [{center: [0, 0, 0], radius: 0.03}]}
 """
