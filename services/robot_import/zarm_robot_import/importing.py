@@ -113,6 +113,14 @@ def _imported(
                 raise robot.source.fault(link.element, doubt)
             surfaces.append(surface)
         elif link.collision or link.visual:
+            if mounted.link not in options.right_size and any(
+                one.kind == "mesh" for one in (*link.collision, *link.visual)
+            ):
+                raise robot.source.fault(
+                    link.element,
+                    f"link {link.name} is smaller than 1 mm: is the scale of its mesh applied twice? Correct scale= in its <mesh>; if its "
+                    f"size is right, say --right-size {link.name}",
+                )
             left_out.append(
                 f"{link.name}: its geometry is smaller than 1 mm, so it is left out; check its size and scale"
             )

@@ -34,6 +34,15 @@ def test_a_link_in_mm_is_refused_with_the_question_asked(tmp_path: Path) -> None
     assert not (tmp_path / "out").exists()
 
 
+def test_a_mesh_scaled_twice_is_refused_with_the_question_asked(tmp_path: Path) -> None:
+    (tmp_path / "tool.obj").write_text("v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 0 300\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    file = arm(tmp_path, '<mesh filename="tool.obj" scale="0.000001 0.000001 0.000001"/>')
+    with pytest.raises(InvalidRequest, match=r"link tool is smaller than 1 mm: .*--right-size tool"):
+        import_robot(file, tmp_path / "out", Options())
+    _, report = import_robot(file, tmp_path / "out", Options(right_size=("tool",)))
+    assert any("smaller than 1 mm, so it is left out" in warning for warning in report.warnings)
+
+
 @pytest.mark.parametrize("flat", ['<cylinder radius="0.1" length="0"/>', '<box size="0.1 0.1 0"/>'])
 def test_flat_geometry_is_a_thin_solid_and_said(tmp_path: Path, flat: str) -> None:
     _, report = import_robot(arm(tmp_path, flat), tmp_path / "out", Options())
