@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -314,21 +314,7 @@ def _assembled(
 ) -> Chain:
     moving = {joint.name for joint in joints}
     every = {joint.name: joint for joint in robot.joint_of_child.values()}
-    for name, value in positions.items():
-        if name not in every or name in moving:
-            why = "moves with the arm" if name in moving else "is not in the file"
-            raise InvalidRequest(
-                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints outside the chain", field="--fix"
-            )
-        low, high = every[name].lower, every[name].upper
-        if low is None or high is None or low >= high:
-            low, high = -FARTHEST, FARTHEST
-        if not low - 1e-6 <= value <= high + 1e-6:
-            raise InvalidRequest(
-                f"{robot.source.path}: {name}={value:g} is outside of the joint's limits, {low:g} to {high:g}; choose a position within",
-                field="--fix",
-            )
-
+    _check_fixed(robot, positions, every, moving)
     stands: dict[str, float] = {}
 
     def position(joint: Joint, mimics: tuple[str, ...] = ()) -> float:
@@ -374,19 +360,53 @@ def _assembled(
     origins = tuple(np.linalg.inv(pose[carriers[i]]) @ pose[joint.child] for i, joint in enumerate(joints))
     fixed = tuple((name, value) for name, value in stands.items())
     free = tuple(joint for joint in every.values() if joint.type in ("floating", "planar"))
-    mimics = []
+    behind = {joint.name for link in robot.below(joints[-1].child) for joint in robot.children.get(link, ())}
+    gripper = tuple(name for name in stands if name in behind)
+    return Chain(
+        base,
+        tip,
+        tuple(joints),
+        carriers,
+        origins,
+        tuple(mounted),
+        fixed,
+        free,
+        tuple(_unheeded(stands, positions, every, moving)),
+        gripper,
+    )
+
+
+def _check_fixed(
+    robot: Description, positions: Mapping[str, float], every: Mapping[str, Joint], moving: Collection[str]
+) -> None:
+    """Raise InvalidRequest unless each of the `positions` is one in which a joint outside the chain can stand."""
+    for name, value in positions.items():
+        if name not in every or name in moving:
+            why = "moves with the arm" if name in moving else "is not in the file"
+            raise InvalidRequest(
+                f"{robot.source.path}: the joint {name} {why}; --fix is for the joints outside the chain", field="--fix"
+            )
+        low, high = every[name].lower, every[name].upper
+        if low is None or high is None or low >= high:
+            low, high = -FARTHEST, FARTHEST
+        if not low - 1e-6 <= value <= high + 1e-6:
+            raise InvalidRequest(
+                f"{robot.source.path}: {name}={value:g} is outside of the joint's limits, {low:g} to {high:g}; choose a position within",
+                field="--fix",
+            )
+
+
+def _unheeded(
+    stands: Mapping[str, float], positions: Mapping[str, float], every: Mapping[str, Joint], moving: Collection[str]
+) -> Iterator[str]:
+    """Which joints that stand still are not where their <mimic> has them, and why."""
     for name in stands:
         if name in positions or not (copied := every[name].mimic) or (copied[0] in every and copied[0] not in moving):
             continue
         why = "which is not in the file; correct <mimic>"
         if copied[0] in moving:
             why = "which moves with the arm, so what it carries is not where the planner takes it to be"
-        mimics.append(
-            f"{name}: it mimics {copied[0]}, {why}; here it stands at {stands[name]:g}, or where --fix has it"
-        )
-    behind = {joint.name for link in robot.below(joints[-1].child) for joint in robot.children.get(link, ())}
-    gripper = tuple(name for name in stands if name in behind)
-    return Chain(base, tip, tuple(joints), carriers, origins, tuple(mounted), fixed, free, tuple(mimics), gripper)
+        yield f"{name}: it mimics {copied[0]}, {why}; here it stands at {stands[name]:g}, or where --fix has it"
 
 
 def _outwards(robot: Description, base: str, order: Sequence[str]) -> list[str]:

@@ -118,17 +118,7 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
     for kind in small:
         del found[kind]
         warnings.append(f"its {kind} geometry is smaller than 1 mm, so it is left out; check its size and scale")
-    for kind, triangles in found.items():
-        if (size := _size(triangles)) > LARGEST:
-            raise InvalidRequest(
-                f"{source.place(link.element)}: link {link.name} is {size:.4g} m large, so its {kind} meshes are in mm; "
-                'write scale="0.001 0.001 0.001" into its <mesh> elements'
-            )
-        if (far := float(np.abs(triangles).max())) > LARGEST:
-            raise InvalidRequest(
-                f"{source.place(link.element)}: the {kind} geometry of link {link.name} is {far:.4g} m from the link's origin, so it is in "
-                "mm; divide the xyz of its <origin> by 1000"
-            )
+    _check_metres(source, link, found)
     surface = _chosen(link, found, prefer)
     surface.warnings[:0], surface.files[:0] = warnings, files
     count = len(surface.triangles)
@@ -141,6 +131,21 @@ def link_surface(source: Source, link: Link, prefer: str = "auto") -> Surface | 
             "larger; simplify the mesh for a tighter one"
         )
     return surface
+
+
+def _check_metres(source: Source, link: Link, found: dict[str, Array]) -> None:
+    """Raise InvalidRequest for geometry in mm."""
+    for kind, triangles in found.items():
+        if (size := _size(triangles)) > LARGEST:
+            raise InvalidRequest(
+                f"{source.place(link.element)}: link {link.name} is {size:.4g} m large, so its {kind} meshes are in mm; "
+                'write scale="0.001 0.001 0.001" into its <mesh> elements'
+            )
+        if (far := float(np.abs(triangles).max())) > LARGEST:
+            raise InvalidRequest(
+                f"{source.place(link.element)}: the {kind} geometry of link {link.name} is {far:.4g} m from the link's origin, so it is in "
+                "mm; divide the xyz of its <origin> by 1000"
+            )
 
 
 def doubted(surface: Surface, reach: float, moves: bool) -> str | None:

@@ -46,26 +46,14 @@ def read(content: bytes) -> MeshFile:
             coordinates += words[1:4]
             count += 1
         elif kind in (b"f", b"fo"):
-            try:
-                face = [int(word.partition(b"/")[0]) for word in words[1:]]
-            except ValueError:
-                raise _fault(numbers[at], f"{shown(line)} does not name vertices by their numbers") from None
-            for named in face:
-                if named == 0 or named < -count:
-                    raise _fault(numbers[at], f"a face names the vertex {named}, and {count} stand before it")
-            corners += [named - 1 if named > 0 else count + named for named in face]
+            face = _face(words, count, line, numbers[at])
+            corners += face
             sizes.append(len(face))
             origins.append(at)
-        elif kind in _SURFACES:
-            raise _fault(numbers[at], f"{shown(kind)} is a free-form surface; export it as polygons")
-        elif kind in _OTHERS:
-            raise _fault(
-                numbers[at], f"{shown(kind)} takes in another file, which is never done; export it as one file"
-            )
         elif kind in (b"l", b"p") or kind in _CURVES:
             left[kind] += 1
         elif kind not in _NO_GEOMETRY:
-            raise _fault(numbers[at], f"{shown(kind)} is no word of an OBJ file")
+            raise _fault(numbers[at], _refusal(kind))
     try:
         points = np.array(list(map(float, coordinates))).reshape(-1, 3)
     except ValueError:
@@ -80,6 +68,26 @@ def read(content: bytes) -> MeshFile:
     if not len(triangles):
         raise Unreadable("it holds no triangles; export it again")
     return MeshFile(points[triangles], tuple(_notes(left, int((size < 3).sum()))))
+
+
+def _face(words: list[bytes], count: int, line: bytes, number: int) -> list[int]:
+    """The vertices of a face, counted from 0; `count` of them stand before it."""
+    try:
+        face = [int(word.partition(b"/")[0]) for word in words[1:]]
+    except ValueError:
+        raise _fault(number, f"{shown(line)} does not name vertices by their numbers") from None
+    for named in face:
+        if named == 0 or named < -count:
+            raise _fault(number, f"a face names the vertex {named}, and {count} stand before it")
+    return [named - 1 if named > 0 else count + named for named in face]
+
+
+def _refusal(kind: bytes) -> str:
+    if kind in _SURFACES:
+        return f"{shown(kind)} is a free-form surface; export it as polygons"
+    if kind in _OTHERS:
+        return f"{shown(kind)} takes in another file, which is never done; export it as one file"
+    return f"{shown(kind)} is no word of an OBJ file"
 
 
 def _lines(text: bytes) -> tuple[list[bytes], range | list[int]]:
