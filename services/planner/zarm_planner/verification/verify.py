@@ -32,7 +32,7 @@ RANGE = 1e-4
 
 
 class VerificationFailed(Exception):
-    """A trajectory breaks a promise; the message says which, where and by how much."""
+    """A trajectory fails verification; the message says in what, where and by how much."""
 
 
 def verify(
